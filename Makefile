@@ -1,0 +1,43 @@
+# Every target works on any machine with make and Python >= 3.11.
+PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
+	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$p" && break; done)
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+# One process per core below; threads inside each would only compete.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: setup demo test test-slow benchmark docs clean
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml hatch_build.py
+	@test -n "$(PYTHON)" || { echo "Python >= 3.11 was not found; set PYTHON=/path/to/python"; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet -e ".[dev]"
+	touch $(STAMP)
+
+demo: setup
+	$(BIN)/python -m oed_sysid.demo
+
+test: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest -n 2 -m "not slow" tests oed_sysid --doctest-modules --doctest-ignore-import-errors
+
+test-slow: setup
+	$(BIN)/pytest -n 2 -m slow tests
+
+benchmark: setup
+	$(BIN)/python -m benchmarks
+
+docs: setup
+	$(BIN)/python -m pip install --quiet pdoc
+	$(BIN)/pdoc --math --docformat numpy -o out/docs oed_sysid
+
+clean:
+	rm -rf build dist out .pytest_cache .mypy_cache .ruff_cache
+	find . -name __pycache__ -type d -not -path "./$(VENV)/*" -prune -exec rm -rf {} +

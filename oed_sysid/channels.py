@@ -1,0 +1,114 @@
+"""Names, units and labels of the signals that cross a model's border.
+
+States, inputs and outputs are declared once, in a model; everything else
+(CSV headers, reports, plots) asks these declarations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from oed_sysid.errors import ModelError
+
+INTERPOLATIONS = ("hold", "linear")
+
+
+@dataclass(frozen=True)
+class State:
+    """One state of a model.
+
+    Parameters
+    ----------
+    name : str
+        Symbol used in expressions, for instance ``"w"``.
+    unit : str
+        SI unit, for instance ``"m/s"``.
+    label : str
+        Words for reports and plots, for instance ``"heave velocity"``.
+    scale : float
+        Typical magnitude, in ``unit``; conditions the numerics only.
+    """
+
+    name: str
+    unit: str
+    label: str = ""
+    scale: float = 1.0
+
+
+@dataclass(frozen=True)
+class Input:
+    """One commanded signal.
+
+    ``interpolation`` says what happens between two samples: ``"hold"`` keeps
+    the last value (a digital command), ``"linear"`` connects the samples (a
+    measured angle). ``column`` and ``sign`` map a log that uses another name
+    or the opposite sign convention.
+    """
+
+    name: str
+    unit: str
+    label: str = ""
+    interpolation: str = "hold"
+    column: str | None = None
+    sign: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.interpolation not in INTERPOLATIONS:
+            raise ModelError(
+                f"Input {self.name!r} has interpolation {self.interpolation!r}. "
+                f"Choose one of {', '.join(INTERPOLATIONS)}."
+            )
+
+
+@dataclass(frozen=True)
+class Output:
+    """One measured signal.
+
+    Parameters
+    ----------
+    name : str
+        Name of the measured channel.
+    unit : str
+        SI unit.
+    label : str
+        Words for reports and plots.
+    expression : str or None
+        What the sensor sees before sensor effects, as an expression of states
+        and signals; ``None`` means the state of the same name.
+    noise_std : float or None
+        Standard deviation of the white measurement noise, in ``unit``;
+        ``None`` means unknown, to be estimated.
+    column, sign
+        Column of the log and its sign, where they differ.
+    """
+
+    name: str
+    unit: str
+    label: str = ""
+    expression: str | None = None
+    noise_std: float | None = None
+    column: str | None = None
+    sign: float = 1.0
+
+    @property
+    def source(self) -> str:
+        """Expression that the sensor sees."""
+        return self.name if self.expression is None else self.expression
+
+
+@dataclass(frozen=True)
+class Channels:
+    """The signals that a record of a model must or may hold."""
+
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the commanded signals."""
+        return tuple(channel.name for channel in self.inputs)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the measured signals."""
+        return tuple(channel.name for channel in self.outputs)

@@ -1,0 +1,31 @@
+"""Errors: every message names what was expected, what was got and what to do.
+
+A solver that does not converge is not an error but a status (see
+:mod:`oed_sysid.fit`); errors are for input that cannot be worked with.
+"""
+
+from __future__ import annotations
+
+
+class OedSysidError(ValueError):
+    """Base class of all errors raised on purpose by this package."""
+
+
+class DataError(OedSysidError):
+    """A measured record cannot be used as it is."""
+
+
+class ModelError(OedSysidError):
+    """A model, effect or expression is inconsistent."""
+
+
+class ProblemError(OedSysidError):
+    """A problem folder cannot be found or does not fulfil its contract."""
+
+
+class SimulationError(OedSysidError):
+    """A trajectory left the numbers (overflow or NaN) before its end."""
+
+
+class DesignError(OedSysidError):
+    """An experiment cannot be designed within the limits that were given."""
