@@ -1,0 +1,357 @@
+"""Exact conversion of units at the edge, and the algebra of dimensions.
+
+Inside the package every number is SI (m, s, kg, rad, N, ...). This module is
+called where numbers come in: it reads the unit from a column header, converts
+the column, and compares dimensions.
+
+The radian counts as dimensionless in comparisons (``N m/rad`` equals ``N m``)
+but is remembered, so that units print as they were meant and a reader of data
+can tell ``rad/s`` from revolutions ``1/s``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from oed_sysid.errors import DataError
+
+_BASES = ("kg", "m", "s", "A", "K")
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """Exponents of kg, m, s, A and K, with the radian remembered beside them.
+
+    Supports ``*``, ``/``, ``**`` and equality; the radian does not take part
+    in equality.
+
+    Examples
+    --------
+    >>> force = dimension("kg") * dimension("m/s^2")
+    >>> force == dimension("N"), str(force / dimension("m^2/s^2"))
+    (True, 'kg/m')
+    >>> str(dimension("N m") ** Fraction(1, 2) * dimension("s"))
+    'kg^(1/2) m'
+    """
+
+    exponents: tuple[Fraction, ...] = (Fraction(0),) * len(_BASES)
+    radian: Fraction = field(default=Fraction(0), compare=False)
+
+    def __mul__(self, other: Dimension) -> Dimension:
+        pairs = zip(self.exponents, other.exponents, strict=True)
+        return Dimension(tuple(a + b for a, b in pairs), self.radian + other.radian)
+
+    def __truediv__(self, other: Dimension) -> Dimension:
+        return self * other**-1
+
+    def __pow__(self, power: float | Fraction) -> Dimension:
+        exact = Fraction(power).limit_denominator(1000)
+        return Dimension(tuple(a * exact for a in self.exponents), self.radian * exact)
+
+    @property
+    def is_dimensionless(self) -> bool:
+        """Whether every exponent is zero (angles are dimensionless)."""
+        return not any(self.exponents)
+
+    def __str__(self) -> str:
+        symbols = _NAMED_DIMENSIONS.get(self.exponents)
+        if symbols is None:
+            # Electrical units read best with whichever of V and A needs fewer symbols.
+            symbols = _nonzero(self)
+            with_volt = _nonzero(self * _DIMENSIONS["V"] ** self.exponents[3])
+            if with_volt.get("A", 0) == 0 and len(with_volt) + 1 < len(symbols):
+                symbols = with_volt | {"V": -self.exponents[3]}
+        return _text({**symbols, "rad": self.radian})
+
+
+def _nonzero(value: Dimension) -> dict[str, Fraction]:
+    return {base: n for base, n in zip(_BASES, value.exponents, strict=True) if n}
+
+
+def _base(*exponents: int, radian: int = 0) -> Dimension:
+    return Dimension(tuple(Fraction(n) for n in exponents), Fraction(radian))
+
+
+_DIMENSIONS = {
+    "kg": _base(1, 0, 0, 0, 0),
+    "m": _base(0, 1, 0, 0, 0),
+    "s": _base(0, 0, 1, 0, 0),
+    "A": _base(0, 0, 0, 1, 0),
+    "K": _base(0, 0, 0, 0, 1),
+    "rad": _base(0, 0, 0, 0, 0, radian=1),
+    "N": _base(1, 1, -2, 0, 0),
+    "Pa": _base(1, -1, -2, 0, 0),
+    "J": _base(1, 2, -2, 0, 0),
+    "W": _base(1, 2, -3, 0, 0),
+    "V": _base(1, 2, -3, -1, 0),
+    "Ohm": _base(1, 2, -3, -2, 0),
+    "Hz": _base(0, 0, -1, 0, 0),
+}
+_NAMED_DIMENSIONS: dict[tuple[Fraction, ...], dict[str, Fraction]] = {
+    _DIMENSIONS["N"].exponents: {"N": Fraction(1)},
+    _DIMENSIONS["J"].exponents: {"N": Fraction(1), "m": Fraction(1)},
+    _DIMENSIONS["Pa"].exponents: {"Pa": Fraction(1)},
+    _DIMENSIONS["W"].exponents: {"W": Fraction(1)},
+    _DIMENSIONS["V"].exponents: {"V": Fraction(1)},
+}
+
+# unit: (factor to SI, SI unit). Factors are exact by definition of the unit.
+_DEGREE = math.pi / 180.0
+_KNOT = 1852.0 / 3600.0
+_UNITS: dict[str, tuple[float, str]] = {
+    **{symbol: (1.0, symbol) for symbol in _DIMENSIONS},
+    **{"1": (1.0, "1"), "-": (1.0, "1"), "%": (0.01, "1"), "percent": (0.01, "1")},
+    **{"um": (1e-6, "m"), "mm": (1e-3, "m"), "cm": (1e-2, "m"), "dm": (0.1, "m")},
+    **{"km": (1e3, "m"), "nmi": (1852.0, "m"), "ft": (0.3048, "m")},
+    **{"us": (1e-6, "s"), "ms": (1e-3, "s"), "min": (60.0, "s"), "h": (3600.0, "s")},
+    **{"g": (1e-3, "kg"), "t": (1e3, "kg")},
+    **{"deg": (_DEGREE, "rad"), "°": (_DEGREE, "rad"), "mrad": (1e-3, "rad"), "rev": (1.0, "1")},
+    **{"kn": (_KNOT, "m/s"), "kt": (_KNOT, "m/s"), "mps": (1.0, "m/s")},
+    **{"mmps": (1e-3, "m/s"), "cmps": (1e-2, "m/s"), "kmh": (1 / 3.6, "m/s")},
+    **{"mps2": (1.0, "m/s^2"), "radps": (1.0, "rad/s"), "degps": (_DEGREE, "rad/s")},
+    **{"mradps": (1e-3, "rad/s"), "radps2": (1.0, "rad/s^2"), "degps2": (_DEGREE, "rad/s^2")},
+    **{"rps": (1.0, "1/s"), "rpm": (1 / 60.0, "1/s"), "kHz": (1e3, "Hz"), "mHz": (1e-3, "Hz")},
+    **{"mN": (1e-3, "N"), "kN": (1e3, "N"), "MN": (1e6, "N"), "kgf": (9.80665, "N")},
+    **{"Nm": (1.0, "N m"), "mNm": (1e-3, "N m"), "kNm": (1e3, "N m"), "MNm": (1e6, "N m")},
+    **{"hPa": (1e2, "Pa"), "kPa": (1e3, "Pa"), "MPa": (1e6, "Pa")},
+    **{"mbar": (1e2, "Pa"), "dbar": (1e4, "Pa"), "bar": (1e5, "Pa")},
+    **{"cc": (1e-6, "m^3"), "ml": (1e-6, "m^3"), "l": (1e-3, "m^3")},
+    **{"kgm3": (1.0, "kg/m^3"), "kgm2": (1.0, "kg m^2")},
+    **{"uV": (1e-6, "V"), "mV": (1e-3, "V"), "kV": (1e3, "V"), "mA": (1e-3, "A")},
+    **{"mW": (1e-3, "W"), "kW": (1e3, "W"), "kJ": (1e3, "J"), "degC": (1.0, "K")},
+}
+# Zero of the scale in SI; such a unit cannot be part of a product.
+_OFFSETS = {"degC": 273.15}
+_SPELLINGS = {"°C": "degC", "µ": "u", "μ": "u", "Ω": "Ohm", "²": "^2", "³": "^3", "⁻": "-"}
+# As a header's suffix these would more often be part of the name than a unit.
+_NOT_A_SUFFIX = frozenset({"", "1", "-", "%", "°", "t", "g", "l"})
+_TOKEN = re.compile(r"\s*(\*\*|[*/^()·]|-?\d+|[^\W\d_]+\d*|[%°])")
+
+
+@dataclass(frozen=True)
+class _Unit:
+    """A parsed unit: factor and exponents of SI symbols."""
+
+    factor: float
+    symbols: tuple[tuple[str, Fraction], ...]
+    offset: float = 0.0
+
+
+@lru_cache(maxsize=1024)
+def _parse(unit: str) -> _Unit:
+    text = unit.strip()
+    for spelling, symbol in _SPELLINGS.items():
+        text = text.replace(spelling, symbol)
+    if text in ("", "-"):
+        return _Unit(1.0, ())
+    if text in _OFFSETS:
+        factor, symbol = _UNITS[text]
+        return _Unit(factor, ((symbol, Fraction(1)),), _OFFSETS[text])
+    tokens: list[str] = []
+    position = 0
+    while position < len(text):
+        match = _TOKEN.match(text, position)
+        if match is None:
+            raise _unknown(text[position:], unit)
+        tokens.append(match.group(1))
+        position = match.end()
+    symbols: dict[str, Fraction] = {}
+    factor = _product(tokens, symbols, 1, unit)
+    if tokens:
+        raise _unknown(tokens[0], unit)
+    return _Unit(factor, tuple((symbol, n) for symbol, n in symbols.items() if n))
+
+
+def _product(tokens: list[str], symbols: dict[str, Fraction], sign: int, unit: str) -> float:
+    """Consume ``a b^2/(c d)`` from the tokens; return the factor, collect SI symbols."""
+    factor, direction = 1.0, sign
+    while tokens and tokens[0] != ")":
+        token = tokens.pop(0)
+        if token in ("*", "·"):
+            continue
+        if token == "/":
+            direction = -sign
+            continue
+        if token == "(":
+            factor *= _product(tokens, symbols, direction, unit)
+            if not tokens or tokens.pop(0) != ")":
+                raise _unknown("(", unit)
+        else:
+            name, exponent = token, 1
+            if token not in _UNITS:
+                name = token.rstrip("0123456789")
+                exponent = int(token[len(name) :] or 1)
+            if tokens and tokens[0] in ("^", "**"):
+                tokens.pop(0)
+            if tokens and re.fullmatch(r"-?\d+", tokens[0]):
+                exponent *= int(tokens.pop(0))
+            if name not in _UNITS or name in _OFFSETS:
+                raise _unknown(name, unit)
+            size, si_unit = _UNITS[name]
+            factor *= size ** (direction * exponent)
+            for symbol, n in _symbols(si_unit).items():
+                symbols[symbol] = symbols.get(symbol, Fraction(0)) + n * direction * exponent
+        direction = sign
+    return factor
+
+
+@lru_cache(maxsize=256)
+def _symbols(si_unit: str) -> dict[str, Fraction]:
+    if si_unit == "1":
+        return {}
+    if si_unit in _DIMENSIONS:
+        return {si_unit: Fraction(1)}
+    return dict(_parse(si_unit).symbols)
+
+
+def _unknown(part: str, unit: str) -> DataError:
+    accepted = ", ".join(sorted(_UNITS, key=str.lower))
+    if part in _OFFSETS:
+        return DataError(f"[{unit}] mixes {part} with other units. Use K for differences.")
+    return DataError(
+        f"Unknown unit {part!r} in [{unit}]. Accepted are {accepted}, "
+        "and products such as 'kg m^2/s^2' or '1/s'."
+    )
+
+
+def _text(symbols: dict[str, Fraction]) -> str:
+    """Write exponents as ``kg m^2/s^2`` or ``m/(s V)``."""
+
+    def power(symbol: str, n: Fraction) -> str:
+        if n == 1:
+            return symbol
+        return f"{symbol}^{n}" if n.denominator == 1 else f"{symbol}^({n})"
+
+    above = [power(symbol, n) for symbol, n in symbols.items() if n > 0]
+    below = [power(symbol, -n) for symbol, n in symbols.items() if n < 0]
+    numerator = " ".join(above) or "1"
+    if not below:
+        return numerator
+    return f"{numerator}/{below[0]}" if len(below) == 1 else f"{numerator}/({' '.join(below)})"
+
+
+def dimension(unit: str) -> Dimension:
+    """Return the dimension of a unit.
+
+    Parameters
+    ----------
+    unit : str
+        A unit or a product such as ``"kg m2/rad2"``, ``"N m s"`` or ``"1/s"``;
+        ``""``, ``"-"`` and ``"1"`` mean dimensionless.
+
+    Raises
+    ------
+    DataError
+        If a part of the unit is unknown.
+
+    Examples
+    --------
+    >>> str(dimension("kg m/rad")), dimension("kg m/rad") == dimension("kg m")
+    ('kg m/rad', True)
+    >>> str(dimension("V/s")), str(dimension("kn"))
+    ('V/s', 'm/s')
+    """
+    total = Dimension()
+    for symbol, exponent in _parse(unit).symbols:
+        total = total * _DIMENSIONS[symbol] ** exponent
+    return total
+
+
+def same_dimension(a: str, b: str) -> bool:
+    """Tell whether two units measure the same thing; the radian counts as one.
+
+    Examples
+    --------
+    >>> same_dimension("deg/s", "rad/s"), same_dimension("m", "rad")
+    (True, False)
+    """
+    return dimension(a) == dimension(b)
+
+
+def to_si(values: ArrayLike, unit: str) -> tuple[np.ndarray, str]:
+    """Convert values to SI.
+
+    Parameters
+    ----------
+    values : array_like
+        Numbers in ``unit``, any shape.
+    unit : str
+        The unit they are in. Revolutions per second and minute become ``1/s``,
+        not ``rad/s``.
+
+    Returns
+    -------
+    converted : numpy.ndarray
+        New array of the same shape.
+    si_unit : str
+        The unit of ``converted``.
+
+    Raises
+    ------
+    DataError
+        If the unit is unknown.
+
+    Examples
+    --------
+    >>> values, unit = to_si([0.0, 36.0], "km/h")
+    >>> print(values[1].round(12), unit)
+    10.0 m/s
+    >>> print(to_si(15.0, "degC")[0], to_si(90.0, "rpm"))
+    288.15 (array(1.5), '1/s')
+    """
+    parsed = _parse(unit)
+    converted = np.array(values, dtype=float) * parsed.factor + parsed.offset
+    return np.asarray(converted), _text(dict(parsed.symbols))
+
+
+def parse_header(text: str) -> tuple[str, str | None]:
+    """Split a column header into name and unit.
+
+    Understood are brackets (``w [m/s]``, ``beta(deg)``) and suffixes
+    (``psi_deg``, ``dx0_mps``), also before a remark (``phi_deg_inferred``).
+
+    Parameters
+    ----------
+    text : str
+        The header.
+
+    Returns
+    -------
+    name : str
+        The header without its unit.
+    unit : str or None
+        The unit as written, ``None`` if the header has none.
+
+    Raises
+    ------
+    DataError
+        If brackets hold an unknown unit.
+
+    Examples
+    --------
+    >>> parse_header("w [m/s]"), parse_header("r_degps"), parse_header("m_pitch")
+    (('w', 'm/s'), ('r', 'degps'), ('m_pitch', None))
+    >>> parse_header("pitch_rad_corrected")
+    ('pitch_corrected', 'rad')
+    """
+    header = text.strip()
+    match = re.fullmatch(r"(.*?)\s*(?:\[([^\]]*)\]|\(([^()]*)\))", header)
+    if match:
+        unit = (match.group(2) if match.group(2) is not None else match.group(3)).strip() or "1"
+        _parse(unit)
+        return match.group(1).strip(), unit
+    words = header.split("_")
+    for index in range(len(words) - 1, 0, -1):
+        word = words[index]
+        is_last = index == len(words) - 1
+        # A single letter inside a name ("dive_m_2") is too often not a unit.
+        if word in _UNITS and word not in _NOT_A_SUFFIX and (is_last or len(word) > 1):
+            return "_".join(words[:index] + words[index + 1 :]), word
+    return header, None

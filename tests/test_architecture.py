@@ -1,0 +1,194 @@
+"""The one-way layers and the other promises about the shape of the package."""
+
+from __future__ import annotations
+
+import ast
+import statistics
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "oed_sysid"
+
+# Bottom to top: a module imports from layers before its own, or from its own folder.
+LAYERS = (
+    "errors",
+    "channels",
+    "units",
+    "notation",
+    "expressions",
+    "parameters",
+    "effects",
+    "model",
+    "kernels",
+    "native",
+    "manoeuvres",
+    "experiment",
+    "csv_table",
+    "dataset",
+    "data_cache",
+    "problem",
+    "simulate",
+    "information",
+    "fit",
+    "estimators",
+    "design",
+    "diagnose",
+    "report",
+    "testing",
+    "demo",
+    "app",
+    "cli",
+)
+# These speak to the user and therefore use the public API, as a user does.
+USES_PUBLIC_API = ("testing", "demo", "app", "cli")
+CASADI_LAYERS = (
+    "expressions",
+    "effects",
+    "model",
+    "kernels",
+    "simulate",
+    "information",
+    "estimators",
+    "design",
+)
+MATPLOTLIB_LAYERS = ("report",)
+FORBIDDEN_NAMES = ("utils", "util", "helpers", "helper", "common", "misc")
+MAXIMUM_LINES = 400
+MEDIAN_LINES = 180
+
+
+def modules(folder: Path) -> list[Path]:
+    """Python files below a folder."""
+    return sorted(p for p in folder.rglob("*.py") if "__pycache__" not in p.parts)
+
+
+def layer_of(path: Path) -> str:
+    """Name of the top-level module or folder of the package that holds a file."""
+    return path.relative_to(PACKAGE).with_suffix("").parts[0]
+
+
+def imports(path: Path) -> Iterator[tuple[int, str, tuple[str, ...]]]:
+    """Yield line, absolute module and imported names of every import of a file."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name, ()
+        elif isinstance(node, ast.ImportFrom):
+            module = node.module or ""
+            if node.level:
+                folder = path.parents[node.level - 1].relative_to(ROOT)
+                module = ".".join((*folder.parts, *filter(None, [module])))
+            yield node.lineno, module, tuple(alias.name for alias in node.names)
+
+
+def package_layers(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield line and layer of every import from within the package."""
+    for line, module, names in imports(path):
+        head, _, tail = module.partition(".")
+        if head != "oed_sysid":
+            continue
+        if tail:
+            yield line, tail.split(".")[0]
+        else:
+            for name in names or ("oed_sysid",):
+                yield line, name
+
+
+PACKAGE_MODULES = [p for p in modules(PACKAGE) if p != PACKAGE / "__init__.py"]
+ALL_MODULES = [
+    path
+    for folder in ("oed_sysid", "problems", "tests", "benchmarks", "examples")
+    for path in modules(ROOT / folder)
+]
+
+
+def label(path: Path) -> str:
+    """Path from the repository root, for test names and messages."""
+    return path.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("path", PACKAGE_MODULES, ids=label)
+def test_module_belongs_to_a_declared_layer(path: Path) -> None:
+    """Every module of the package has its place in the order of layers."""
+    assert layer_of(path) in LAYERS, (
+        f"{label(path)} is in no layer. Add {layer_of(path)!r} to LAYERS in "
+        "tests/test_architecture.py, at the lowest place that its imports allow."
+    )
+
+
+@pytest.mark.parametrize("path", PACKAGE_MODULES, ids=label)
+def test_imports_go_downwards(path: Path) -> None:
+    """A module imports only from lower layers or from its own folder."""
+    own = layer_of(path)
+    if own not in LAYERS:
+        pytest.skip("reported by test_module_belongs_to_a_declared_layer")
+    below = LAYERS[: LAYERS.index(own)]
+    wrong = []
+    for line, layer in package_layers(path):
+        if layer == own or layer in below or layer == "__version__":
+            continue
+        if layer not in LAYERS and own in USES_PUBLIC_API:
+            continue
+        reason = "a higher layer" if layer in LAYERS else "no layer; import the module that has it"
+        wrong.append(f"line {line}: {layer} ({reason})")
+    assert not wrong, f"{label(path)} imports upwards: " + "; ".join(wrong)
+
+
+@pytest.mark.parametrize(
+    ("library", "layers"), [("casadi", CASADI_LAYERS), ("matplotlib", MATPLOTLIB_LAYERS)]
+)
+def test_library_is_confined(library: str, layers: tuple[str, ...]) -> None:
+    """CasADi and matplotlib are imported only in the layers that own them."""
+    wrong = [
+        f"{label(path)}:{line}"
+        for path in modules(PACKAGE)
+        for line, module, _ in imports(path)
+        if module.split(".")[0] == library and layer_of(path) not in layers
+    ]
+    assert not wrong, f"{library} belongs in {', '.join(layers)}; found in {', '.join(wrong)}"
+
+
+@pytest.mark.parametrize("path", ALL_MODULES, ids=label)
+def test_module_has_a_noun_and_a_size(path: Path) -> None:
+    """No module is a drawer for leftovers and none is longer than 400 lines."""
+    assert path.stem not in FORBIDDEN_NAMES, f"{label(path)}: name the noun that it holds"
+    n_lines = len(path.read_text(encoding="utf-8").splitlines())
+    assert n_lines <= MAXIMUM_LINES, f"{label(path)} has {n_lines} lines; find the second noun"
+
+
+def test_median_module_is_short() -> None:
+    """Half of the modules of the package are read on a few screens."""
+    sizes = [len(path.read_text(encoding="utf-8").splitlines()) for path in modules(PACKAGE)]
+    assert statistics.median(sizes) < MEDIAN_LINES
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.glob("problems/*/problem.py")), ids=label)
+def test_problem_uses_the_public_api_only(path: Path) -> None:
+    """A shipped problem is written as a user would write one."""
+    wrong = []
+    for line, module, names in imports(path):
+        head, *inner = module.split(".")
+        if head == "numpy" or head in sys.stdlib_module_names:
+            continue
+        private = any(part.startswith("_") for part in (*inner, *names))
+        if head != "oed_sysid" or private or (inner and inner[0] not in LAYERS):
+            wrong.append(f"line {line}: {module}")
+    assert not wrong, f"{label(path)} imports more than the public API: " + "; ".join(wrong)
+
+
+def test_import_is_light() -> None:
+    """`import oed_sysid` leaves plotting and data-frame libraries alone."""
+    code = (
+        "import sys, oed_sysid; "
+        "print([m for m in ('matplotlib', 'pandas', 'sklearn') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
