@@ -1,0 +1,415 @@
+"""A vehicle's model: kinematics, inertia and a set of effects.
+
+A model is text and numbers only. :mod:`oed_sysid.graph` turns it into CasADi
+expressions and :mod:`oed_sysid.kernels` into compiled code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from oed_sysid import expressions
+from oed_sysid.channels import Channels, Input, Output, State
+from oed_sysid.effects import Effect
+from oed_sysid.errors import ModelError
+from oed_sysid.parameters import Parameter, check_unique
+
+RESERVED = ("t", "h")
+
+
+@dataclass(frozen=True)
+class Model:
+    """Equations of motion, actuators and sensors of one vehicle.
+
+    .. math::
+
+        M(p)\\,\\dot\\nu = \\sum_e \\tau_e(x, d, t, p), \\qquad
+        \\dot\\eta = k(x, d, t, p), \\qquad y = s(x, d, p)
+
+    Parameters
+    ----------
+    name : str
+        Name of the model.
+    states : tuple of State
+        State vector, in order.
+    inputs : tuple of Input
+        Commanded signals.
+    outputs : tuple of Output
+        Measured signals.
+    kinematics : mapping
+        ``state -> expression`` of its rate, for every state that is not the
+        velocity of an axis; an identity model of any ODE has only these.
+    axes : mapping
+        ``axis -> velocity state``, for instance ``{"Z": "w"}``.
+    inertia : mapping
+        ``(axis, state) -> expression`` of the mass matrix; an axis without an
+        entry has unit mass.
+    actuators : mapping
+        ``signal -> expression`` of inputs: what reaches the forces when
+        actuators are ideal. Empty means the inputs themselves.
+    signals : mapping
+        Further names, in order of evaluation, such as relative velocities;
+        environment effects act on them.
+    effects : tuple of Effect
+        What acts on the vehicle.
+    parameters : tuple of Parameter
+        Shared constants such as mass and length.
+    step : float
+        Largest integration step, s.
+
+    Examples
+    --------
+    >>> from oed_sysid import Force, Input, Model, Output, Parameter, State
+    >>> nomoto = Model(
+    ...     name="first-order Nomoto",
+    ...     states=(State("psi", "rad"), State("r", "rad/s")),
+    ...     inputs=(Input("delta", "rad"),),
+    ...     outputs=(Output("psi", "rad"),),
+    ...     kinematics={"psi": "r", "r": "(K*delta - r)/T"},
+    ...     parameters=(Parameter("K", 0.2, "1/s"), Parameter("T", 15.0, "s")),
+    ... )
+    >>> print(nomoto.equations())
+    psi' = r
+    r' = (K delta - r)/T
+    measured psi = psi
+    """
+
+    name: str
+    states: tuple[State, ...]
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+    kinematics: Mapping[str, str] = field(default_factory=dict)
+    axes: Mapping[str, str] = field(default_factory=dict)
+    inertia: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    actuators: Mapping[str, str] = field(default_factory=dict)
+    signals: Mapping[str, str] = field(default_factory=dict)
+    effects: tuple[Effect, ...] = ()
+    parameters: tuple[Parameter, ...] = ()
+    step: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("states", "inputs", "outputs", "effects", "parameters"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        for name in ("kinematics", "axes", "inertia", "actuators", "signals"):
+            object.__setattr__(self, name, dict(getattr(self, name)))
+        _validate(self)
+
+    # -- what the model is made of -------------------------------------------------
+
+    @property
+    def channels(self) -> Channels:
+        """Inputs and outputs that a record of this model holds."""
+        return Channels(self.inputs, self.outputs)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the model's own states, those that effects add excluded."""
+        return tuple(state.name for state in self.states)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the measured signals."""
+        return tuple(output.name for output in self.outputs)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the commanded signals."""
+        return tuple(channel.name for channel in self.inputs)
+
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        """Names of the effects, in order."""
+        return tuple(effect.name for effect in self.effects)
+
+    @property
+    def actuator_signals(self) -> dict[str, str]:
+        """Ideal actuator signals; the inputs themselves unless stated otherwise."""
+        return dict(self.actuators) or {name: name for name in self.input_names}
+
+    @property
+    def all_parameters(self) -> tuple[Parameter, ...]:
+        """Shared parameters first, then those of each effect in order."""
+        own = [parameter for effect in self.effects for parameter in effect.parameters]
+        return (*self.parameters, *own)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of all parameters, in order."""
+        return tuple(parameter.name for parameter in self.all_parameters)
+
+    @property
+    def free_parameters(self) -> tuple[Parameter, ...]:
+        """Parameters that an estimator may change, in order."""
+        return tuple(parameter for parameter in self.all_parameters if not parameter.fixed)
+
+    @property
+    def free_names(self) -> tuple[str, ...]:
+        """Names of the free parameters, in order."""
+        return tuple(parameter.name for parameter in self.free_parameters)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Present value of every parameter."""
+        return {parameter.name: parameter.value for parameter in self.all_parameters}
+
+    @property
+    def value_vector(self) -> np.ndarray:
+        """Values of all parameters, shape ``(n_parameters,)``."""
+        return np.array([parameter.value for parameter in self.all_parameters], dtype=float)
+
+    def parameter(self, name: str) -> Parameter:
+        """Return one parameter by name."""
+        for parameter in self.all_parameters:
+            if parameter.name == name:
+                return parameter
+        raise ModelError(
+            f"Model {self.name!r} has no parameter {name!r}. It has: "
+            f"{', '.join(self.parameter_names)}."
+        )
+
+    def effect(self, name: str) -> Effect:
+        """Return one effect by name."""
+        for effect in self.effects:
+            if effect.name == name:
+                return effect
+        raise ModelError(
+            f"Model {self.name!r} has no effect {name!r}. It has: "
+            f"{', '.join(self.effect_names) or 'none'}."
+        )
+
+    # -- new models from old -------------------------------------------------------
+
+    def __add__(self, other: Effect | Iterable[Effect]) -> Model:
+        """Return the model with one or several effects added."""
+        added = (other,) if isinstance(other, Effect) else tuple(other)
+        for effect in added:
+            if effect.name in self.effect_names:
+                raise ModelError(
+                    f"Model {self.name!r} already has the effect {effect.name!r}. "
+                    f"Use model.without({effect.name!r}) first, or give it another name."
+                )
+        return replace(self, effects=(*self.effects, *added))
+
+    def without(self, *names: str) -> Model:
+        """Return the model without the named effects."""
+        for name in names:
+            self.effect(name)
+        return replace(self, effects=tuple(e for e in self.effects if e.name not in names))
+
+    def with_values(self, values: Mapping[str, float]) -> Model:
+        """Return the model with some parameter values replaced."""
+        for name in values:
+            self.parameter(name)
+        return self._map(lambda p: p.with_value(values[p.name]) if p.name in values else p)
+
+    def fix(self, *names: str) -> Model:
+        """Return the model with the named parameters held at their values."""
+        for name in names:
+            self.parameter(name)
+        return self._map(lambda p: replace(p, fixed=True) if p.name in names else p)
+
+    def free(self, *names: str) -> Model:
+        """Return the model with the named parameters open to estimation."""
+        for name in names:
+            self.parameter(name)
+        return self._map(lambda p: replace(p, fixed=False) if p.name in names else p)
+
+    def with_parameter(self, parameter: Parameter) -> Model:
+        """Return the model with one parameter replaced by another of the same name."""
+        self.parameter(parameter.name)
+        return self._map(lambda p: parameter if p.name == parameter.name else p)
+
+    def _map(self, change) -> Model:  # type: ignore[no-untyped-def]
+        return replace(
+            self,
+            parameters=tuple(map(change, self.parameters)),
+            effects=tuple(
+                replace(effect, parameters=tuple(map(change, effect.parameters)))
+                for effect in self.effects
+            ),
+        )
+
+    # -- words ---------------------------------------------------------------------
+
+    def equations(self) -> str:
+        """Return the model as readable equations, one per line."""
+        lines: list[str] = []
+        for signal, text in self.actuator_signals.items():
+            changed = [e for e in self.effects if e.stage == "actuator" and signal in e.terms]
+            if text != signal or changed:
+                lines.append(f"{signal} = {expressions.to_text(text)}")
+            lines += [
+                f"{signal} <- {expressions.to_text(e.terms[signal])}   [{e.name}]" for e in changed
+            ]
+        for signal, text in self.signals.items():
+            lines.append(f"{signal} = {expressions.to_text(text)}")
+            lines += [
+                f"{signal} <- {expressions.to_text(e.terms[signal])}   [{e.name}]"
+                for e in self.effects
+                if e.stage == "environment" and signal in e.terms
+            ]
+        for effect in self.effects:
+            lines += [
+                f"{name} = {expressions.to_text(text)}   [{effect.name}]"
+                for name, text in effect.definitions.items()
+            ]
+        for axis, state in self.axes.items():
+            lines.append(f"{self._inertia_text(axis, state)} = {self._force_text(axis)}")
+        for state, rate in self.kinematics.items():
+            extra = self._force_text(state, empty="")
+            lines.append(f"{state}' = {expressions.to_text(rate)}{' + ' + extra if extra else ''}")
+        for effect in self.effects:
+            lines += [
+                f"{s.name}' = {expressions.to_text(s.rate)}   [{effect.name}]"
+                for s in effect.states
+            ]
+        for output in self.outputs:
+            lines.append(f"measured {output.name} = {expressions.to_text(output.source)}")
+            lines += [
+                f"measured {output.name} <- {expressions.to_text(e.terms[output.name])}"
+                f"   [{e.name}]"
+                for e in self.effects
+                if e.stage == "sensor" and output.name in e.terms
+            ]
+        return "\n".join(lines)
+
+    def _inertia_text(self, axis: str, state: str) -> str:
+        parts: list[str] = []
+        for other in self.axes.values():
+            entries = [text for (a, s), text in self.inertia.items() if (a, s) == (axis, other)]
+            entries += [
+                text
+                for effect in self.effects
+                if effect.stage == "inertia"
+                for key, text in effect.terms.items()
+                if key == (axis, other)
+            ]
+            if entries:
+                joined = " + ".join(expressions.to_text(text) for text in entries)
+                parts.append(f"({joined}) {other}'")
+        return " + ".join(parts) or f"{state}'"
+
+    def _force_text(self, key: str, empty: str = "0") -> str:
+        terms = [
+            expressions.to_text(effect.terms[key])
+            for effect in self.effects
+            if effect.stage == "force" and key in effect.terms
+        ]
+        return " + ".join(terms).replace("+ -", "- ") or empty
+
+    # -- identity ------------------------------------------------------------------
+
+    def structure_key(self) -> str:
+        """Digest of everything that shapes the compiled code; values excluded."""
+        parts = (
+            tuple(s.name for s in self.states),
+            tuple((i.name, i.interpolation) for i in self.inputs),
+            tuple((o.name, o.source) for o in self.outputs),
+            tuple(self.kinematics.items()),
+            tuple(self.axes.items()),
+            tuple((str(k), v) for k, v in self.inertia.items()),
+            tuple(self.actuators.items()),
+            tuple(self.signals.items()),
+            tuple(effect.structure() for effect in self.effects),
+            self.parameter_names,
+            self.free_names,
+        )
+        return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
+
+
+def _validate(model: Model) -> None:
+    """Check names, references and completeness of a model."""
+    check_unique(model.all_parameters, owner=f"Model {model.name!r}")
+    if not model.states or not model.outputs:
+        raise ModelError(f"Model {model.name!r} needs at least one state and one output.")
+    if not model.step > 0:
+        raise ModelError(f"Model {model.name!r} has step {model.step}. Give seconds above zero.")
+    states = list(model.state_names)
+    driven = [*model.kinematics, *model.axes.values()]
+    for name in states:
+        if driven.count(name) != 1:
+            raise ModelError(
+                f"State {name!r} of model {model.name!r} has {driven.count(name)} equations, "
+                "expected one: name it in kinematics or as the velocity of one axis."
+            )
+    for name in driven:
+        if name not in states:
+            raise ModelError(f"Model {model.name!r} has an equation for unknown state {name!r}.")
+    for axis, state in model.inertia:
+        if axis not in model.axes or state not in model.axes.values():
+            raise ModelError(
+                f"Inertia entry ({axis!r}, {state!r}) of model {model.name!r} does not belong to "
+                f"the axes {dict(model.axes)}."
+            )
+    parameters = set(model.parameter_names)
+    base = [*states, *model.input_names, *parameters]
+    for name in {n for n in base if base.count(n) > 1}:
+        raise ModelError(f"Model {model.name!r} uses the name {name!r} for two things.")
+    for name in RESERVED:
+        if name in base:
+            raise ModelError(f"The name {name!r} is reserved (t: time, h: step). Rename it.")
+    extra = [state.name for effect in model.effects for state in effect.states]
+    commands = {*model.input_names, *parameters, *RESERVED}
+    where = f"Model {model.name!r}"
+    for signal, text in model.actuator_signals.items():
+        expressions.check(text, commands, where=f"{where}, actuator {signal!r}")
+    drive = {*states, *extra, *model.actuator_signals, *parameters, *RESERVED}
+    known = set(drive)
+    for signal, text in model.signals.items():
+        expressions.check(text, known, where=f"{where}, signal {signal!r}", tables=_tables(model))
+        known.add(signal)
+    for state, text in model.kinematics.items():
+        expressions.check(text, known, where=f"{where}, rate of {state!r}", tables=_tables(model))
+    for key, text in model.inertia.items():
+        expressions.check(text, known, where=f"{where}, inertia {key}")
+    for output in model.outputs:
+        expressions.check(
+            output.source, known, where=f"{where}, output {output.name!r}", tables=_tables(model)
+        )
+    for effect in model.effects:
+        _validate_effect(model, effect, known, commands)
+
+
+def _tables(model: Model) -> set[str]:
+    return {name for effect in model.effects for name in effect.tables}
+
+
+def _validate_effect(model: Model, effect: Effect, known: set[str], commands: set[str]) -> None:
+    """Check one effect of a model: its targets exist and its names resolve."""
+    where = f"Effect {effect.name!r} in model {model.name!r}"
+    targets: dict[str, set] = {
+        "actuator": set(model.actuator_signals),
+        "environment": set(model.signals),
+        "force": {*model.axes, *model.kinematics},
+        "inertia": {(axis, state) for axis in model.axes for state in model.axes.values()},
+        "sensor": set(model.output_names),
+    }
+    for key in effect.terms:
+        if key not in targets[effect.stage]:
+            raise ModelError(
+                f"{where} acts on {key!r}, which is no target of a {effect.stage} effect here. "
+                f"Choose among: {', '.join(sorted(map(str, targets[effect.stage])))}."
+            )
+    scope = set(known)
+    if effect.stage == "actuator":
+        scope = {*commands, *model.actuator_signals}
+    if effect.stage == "sensor":
+        scope |= set(model.output_names)
+    scope |= {memory.name for memory in effect.memory}
+    scope |= {state.name for state in effect.states}
+    for name, text in effect.definitions.items():
+        expressions.check(text, scope, where=where, tables=_tables(model))
+        scope.add(name)
+    for text in effect.terms.values():
+        expressions.check(text, scope, where=where, tables=_tables(model))
+    for memory in effect.memory:
+        expressions.check(memory.update, scope, where=where)
+    for state in effect.states:
+        expressions.check(state.rate, scope, where=where, tables=_tables(model))
+        expressions.check(
+            state.initial, {*model.state_names, *commands, *model.actuator_signals}, where=where
+        )

@@ -1,0 +1,1 @@
+"""C sources that are compiled together with generated code."""

@@ -1,0 +1,247 @@
+/* Trajectory and forward sensitivities of a sampled model.
+ *
+ * Included after the code that CasADi generated for one model structure and
+ * after the macros that describe it (sizes, sparse Jacobian updates).
+ *
+ *   NX states  NA actuator memory  NS sensor memory  NZ = NX + NA + NS
+ *   ND actuator signals  NU inputs  NY outputs  NP parameters  NF free ones
+ *
+ * Sensitivities are rows of the full state by NC = NZ + NF columns: first the
+ * derivative by the segment's own start state, then by the free parameters.
+ */
+
+#include <math.h>
+#include <string.h>
+
+#define MAX1(n) ((n) > 0 ? (n) : 1)
+
+typedef double row_t[NC];
+
+static inline void add_scaled(double *restrict target, double factor, const double *restrict source)
+{
+    for (int j = 0; j < NC; ++j) target[j] += factor * source[j];
+}
+
+static void inputs_between(const double *start, const double *end, double fraction, double *result)
+{
+    static const int linear[MAX1(NU)] = LINEAR_INPUTS;
+    for (int i = 0; i < NU; ++i)
+        result[i] = linear[i] ? start[i] + fraction * (end[i] - start[i]) : start[i];
+}
+
+/* Actuator stage: signals d and next memory, with their rows of sensitivities. */
+static void actuate_stage(const double *memory, const double *input, const double *p, double t,
+                          double h, double *d, double *memory_next, const row_t *s,
+                          row_t *sd, row_t *sa_next, int with_sensitivities)
+{
+    double w[MAX1(W_ACTUATE)];
+    casadi_int iw[MAX1(IW_ACTUATE)];
+    const double *arg[8] = {memory, input, p, &t, &h};
+    if (!with_sensitivities) {
+        double *res[4] = {d, memory_next};
+        actuate(arg, res, iw, w, 0);
+        return;
+    }
+    double dda[MAX1(NNZ_DDA)], ddp[MAX1(NNZ_DDP)], daa[MAX1(NNZ_DAA)], dap[MAX1(NNZ_DAP)];
+    double *res[8] = {d, memory_next, dda, ddp, daa, dap};
+    actuate_jac(arg, res, iw, w, 0);
+    memset(sd, 0, sizeof(row_t) * ND);
+    memset(sa_next, 0, sizeof(row_t) * NA);
+    { const row_t *source = s + NX; row_t *target = sd; const double *v = dda; UPDATE_DDA }
+    { row_t *target = sd; const double *v = ddp; UPDATE_DDP }
+    { const row_t *source = s + NX; row_t *target = sa_next; const double *v = daa; UPDATE_DAA }
+    { row_t *target = sa_next; const double *v = dap; UPDATE_DAP }
+    (void)s; (void)dda; (void)ddp; (void)daa; (void)dap;
+}
+
+/* Rates and the rows k = A s + B sd + C. */
+static void rates_stage(const double *x, const double *d, const double *p, double t, double *k,
+                        const row_t *s, const row_t *sd, row_t *sk, int with_sensitivities)
+{
+    double w[MAX1(W_RATES)];
+    casadi_int iw[MAX1(IW_RATES)];
+    const double *arg[8] = {x, d, p, &t};
+    if (!with_sensitivities) {
+        double *res[2] = {k};
+        rates(arg, res, iw, w, 0);
+        return;
+    }
+    double jxx[MAX1(NNZ_JXX)], jxd[MAX1(NNZ_JXD)], jxp[MAX1(NNZ_JXP)];
+    double *res[8] = {k, jxx, jxd, jxp};
+    rates_jac(arg, res, iw, w, 0);
+    memset(sk, 0, sizeof(row_t) * NX);
+    { const row_t *source = s; row_t *target = sk; const double *v = jxx; UPDATE_JXX }
+    { const row_t *source = sd; row_t *target = sk; const double *v = jxd; UPDATE_JXD }
+    { row_t *target = sk; const double *v = jxp; UPDATE_JXP }
+    (void)sd; (void)jxd; (void)jxp;
+}
+
+/* One integration step of length h; z and s are replaced. */
+static void advance_step(double *z, row_t *s, const double *start, const double *end,
+                         const double *p, double t, double h, int with_sensitivities)
+{
+    double input[MAX1(NU)], d0[MAX1(ND)], dm[MAX1(ND)], d1[MAX1(ND)], memory[MAX1(NA)];
+    double discard[MAX1(NA)];
+    static _Thread_local row_t sd0[MAX1(ND)], sdm[MAX1(ND)], sd1[MAX1(ND)], sa[MAX1(NA)],
+        sdiscard[MAX1(NA)], k1s[MAX1(NX)], k2s[MAX1(NX)], k3s[MAX1(NX)], k4s[MAX1(NX)],
+        stage[MAX1(NX)];
+    double x[MAX1(NX)], k1[MAX1(NX)], k2[MAX1(NX)], k3[MAX1(NX)], k4[MAX1(NX)];
+    const double *first = d0, *middle = d0, *last = d0;
+    const row_t *sfirst = sd0, *smiddle = sd0, *slast = sd0;
+    inputs_between(start, end, 0.0, input);
+    actuate_stage(z + NX, input, p, t, h, d0, memory, (const row_t *)s, sd0, sa,
+                  with_sensitivities);
+    if (ANY_LINEAR_INPUT) {
+        inputs_between(start, end, 0.5, input);
+        actuate_stage(z + NX, input, p, t, h, dm, memory, (const row_t *)s, sdm, sa,
+                      with_sensitivities);
+        inputs_between(start, end, 1.0, input);
+        actuate_stage(z + NX, input, p, t, h, d1, discard, (const row_t *)s, sd1, sdiscard,
+                      with_sensitivities);
+        middle = dm; last = d1;
+        smiddle = (const row_t *)sdm; slast = (const row_t *)sd1;
+    }
+    rates_stage(z, first, p, t, k1, (const row_t *)s, sfirst, k1s, with_sensitivities);
+    for (int i = 0; i < NX; ++i) x[i] = z[i] + 0.5 * h * k1[i];
+    if (with_sensitivities)
+        for (int i = 0; i < NX; ++i)
+            for (int j = 0; j < NC; ++j) stage[i][j] = s[i][j] + 0.5 * h * k1s[i][j];
+    rates_stage(x, middle, p, t + 0.5 * h, k2, (const row_t *)stage, smiddle, k2s,
+                with_sensitivities);
+    for (int i = 0; i < NX; ++i) x[i] = z[i] + 0.5 * h * k2[i];
+    if (with_sensitivities)
+        for (int i = 0; i < NX; ++i)
+            for (int j = 0; j < NC; ++j) stage[i][j] = s[i][j] + 0.5 * h * k2s[i][j];
+    rates_stage(x, middle, p, t + 0.5 * h, k3, (const row_t *)stage, smiddle, k3s,
+                with_sensitivities);
+    for (int i = 0; i < NX; ++i) x[i] = z[i] + h * k3[i];
+    if (with_sensitivities)
+        for (int i = 0; i < NX; ++i)
+            for (int j = 0; j < NC; ++j) stage[i][j] = s[i][j] + h * k3s[i][j];
+    rates_stage(x, last, p, t + h, k4, (const row_t *)stage, slast, k4s, with_sensitivities);
+    for (int i = 0; i < NX; ++i) z[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
+    for (int i = 0; i < NA; ++i) z[NX + i] = memory[i];
+    if (with_sensitivities) {
+        for (int i = 0; i < NX; ++i)
+            for (int j = 0; j < NC; ++j)
+                s[i][j] += h / 6.0 * (k1s[i][j] + 2.0 * (k2s[i][j] + k3s[i][j]) + k4s[i][j]);
+        memcpy(s + NX, sa, sizeof(row_t) * NA);
+    }
+}
+
+/* One measurement; sensor memory in z and s is replaced. */
+static void sample_step(double *z, row_t *s, const double *input, const double *p, double t,
+                        double h, double *y, row_t *sy, int with_sensitivities)
+{
+    double d[MAX1(ND)], discard[MAX1(NA)], next[MAX1(NS)];
+    double w[MAX1(W_OBSERVE)];
+    casadi_int iw[MAX1(IW_OBSERVE)];
+    static _Thread_local row_t sd[MAX1(ND)], sdiscard[MAX1(NA)], snext[MAX1(NS)];
+    actuate_stage(z + NX, input, p, t, h, d, discard, (const row_t *)s, sd, sdiscard,
+                  with_sensitivities);
+    const double *arg[8] = {z, d, z + NX + NA, p, &t, &h};
+    if (!with_sensitivities) {
+        double *res[4] = {y, next};
+        observe(arg, res, iw, w, 0);
+    } else {
+        double jyx[MAX1(NNZ_JYX)], jyd[MAX1(NNZ_JYD)], jys[MAX1(NNZ_JYS)], jyp[MAX1(NNZ_JYP)];
+        double jsx[MAX1(NNZ_JSX)], jsd[MAX1(NNZ_JSD)], jss[MAX1(NNZ_JSS)], jsp[MAX1(NNZ_JSP)];
+        double *res[12] = {y, next, jyx, jyd, jys, jyp, jsx, jsd, jss, jsp};
+        observe_jac(arg, res, iw, w, 0);
+        const row_t *sx = (const row_t *)s, *ss = (const row_t *)(s + NX + NA);
+        const row_t *sdc = (const row_t *)sd;
+        memset(sy, 0, sizeof(row_t) * NY);
+        memset(snext, 0, sizeof(row_t) * NS);
+        { const row_t *source = sx; row_t *target = sy; const double *v = jyx; UPDATE_JYX }
+        { const row_t *source = sdc; row_t *target = sy; const double *v = jyd; UPDATE_JYD }
+        { const row_t *source = ss; row_t *target = sy; const double *v = jys; UPDATE_JYS }
+        { row_t *target = sy; const double *v = jyp; UPDATE_JYP }
+        { const row_t *source = sx; row_t *target = snext; const double *v = jsx; UPDATE_JSX }
+        { const row_t *source = sdc; row_t *target = snext; const double *v = jsd; UPDATE_JSD }
+        { const row_t *source = ss; row_t *target = snext; const double *v = jss; UPDATE_JSS }
+        { row_t *target = snext; const double *v = jsp; UPDATE_JSP }
+        memcpy(s + NX + NA, snext, sizeof(row_t) * NS);
+        (void)sx; (void)ss; (void)sdc;
+        (void)jyd; (void)jys; (void)jyp; (void)jsx; (void)jsd; (void)jss; (void)jsp;
+    }
+    for (int i = 0; i < NS; ++i) z[NX + NA + i] = next[i];
+}
+
+/* Sizes, so that the caller can check that it talks to the right library. */
+void kernel_sizes(int *sizes)
+{
+    sizes[0] = NX; sizes[1] = NA; sizes[2] = NS; sizes[3] = NU;
+    sizes[4] = NY; sizes[5] = NP; sizes[6] = NF; sizes[7] = N_OWN;
+}
+
+/* Full state implied by the model's own states; dz is NZ x (N_OWN + NF). */
+void kernel_start(const double *own, const double *input, const double *p, double t, double *z,
+                  double *dz)
+{
+    double w[MAX1(W_START)];
+    casadi_int iw[MAX1(IW_START)];
+    const double *arg[8] = {own, input, p, &t};
+    double *res[4] = {z, dz};
+    start_jac(arg, res, iw, w, 0);
+}
+
+/* Run segments of one record.
+ *
+ * times (n), inputs (n x NU), p (NP), starts (n_segments: index of the first
+ * sample of each), nodes (n_segments x NZ; with carry only the first is read
+ * and each segment starts where the last one ended).
+ * Any result may be NULL: z (n x NZ, before the measurement), y (n x NY),
+ * dy (n x NY x NC), ends (n_segments x NZ), dends (n_segments x NZ x NC).
+ * Returns -1, or the first sample at which the state is no longer finite.
+ */
+int kernel_run(int n, const double *times, const double *inputs, const double *p, double h_max,
+               int n_segments, const int *starts, const double *nodes, int carry, double *z_out,
+               double *y_out, double *dy_out, double *ends, double *dends)
+{
+    const int with_sensitivities = dy_out != 0 || dends != 0;
+    double z[MAX1(NZ)], y[MAX1(NY)];
+    static _Thread_local row_t s[MAX1(NZ)], sy[MAX1(NY)];
+    memcpy(z, nodes, sizeof(double) * NZ);
+    for (int segment = 0; segment < n_segments; ++segment) {
+        const int first = starts[segment];
+        const int stop = segment + 1 < n_segments ? starts[segment + 1] : n;
+        if (!carry) memcpy(z, nodes + (size_t)segment * NZ, sizeof(double) * NZ);
+        if (with_sensitivities) {
+            memset(s, 0, sizeof(row_t) * NZ);
+            for (int i = 0; i < NZ; ++i) s[i][i] = 1.0;
+        }
+        for (int k = first; k < stop; ++k) {
+            const double *input = inputs + (size_t)k * NU;
+            const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
+            double check = 0.0;
+            for (int i = 0; i < NZ; ++i) check += z[i];
+            if (!isfinite(check)) return k;
+            if (z_out) memcpy(z_out + (size_t)k * NZ, z, sizeof(double) * NZ);
+            if (y_out || dy_out || NS > 0) {
+                sample_step(z, s, input, p, times[k], since, y, sy, with_sensitivities);
+                if (y_out) memcpy(y_out + (size_t)k * NY, y, sizeof(double) * NY);
+                if (dy_out) memcpy(dy_out + (size_t)k * NY * NC, sy, sizeof(row_t) * NY);
+            }
+            if (k + 1 >= n) break;
+            const double interval = times[k + 1] - times[k];
+            int steps = (int)ceil(interval / h_max - 1e-9);
+            if (steps < 1) steps = 1;
+            const double h = interval / steps;
+            const double *next = input + NU;
+            if (steps == 1 || !ANY_LINEAR_INPUT) {
+                for (int i = 0; i < steps; ++i)
+                    advance_step(z, s, input, next, p, times[k] + i * h, h, with_sensitivities);
+            } else {
+                double from[MAX1(NU)], to[MAX1(NU)];
+                for (int i = 0; i < steps; ++i) {
+                    inputs_between(input, next, (double)i / steps, from);
+                    inputs_between(input, next, (double)(i + 1) / steps, to);
+                    advance_step(z, s, from, to, p, times[k] + i * h, h, with_sensitivities);
+                }
+            }
+        }
+        if (ends) memcpy(ends + (size_t)segment * NZ, z, sizeof(double) * NZ);
+        if (dends) memcpy(dends + (size_t)segment * NZ * NC, s, sizeof(row_t) * NZ);
+    }
+    return -1;
+}

@@ -1,0 +1,110 @@
+"""Parameters: value, unit, bounds and prior knowledge of one number of a model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from oed_sysid.errors import ModelError
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a model.
+
+    Parameters
+    ----------
+    name : str
+        SNAME-style name, for instance ``"Z_uw"``.
+    value : float
+        Present value, in ``unit``.
+    unit : str
+        SI unit.
+    lower, upper : float
+        Bounds that an estimate must respect.
+    prior_mean, prior_std : float or None
+        What is known before the data, as a normal distribution; ``None``
+        means that nothing is known.
+    fixed : bool
+        A fixed parameter is never estimated.
+    scale : float or None
+        Typical magnitude; ``None`` takes it from the value, the prior or the
+        bounds. It conditions the numerics and never changes a result.
+    per_record : bool
+        The value differs from record to record (a sensor bias set at
+        switch-on, the phase of a wave).
+    description : str
+        What the parameter means, with its source.
+
+    Examples
+    --------
+    >>> Parameter("Z_uw", -40.0, "kg/m", prior_mean=-40.0, prior_std=4.0).magnitude
+    40.0
+    """
+
+    name: str
+    value: float
+    unit: str = ""
+    lower: float = -math.inf
+    upper: float = math.inf
+    prior_mean: float | None = None
+    prior_std: float | None = None
+    fixed: bool = False
+    scale: float | None = None
+    per_record: bool = False
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        for field in ("value", "lower", "upper"):
+            if math.isnan(getattr(self, field)):
+                raise ModelError(f"Parameter {self.name!r} has {field} NaN. Give a number.")
+        if not math.isfinite(self.value):
+            raise ModelError(f"Parameter {self.name!r} has value {self.value}. Give a number.")
+        if self.lower > self.upper:
+            raise ModelError(
+                f"Parameter {self.name!r} has lower bound {self.lower:g} above upper bound "
+                f"{self.upper:g}. Swap them."
+            )
+        if not self.lower <= self.value <= self.upper:
+            raise ModelError(
+                f"Parameter {self.name!r} starts at {self.value:g}, outside its bounds "
+                f"[{self.lower:g}, {self.upper:g}]. Move the start value or widen the bounds."
+            )
+        if self.prior_std is not None and not self.prior_std > 0:
+            raise ModelError(
+                f"Parameter {self.name!r} has prior_std {self.prior_std}. "
+                "Give a positive number, or fixed=True for a known value."
+            )
+        if self.prior_std is not None and self.prior_mean is None:
+            object.__setattr__(self, "prior_mean", self.value)
+        if self.scale is not None and not self.scale > 0:
+            raise ModelError(
+                f"Parameter {self.name!r} has scale {self.scale}. Give a positive one."
+            )
+
+    @property
+    def magnitude(self) -> float:
+        """Typical size, used for scaling; always positive."""
+        if self.scale is not None:
+            return self.scale
+        for candidate in (self.value, self.prior_mean, self.prior_std):
+            if candidate:
+                return abs(candidate)
+        finite = [abs(bound) for bound in (self.lower, self.upper) if math.isfinite(bound)]
+        return max(finite, default=1.0) or 1.0
+
+    def with_value(self, value: float) -> Parameter:
+        """Return the same parameter at another value; the prior stays."""
+        return replace(self, value=float(value))
+
+
+def check_unique(parameters: tuple[Parameter, ...], *, owner: str) -> None:
+    """Raise :class:`ModelError` if two parameters share a name."""
+    seen: set[str] = set()
+    for parameter in parameters:
+        if parameter.name in seen:
+            raise ModelError(
+                f"{owner} defines parameter {parameter.name!r} twice. "
+                "Give the two different names, or define it once in the model."
+            )
+        seen.add(parameter.name)
