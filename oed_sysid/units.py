@@ -327,12 +327,8 @@ def parse_header(text: str) -> tuple[str, str | None]:
     name : str
         The header without its unit.
     unit : str or None
-        The unit as written, ``None`` if the header has none.
-
-    Raises
-    ------
-    DataError
-        If brackets hold an unknown unit.
+        The unit as written, ``None`` if the header has none. What stands in
+        brackets is not checked before it is converted.
 
     Examples
     --------
@@ -344,9 +340,8 @@ def parse_header(text: str) -> tuple[str, str | None]:
     header = text.strip()
     match = re.fullmatch(r"(.*?)\s*(?:\[([^\]]*)\]|\(([^()]*)\))", header)
     if match:
-        unit = (match.group(2) if match.group(2) is not None else match.group(3)).strip() or "1"
-        _parse(unit)
-        return match.group(1).strip(), unit
+        unit = match.group(2) if match.group(2) is not None else match.group(3)
+        return match.group(1).strip(), unit.strip() or "1"
     words = header.split("_")
     for index in range(len(words) - 1, 0, -1):
         word = words[index]

@@ -29,6 +29,8 @@ LAYERS = (
     "manoeuvres",
     "experiment",
     "csv_table",
+    "record",
+    "csv_columns",
     "dataset",
     "data_cache",
     "problem",

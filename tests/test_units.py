@@ -88,6 +88,7 @@ def test_to_si_copies() -> None:
         ("m_pitch", "m_pitch", None),
         ("dive_m_2", "dive_m_2", None),
         ("s", "s", None),
+        ("test (type)", "test", "type"),
     ],
 )
 def test_parse_header(header: str, name: str, unit: str | None) -> None:
@@ -153,9 +154,3 @@ def test_offset_unit_in_a_product() -> None:
     """A temperature with an offset cannot be multiplied."""
     with pytest.raises(DataError, match="Use K for differences"):
         dimension("W/degC")
-
-
-def test_unknown_unit_in_a_header() -> None:
-    """Brackets with something else than a unit are not ignored."""
-    with pytest.raises(DataError, match="furlong"):
-        parse_header("x [furlong]")

@@ -1,0 +1,302 @@
+"""A measured record: times, inputs and outputs as they were logged.
+
+Nothing is resampled, filtered, shifted or repaired here. A sample that is
+missing is NaN; a fault is an error that says where.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from oed_sysid.channels import Channels
+from oed_sysid.errors import DataError
+
+MINIMUM_SAMPLES = 5
+# Sampling counts as uniform within this share of the median step.
+UNIFORM_TOLERANCE = 1e-3
+TIME_ADVICE = (
+    "Times have to increase strictly: sort the rows, remove the repeated ones, "
+    "or cut the log where its clock was set."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One uninterrupted measurement.
+
+    Parameters
+    ----------
+    name : str
+        Name of the record, for instance ``"zigzag_10_10"``.
+    times : array_like
+        Shape ``(n_samples,)``, in s, strictly increasing; any origin.
+    inputs : array_like
+        Shape ``(n_samples, n_inputs)``, SI, finite.
+    outputs : array_like
+        Shape ``(n_samples, n_outputs)``, SI; NaN where not sampled.
+    channels : Channels
+        Names and units of the columns.
+    source : str
+        Where the numbers come from.
+    missing_outputs : tuple of str
+        Outputs that were not measured at all; their columns are NaN.
+    ignored_columns : tuple of str
+        Columns of the source that no channel asked for.
+
+    Raises
+    ------
+    DataError
+        If shapes, times or values cannot be worked with.
+
+    Examples
+    --------
+    >>> from oed_sysid.channels import Channels, Input, Output
+    >>> channels = Channels((Input("fin", "rad"),), (Output("q", "rad/s"),))
+    >>> t = np.arange(6) * 0.5
+    >>> record = Record("step", t, np.ones((6, 1)), 0.1 * t[:, None], channels)
+    >>> print(record.n_samples, record.duration, record.sample_time, record.constant_channels)
+    6 2.5 0.5 ('fin',)
+    """
+
+    name: str
+    times: np.ndarray = field(repr=False)
+    inputs: np.ndarray = field(repr=False)
+    outputs: np.ndarray = field(repr=False)
+    channels: Channels = field(repr=False)
+    source: str = ""
+    missing_outputs: tuple[str, ...] = ()
+    ignored_columns: tuple[str, ...] = field(default=(), repr=False)
+
+    def __post_init__(self) -> None:
+        times = np.array(self.times, dtype=float)
+        if times.ndim != 1:
+            raise DataError(
+                f"Record {self.name!r} has times of shape {times.shape}. Expected (n_samples,)."
+            )
+        inputs = self._columns("inputs", self.inputs, times.size, self.channels.input_names)
+        outputs = self._columns("outputs", self.outputs, times.size, self.channels.output_names)
+        for key, array in (("times", times), ("inputs", inputs), ("outputs", outputs)):
+            array.setflags(write=False)
+            object.__setattr__(self, key, array)
+        object.__setattr__(self, "missing_outputs", tuple(self.missing_outputs))
+        self._check_times()
+        self._check_values()
+
+    def _columns(
+        self, kind: str, values: ArrayLike, n_samples: int, names: tuple[str, ...]
+    ) -> np.ndarray:
+        """Copy as ``(n_samples, n_signals)``; a single signal may come as a vector."""
+        array = np.array(values, dtype=float)
+        if array.ndim == 1 and len(names) == 1:
+            array = array[:, np.newaxis]
+        if not names and array.size == 0:
+            array = np.empty((n_samples, 0))
+        if array.ndim != 2 or array.shape[1] != len(names):
+            raise DataError(
+                f"Record {self.name!r} has {kind} of shape {array.shape}. Expected time first, "
+                f"({n_samples}, {len(names)}), with the columns {', '.join(names) or 'none'}."
+            )
+        if array.shape[0] != n_samples:
+            raise DataError(
+                f"Record {self.name!r} has {n_samples} times but {array.shape[0]} rows of "
+                f"{kind} ({', '.join(names)}). Mark missing samples with NaN."
+            )
+        return array
+
+    def _check_times(self) -> None:
+        if self.n_samples < MINIMUM_SAMPLES:
+            raise DataError(
+                f"Record {self.name!r} has {self.n_samples} samples; at least {MINIMUM_SAMPLES} "
+                "are needed. Join it with its neighbour or leave it out."
+            )
+        fault = time_fault(self.times)
+        if fault is not None:
+            index, what = fault
+            raise DataError(
+                f"Record {self.name!r}: time {what} at index {index} "
+                f"(t = {self.times[index]}). {TIME_ADVICE}"
+            )
+
+    def _check_values(self) -> None:
+        bad = np.argwhere(~np.isfinite(self.inputs))
+        if bad.size:
+            row, column = bad[0]
+            raise DataError(
+                f"Record {self.name!r}: input {self.channels.input_names[column]!r} is "
+                f"{self.inputs[row, column]} at index {row} (t = {self.times[row]:g} s). Inputs "
+                "have to be known at every time: fill the gap by what the command was, or cut "
+                "the record there with window()."
+            )
+        infinite = np.argwhere(np.isinf(self.outputs))
+        if infinite.size:
+            row, column = infinite[0]
+            raise DataError(
+                f"Record {self.name!r}: output {self.channels.output_names[column]!r} is infinite "
+                f"at index {row}. Mark missing samples with NaN."
+            )
+        names = self.channels.output_names
+        unknown = [name for name in self.missing_outputs if name not in names]
+        if unknown:
+            raise DataError(
+                f"Record {self.name!r} declares {unknown[0]!r} missing, but the outputs are "
+                f"{', '.join(names)}."
+            )
+        empty = _empty_outputs(self.outputs, names)
+        undeclared = [name for name in empty if name not in self.missing_outputs]
+        if undeclared:
+            raise DataError(
+                f"Record {self.name!r}: output {undeclared[0]!r} has no sample at all. If it was "
+                f"not measured, say so with missing_outputs=({undeclared[0]!r},)."
+            )
+        filled = [name for name in self.missing_outputs if name not in empty]
+        if filled:
+            raise DataError(
+                f"Record {self.name!r} declares {filled[0]!r} missing, but it has samples. "
+                "Remove it from missing_outputs."
+            )
+        if len(empty) == len(names):
+            raise DataError(f"Record {self.name!r} has no measured output. At least one is needed.")
+
+    @property
+    def n_samples(self) -> int:
+        """Number of times."""
+        return self.times.size
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample, in s."""
+        return float(self.times[-1] - self.times[0])
+
+    @property
+    def sample_time(self) -> float:
+        """Median time step, in s."""
+        return float(np.median(np.diff(self.times)))
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether all steps equal the median step within 0.1 %."""
+        steps = np.diff(self.times)
+        return bool(np.all(np.abs(steps - self.sample_time) <= UNIFORM_TOLERANCE * steps))
+
+    @property
+    def constant_channels(self) -> tuple[str, ...]:
+        """Names of signals that never change: they excite or tell nothing."""
+        names = self.channels.input_names + self.channels.output_names
+        signals = np.hstack([self.inputs, self.outputs])
+        return tuple(
+            name
+            for name, signal in zip(names, signals.T, strict=True)
+            if name not in self.missing_outputs and np.nanmax(signal) == np.nanmin(signal)
+        )
+
+    def input(self, name: str) -> np.ndarray:
+        """Return one input, shape ``(n_samples,)``."""
+        return self.inputs[:, self._index(name, self.channels.input_names, "input")]
+
+    def output(self, name: str) -> np.ndarray:
+        """Return one output, shape ``(n_samples,)``; NaN where not sampled."""
+        return self.outputs[:, self._index(name, self.channels.output_names, "output")]
+
+    def _index(self, name: str, names: tuple[str, ...], kind: str) -> int:
+        if name not in names:
+            raise DataError(
+                f"Record {self.name!r} has no {kind} {name!r}. It has {', '.join(names)}."
+                + closest(name, names)
+            )
+        return names.index(name)
+
+    def _take(self, rows: slice | np.ndarray, name: str) -> Record:
+        outputs = self.outputs[rows]
+        return replace(
+            self,
+            name=name,
+            times=self.times[rows],
+            inputs=self.inputs[rows],
+            outputs=outputs,
+            missing_outputs=_empty_outputs(outputs, self.channels.output_names),
+        )
+
+    def window(self, start: float, stop: float) -> Record:
+        """Return the samples with ``start <= t <= stop`` (s); times stay as they are."""
+        return self._take((self.times >= start) & (self.times <= stop), self.name)
+
+    def thin(self, step: int) -> Record:
+        """Return every ``step``-th sample, without averaging.
+
+        An input that is held between samples loses its switching times; thin
+        only what changes slowly.
+        """
+        if step < 1:
+            raise DataError(f"Cannot keep every {step}-th sample. Give a step of 1 or more.")
+        return self._take(slice(None, None, step), self.name)
+
+    def rename(self, name: str) -> Record:
+        """Return the same record under another name."""
+        return replace(self, name=name)
+
+    def with_outputs(self, outputs: ArrayLike) -> Record:
+        """Return the record with other outputs, shape ``(n_samples, n_outputs)``."""
+        array = np.array(outputs, dtype=float)
+        names = self.channels.output_names
+        empty = _empty_outputs(array, names) if array.shape == self.outputs.shape else ()
+        return replace(self, outputs=array, missing_outputs=empty)
+
+    def segments(self, duration: float) -> tuple[Record, ...]:
+        """Cut into equal pieces that last as nearly ``duration`` (s) as possible.
+
+        Every sample belongs to exactly one piece, so no measurement counts twice.
+        """
+        if not duration > 0.0:
+            raise DataError(f"Segments of {duration} s are not possible. Give a duration above 0.")
+        n_segments = max(1, round(self.duration / duration))
+        edges = np.linspace(self.times[0], self.times[-1], n_segments + 1)[1:-1]
+        bounds = [0, *np.searchsorted(self.times, edges), self.n_samples]
+        return tuple(
+            self._take(slice(first, last), f"{self.name}_{number}")
+            for number, (first, last) in enumerate(pairwise(bounds), start=1)
+        )
+
+
+def _empty_outputs(outputs: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
+    empty = np.all(np.isnan(outputs), axis=0)
+    return tuple(name for name, is_empty in zip(names, empty, strict=True) if is_empty)
+
+
+def time_fault(times: np.ndarray) -> tuple[int, str] | None:
+    """Find the first time that is not finite or not later than the one before.
+
+    Parameters
+    ----------
+    times : numpy.ndarray
+        Shape ``(n_samples,)``.
+
+    Returns
+    -------
+    tuple of int and str, or None
+        Index and a verb phrase, ``None`` if there is no fault.
+
+    Examples
+    --------
+    >>> time_fault(np.array([0.0, 1.0, 1.0, 0.5]))
+    (2, 'repeats')
+    """
+    infinite = np.flatnonzero(~np.isfinite(times))
+    if infinite.size:
+        return int(infinite[0]), "is not a finite number"
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if not late.size:
+        return None
+    index = int(late[0]) + 1
+    return index, "repeats" if times[index] == times[index - 1] else "runs backwards"
+
+
+def closest(name: str, names: Iterable[str]) -> str:
+    """Sentence that suggests the nearest name, empty if none is near."""
+    matches = difflib.get_close_matches(name, list(names), n=1)
+    return f" Did you mean {matches[0]!r}?" if matches else ""
