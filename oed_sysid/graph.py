@@ -164,6 +164,7 @@ def _build(model: Model) -> Graph:
     scope: Scope = inputs | parameters | clock
     ideal = {name: to_casadi(text, scope) for name, text in model.actuator_signals.items()}
     signals = dict(ideal)
+    settled = dict(ideal)  # the same chain, at rest at the first command
     actuator_memory: list[ca.SX] = []
     actuator_next: list[ca.SX] = []
     actuator_initial: list[ca.SX] = []
@@ -172,7 +173,9 @@ def _build(model: Model) -> Graph:
         local, new = _apply(effect, scope | signals | memory, tables)
         actuator_memory += memory.values()
         actuator_next += [to_casadi(m.update, local, tables) for m in effect.memory]
-        actuator_initial += [to_casadi(m.initial, scope | ideal, tables) for m in effect.memory]
+        begin = {m.name: to_casadi(m.initial, scope | settled, tables) for m in effect.memory}
+        actuator_initial += begin.values()
+        settled |= _apply(effect, scope | settled | begin, tables)[1]
         signals |= new
     command = _vertcat(inputs.values())
     memory_a = _vertcat(actuator_memory)
@@ -216,6 +219,7 @@ def _build(model: Model) -> Graph:
 
     # Sensors: sampled, with memory.
     measured = {o.name: to_casadi(o.source, scope, tables) for o in model.outputs}
+    first = dict(measured)  # the first measurement, each memory at its initial value
     sensor_memory: list[ca.SX] = []
     sensor_next: list[ca.SX] = []
     sensor_initial: list[ca.SX] = []
@@ -224,8 +228,9 @@ def _build(model: Model) -> Graph:
         local, new = _apply(effect, scope | measured | memory, tables)
         sensor_memory += memory.values()
         sensor_next += [to_casadi(m.update, local, tables) for m in effect.memory]
-        # Evaluated on the chain as if earlier memory effects were transparent.
-        sensor_initial += [to_casadi(m.initial, scope | measured, tables) for m in effect.memory]
+        begin = {m.name: to_casadi(m.initial, scope | first, tables) for m in effect.memory}
+        sensor_initial += begin.values()
+        first |= _apply(effect, scope | first | begin, tables)[1]
         measured |= new
     memory_s = _vertcat(sensor_memory)
     observe = ca.Function(
@@ -236,7 +241,7 @@ def _build(model: Model) -> Graph:
     )
 
     # Start: what the model's own states imply for everything else.
-    ready = own | inputs | parameters | clock | ideal
+    ready = own | inputs | parameters | clock | settled
     extra_initial = [
         to_casadi(s.initial, ready, tables) for effect in model.effects for s in effect.states
     ]
@@ -244,10 +249,10 @@ def _build(model: Model) -> Graph:
     x_start = _vertcat([*own.values(), *extra_initial])
     raw = ca.Function(
         "raw",
-        [x, d, memory_s, p, t, h],
+        [x, d, p, t, h],
         [_vertcat(sensor_initial)],
         {"allow_free": False},
-    )(x_start, _vertcat(ideal.values()), ca.SX.zeros(len(sensor_memory)), p, t, 1.0)
+    )(x_start, _vertcat(settled.values()), p, t, 1.0)
     full = ca.vertcat(x_start, _vertcat(actuator_initial), raw)
     # The step length is not known before the first sample; nothing may depend on it.
     start = ca.Function(

@@ -402,7 +402,7 @@ class _Interpreted:
                 if not np.isfinite(z).all():
                     return k
                 z_out[k] = z
-                since = times[k] - times[k - 1] if k else times[1] - times[0]
+                since = times[k] - times[k - 1] if k else (times[1] - times[0] if n > 1 else 1.0)
                 y, after, dy, dafter = self._sample(z, inputs[k], values, times[k], since)
                 y_out[k] = np.array(y).ravel()
                 z = np.array(after).ravel()
