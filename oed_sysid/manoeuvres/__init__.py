@@ -1,0 +1,66 @@
+"""Manoeuvres: what is commanded during an experiment, and the indices of standard tests.
+
+Examples
+--------
+>>> from math import radians
+>>> from oed_sysid.manoeuvres import Combined, Constant, ZigZag
+>>> trial = Combined((Constant("thrust", 700.0), ZigZag("rudder", radians(10), radians(10))))
+>>> trial.describe()
+'thrust constant at 700; zigzag 10/10 deg of rudder, reversed on psi, positive side first, from 0 s'
+"""
+
+from oed_sysid.manoeuvres.base import (
+    Controller,
+    Excitation,
+    Manoeuvre,
+    OpenLoop,
+    Stepwise,
+    command_all,
+)
+from oed_sysid.manoeuvres.composite import Combined, RateLimited, Saturated, Sequence
+from oed_sysid.manoeuvres.indices import (
+    TurningIndices,
+    ZigZagIndices,
+    turning_indices,
+    zigzag_indices,
+)
+from oed_sysid.manoeuvres.prbs import PRBS, maximum_length_sequence
+from oed_sysid.manoeuvres.pulses import Doublet, ThreeTwoOneOne
+from oed_sysid.manoeuvres.sines import Chirp, Multisine, schroeder_phases
+from oed_sysid.manoeuvres.spirals import ReverseSpiral, Spiral
+from oed_sysid.manoeuvres.tabulated import FromRecord, Piecewise
+from oed_sysid.manoeuvres.turning import Constant, PullOut, TurningCircle
+from oed_sysid.manoeuvres.zigzag import ZigZag, ZigZagLike
+
+__all__ = [
+    "PRBS",
+    "Chirp",
+    "Combined",
+    "Constant",
+    "Controller",
+    "Doublet",
+    "Excitation",
+    "FromRecord",
+    "Manoeuvre",
+    "Multisine",
+    "OpenLoop",
+    "Piecewise",
+    "PullOut",
+    "RateLimited",
+    "ReverseSpiral",
+    "Saturated",
+    "Sequence",
+    "Spiral",
+    "Stepwise",
+    "ThreeTwoOneOne",
+    "TurningCircle",
+    "TurningIndices",
+    "ZigZag",
+    "ZigZagIndices",
+    "ZigZagLike",
+    "command_all",
+    "maximum_length_sequence",
+    "schroeder_phases",
+    "turning_indices",
+    "zigzag_indices",
+]
