@@ -21,6 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from oed_sysid import typeset
 from oed_sysid.errors import ModelError
 
 _CASADI: dict[str, Callable[..., Any]] = {
@@ -251,61 +252,21 @@ def to_numpy(
     return np.asarray(_walk(parse(expression), scope, library))
 
 
-def _power_of_absolute(node: ast.expr) -> str | None:
-    """Text of ``x*abs(x)`` as ``x|x|`` when the node is a bare ``abs`` call."""
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "abs":
-        return f"|{_text(node.args[0], 0)}|"
-    return None
-
-
-_PRECEDENCE = {ast.Add: 1, ast.Sub: 1, ast.Mult: 2, ast.Div: 2, ast.Pow: 4}
-_SUPERSCRIPT = {2: "²", 3: "³", 4: "⁴", 5: "⁵"}
-
-
-def _text(node: ast.expr, outer: int) -> str:
-    match node:
-        case ast.Constant():
-            return f"{node.value:g}"  # type: ignore[str-format]
-        case ast.Name():
-            return node.id
-        case ast.UnaryOp():
-            inner = (
-                f"-{_text(node.operand, 3)}"
-                if isinstance(node.op, ast.USub)
-                else _text(node.operand, 3)
-            )
-            return f"({inner})" if outer > 1 else inner
-        case ast.BinOp():
-            level = _PRECEDENCE[type(node.op)]
-            if isinstance(node.op, ast.Pow):
-                left = _text(node.left, level + 1)
-                if isinstance(node.right, ast.Constant) and node.right.value in _SUPERSCRIPT:
-                    inner = left + _SUPERSCRIPT[node.right.value]  # type: ignore[index]
-                else:
-                    inner = f"{left}^{_text(node.right, level)}"
-            else:
-                symbol = {ast.Add: " + ", ast.Sub: " - ", ast.Mult: " ", ast.Div: "/"}[
-                    type(node.op)
-                ]
-                right_level = level + 1 if isinstance(node.op, ast.Sub | ast.Div) else level
-                inner = _text(node.left, level) + symbol + _text(node.right, right_level)
-            return f"({inner})" if level < outer else inner
-        case ast.Compare():
-            symbol = {ast.Lt: "<", ast.LtE: "≤", ast.Gt: ">", ast.GtE: "≥"}[type(node.ops[0])]
-            return f"{_text(node.left, 1)} {symbol} {_text(node.comparators[0], 1)}"
-        case ast.Call():
-            absolute = _power_of_absolute(node)
-            if absolute is not None:
-                return absolute
-            arguments = ", ".join(_text(argument, 0) for argument in node.args)
-            return f"{node.func.id}({arguments})"  # type: ignore[attr-defined]
-    return ast.unparse(node)
-
-
 def to_text(expression: str) -> str:
     """Readable form of an expression.
 
     >>> to_text("Z_absww*w*abs(w) - m*g*sin(theta)**2")
     'Z_absww w |w| - m g sin(theta)²'
+    >>> to_text("-u*sin(theta) + -w"), to_text("a/b*c - (b - c)")
+    ('-u sin(theta) - w', 'a c/b - b + c')
     """
-    return _text(parse(expression), 0)
+    return typeset.TextPrinter().sum(parse(expression))
+
+
+def to_latex(expression: str) -> str:
+    r"""LaTeX of an expression, without dollar signs.
+
+    >>> print(to_latex("Z_absww*w_r*abs(w_r) - W*sin(theta)/2"))
+    Z_{w|w|} \, w_{r} \, \left|w_{r}\right| - \frac{W \, \sin\left(\theta\right)}{2}
+    """
+    return typeset.LatexPrinter().sum(parse(expression))

@@ -23,12 +23,12 @@ RESERVED = ("t", "h")
 
 @dataclass(frozen=True)
 class Model:
-    """Equations of motion, actuators and sensors of one vehicle.
+    r"""Equations of motion, actuators and sensors of one vehicle.
 
     .. math::
 
-        M(p)\\,\\dot\\nu = \\sum_e \\tau_e(x, d, t, p), \\qquad
-        \\dot\\eta = k(x, d, t, p), \\qquad y = s(x, d, p)
+        M(p)\,\dot\nu = \sum_e \tau_e(x, d, t, p), \qquad
+        \dot\eta = k(x, d, t, p), \qquad y = s(x, d, p)
 
     Parameters
     ----------
@@ -237,69 +237,58 @@ class Model:
 
     def equations(self) -> str:
         """Return the model as readable equations, one per line."""
+        write = expressions.to_text
         lines: list[str] = []
         for signal, text in self.actuator_signals.items():
-            changed = [e for e in self.effects if e.stage == "actuator" and signal in e.terms]
-            if text != signal or changed:
-                lines.append(f"{signal} = {expressions.to_text(text)}")
-            lines += [
-                f"{signal} <- {expressions.to_text(e.terms[signal])}   [{e.name}]" for e in changed
-            ]
+            changes = self._changes("actuator", signal)
+            if text != signal or changes:
+                lines += [f"{signal} = {write(text)}", *changes]
         for signal, text in self.signals.items():
-            lines.append(f"{signal} = {expressions.to_text(text)}")
-            lines += [
-                f"{signal} <- {expressions.to_text(e.terms[signal])}   [{e.name}]"
-                for e in self.effects
-                if e.stage == "environment" and signal in e.terms
-            ]
+            lines += [f"{signal} = {write(text)}", *self._changes("environment", signal)]
         for effect in self.effects:
-            lines += [
-                f"{name} = {expressions.to_text(text)}   [{effect.name}]"
-                for name, text in effect.definitions.items()
-            ]
+            definitions = effect.definitions.items()
+            lines += [f"{name} = {write(text)}   [{effect.name}]" for name, text in definitions]
         for axis, state in self.axes.items():
-            lines.append(f"{self._inertia_text(axis, state)} = {self._force_text(axis)}")
+            lines.append(f"{self._inertia_text(axis, state)} = {write(self._force(axis))}")
         for state, rate in self.kinematics.items():
-            extra = self._force_text(state, empty="")
-            lines.append(f"{state}' = {expressions.to_text(rate)}{' + ' + extra if extra else ''}")
+            added = self._force(state)
+            lines.append(f"{state}' = {write(rate if added == '0' else f'{rate} + {added}')}")
         for effect in self.effects:
-            lines += [
-                f"{s.name}' = {expressions.to_text(s.rate)}   [{effect.name}]"
-                for s in effect.states
-            ]
+            lines += [f"{s.name}' = {write(s.rate)}   [{effect.name}]" for s in effect.states]
         for output in self.outputs:
-            lines.append(f"measured {output.name} = {expressions.to_text(output.source)}")
-            lines += [
-                f"measured {output.name} <- {expressions.to_text(e.terms[output.name])}"
-                f"   [{e.name}]"
-                for e in self.effects
-                if e.stage == "sensor" and output.name in e.terms
-            ]
+            lines.append(f"measured {output.name} = {write(output.source)}")
+            lines += [f"measured {text}" for text in self._changes("sensor", output.name)]
         return "\n".join(lines)
 
+    def _changes(self, stage: str, signal: str) -> list[str]:
+        """What the effects of a stage turn a signal into, one line each."""
+        return [
+            f"{signal} <- {expressions.to_text(effect.terms[signal])}   [{effect.name}]"
+            for effect in self.effects
+            if effect.stage == stage and signal in effect.terms
+        ]
+
     def _inertia_text(self, axis: str, state: str) -> str:
+        entries = list(self.inertia.items())
+        for effect in self.effects:
+            entries += effect.terms.items() if effect.stage == "inertia" else ()
         parts: list[str] = []
         for other in self.axes.values():
-            entries = [text for (a, s), text in self.inertia.items() if (a, s) == (axis, other)]
-            entries += [
-                text
-                for effect in self.effects
-                if effect.stage == "inertia"
-                for key, text in effect.terms.items()
-                if key == (axis, other)
-            ]
-            if entries:
-                joined = " + ".join(expressions.to_text(text) for text in entries)
-                parts.append(f"({joined}) {other}'")
-        return " + ".join(parts) or f"{state}'"
+            texts = [text for key, text in entries if key == (axis, other)]
+            if texts:
+                # A name that text can carry; printed as w' below.
+                parts.append(f"({' + '.join(texts)})*{other}_prime_")
+        if not any(key[0] == axis for key in self.inertia):
+            parts.insert(0, f"{state}_prime_")
+        return expressions.to_text(" + ".join(parts)).replace("_prime_", "'")
 
-    def _force_text(self, key: str, empty: str = "0") -> str:
+    def _force(self, key: str) -> str:
         terms = [
-            expressions.to_text(effect.terms[key])
+            f"({effect.terms[key]})"
             for effect in self.effects
             if effect.stage == "force" and key in effect.terms
         ]
-        return " + ".join(terms).replace("+ -", "- ") or empty
+        return " + ".join(terms) or "0"
 
     # -- identity ------------------------------------------------------------------
 
