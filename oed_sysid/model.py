@@ -261,7 +261,7 @@ class Model:
         return "\n".join(lines)
 
     def _changes(self, stage: str, signal: str) -> list[str]:
-        """What the effects of a stage turn a signal into, one line each."""
+        """Lines that say what the effects of a stage turn a signal into."""
         return [
             f"{signal} <- {expressions.to_text(effect.terms[signal])}   [{effect.name}]"
             for effect in self.effects
@@ -347,18 +347,17 @@ def _validate(model: Model) -> None:
     for signal, text in model.actuator_signals.items():
         expressions.check(text, commands, where=f"{where}, actuator {signal!r}")
     drive = {*states, *extra, *model.actuator_signals, *parameters, *RESERVED}
-    known = set(drive)
+    known, tables = set(drive), _tables(model)
     for signal, text in model.signals.items():
-        expressions.check(text, known, where=f"{where}, signal {signal!r}", tables=_tables(model))
+        expressions.check(text, known, where=f"{where}, signal {signal!r}", tables=tables)
         known.add(signal)
     for state, text in model.kinematics.items():
-        expressions.check(text, known, where=f"{where}, rate of {state!r}", tables=_tables(model))
+        expressions.check(text, known, where=f"{where}, rate of {state!r}", tables=tables)
     for key, text in model.inertia.items():
         expressions.check(text, known, where=f"{where}, inertia {key}")
     for output in model.outputs:
-        expressions.check(
-            output.source, known, where=f"{where}, output {output.name!r}", tables=_tables(model)
-        )
+        sensor = f"{where}, output {output.name!r}"
+        expressions.check(output.source, known, where=sensor, tables=tables)
     for effect in model.effects:
         _validate_effect(model, effect, known, commands)
 
@@ -396,9 +395,8 @@ def _validate_effect(model: Model, effect: Effect, known: set[str], commands: se
     for text in effect.terms.values():
         expressions.check(text, scope, where=where, tables=_tables(model))
     for memory in effect.memory:
-        expressions.check(memory.update, scope, where=where)
+        expressions.check(memory.update, scope, where=where, tables=_tables(model))
     for state in effect.states:
         expressions.check(state.rate, scope, where=where, tables=_tables(model))
-        expressions.check(
-            state.initial, {*model.state_names, *commands, *model.actuator_signals}, where=where
-        )
+        start = {*model.state_names, *commands, *model.actuator_signals}
+        expressions.check(state.initial, start, where=where)
