@@ -346,8 +346,8 @@ def _validate(model: Model) -> None:
     where = f"Model {model.name!r}"
     for signal, text in model.actuator_signals.items():
         expressions.check(text, commands, where=f"{where}, actuator {signal!r}")
-    drive = {*states, *extra, *model.actuator_signals, *parameters, *RESERVED}
-    known, tables = set(drive), _tables(model)
+    known = {*states, *extra, *model.actuator_signals, *parameters, *RESERVED}
+    tables = {name for effect in model.effects for name in effect.tables}
     for signal, text in model.signals.items():
         expressions.check(text, known, where=f"{where}, signal {signal!r}", tables=tables)
         known.add(signal)
@@ -359,14 +359,12 @@ def _validate(model: Model) -> None:
         sensor = f"{where}, output {output.name!r}"
         expressions.check(output.source, known, where=sensor, tables=tables)
     for effect in model.effects:
-        _validate_effect(model, effect, known, commands)
+        _validate_effect(model, effect, known, commands, tables)
 
 
-def _tables(model: Model) -> set[str]:
-    return {name for effect in model.effects for name in effect.tables}
-
-
-def _validate_effect(model: Model, effect: Effect, known: set[str], commands: set[str]) -> None:
+def _validate_effect(
+    model: Model, effect: Effect, known: set[str], commands: set[str], tables: set[str]
+) -> None:
     """Check one effect of a model: its targets exist and its names resolve."""
     where = f"Effect {effect.name!r} in model {model.name!r}"
     targets: dict[str, set] = {
@@ -390,13 +388,13 @@ def _validate_effect(model: Model, effect: Effect, known: set[str], commands: se
     scope |= {memory.name for memory in effect.memory}
     scope |= {state.name for state in effect.states}
     for name, text in effect.definitions.items():
-        expressions.check(text, scope, where=where, tables=_tables(model))
+        expressions.check(text, scope, where=where, tables=tables)
         scope.add(name)
     for text in effect.terms.values():
-        expressions.check(text, scope, where=where, tables=_tables(model))
+        expressions.check(text, scope, where=where, tables=tables)
     for memory in effect.memory:
-        expressions.check(memory.update, scope, where=where, tables=_tables(model))
+        expressions.check(memory.update, scope, where=where, tables=tables)
     for state in effect.states:
-        expressions.check(state.rate, scope, where=where, tables=_tables(model))
+        expressions.check(state.rate, scope, where=where, tables=tables)
         start = {*model.state_names, *commands, *model.actuator_signals}
         expressions.check(state.initial, start, where=where)
