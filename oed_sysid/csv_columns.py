@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -28,12 +27,18 @@ class Columns:
         The table as read.
     units : mapping of str to str
         Units that take precedence over the headers, by channel name or header.
+
+    Attributes
+    ----------
+    suspicions : list of str
+        What is not wrong for certain, as warnings for the user.
     """
 
     def __init__(self, table: Table, units: Mapping[str, str]) -> None:
         self.table = table
         self.units = units
         self.parsed = [parse_header(header) for header in table.headers]
+        self.suspicions: list[str] = []
         self._used: set[int] = set()
 
     @property
@@ -133,6 +138,9 @@ class Columns:
         """One column in SI, with the sign of the channel; shape ``(n_rows,)``."""
         self._used.add(index)
         header, (name, unit) = self.table.headers[index], self.parsed[index]
+        if header == channel.name:
+            # The channel is called so as a whole: "delta_s" is no delta in seconds.
+            name, unit = header, None
         where = f"Column {header!r} of {self.path.name}"
         given = next((self.units[k] for k in (channel.name, header, name) if k in self.units), None)
         needed = dimension(channel.unit)
@@ -163,11 +171,9 @@ class Columns:
             )
         values, si_unit = to_si(self.table.values[:, index], unit)
         if si_unit == "rad" and unit == "rad" and np.any(np.abs(values) > SUSPICIOUS_ANGLE):
-            warnings.warn(
+            self.suspicions.append(
                 f"{where} reaches {np.nanmax(np.abs(values)):.3g} rad, more than three turns. If "
-                f"it is in degrees, write the header as '{name} [deg]'.",
-                UserWarning,
-                stacklevel=6,
+                f"it is in degrees, write the header as '{name} [deg]'."
             )
         return channel.sign * values
 

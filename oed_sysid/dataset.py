@@ -7,6 +7,7 @@ converted to SI here; after this border nothing has another unit.
 from __future__ import annotations
 
 import glob
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -188,12 +189,13 @@ def read_csv(
         stem if stems.count(stem) == 1 else f"{file.parent.name}/{stem}"
         for file, stem in zip(files, stems, strict=True)
     ]
-    return Dataset(
-        tuple(
-            _read_record(Columns(read_table(file), units or {}), name or default, channels, time)
-            for file, default in zip(files, names, strict=True)
-        )
-    )
+    records = []
+    for file, default in zip(files, names, strict=True):
+        columns = Columns(read_table(file), units or {})
+        records.append(_read_record(columns, name or default, channels, time))
+        for suspicion in columns.suspicions:
+            warnings.warn(suspicion, UserWarning, stacklevel=2)
+    return Dataset(tuple(records))
 
 
 def write_csv(record: Record, path: str | Path) -> None:

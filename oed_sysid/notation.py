@@ -53,8 +53,8 @@ _LATEX = {
     "db": r"\delta_b",
 }
 _GREEK = frozenset(
-    ("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda")
-    + ("mu", "nu", "xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega")
+    {"alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda"}
+    | {"mu", "nu", "xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}
 )
 _SYMBOLS = "|".join(sorted(FACTOR_UNITS, key=len, reverse=True))
 _FACTOR = re.compile(rf"(abs)?({_SYMBOLS})")
