@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import casadi as ca
 
@@ -106,30 +106,19 @@ class Graph:
     def _split(self, z: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         first = self.n_states
         second = first + self.n_actuator_memory
-        return z[:first], z[first:second], z[second:]
+        # Two indices: an empty part of a single element would otherwise be 1 by 0.
+        return z[:first, 0], z[first:second, 0], z[second:, 0]
 
 
-@lru_cache(maxsize=64)
-def _build_cached(key: str, holder: _Holder) -> Graph:
-    return _build(holder.model)
-
-
-@dataclass(frozen=True, eq=False)
-class _Holder:
-    """Carries a model through the cache; equality is left to the key."""
-
-    model: Model
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Holder)
-
-    def __hash__(self) -> int:
-        return 0
+_CACHE: dict[str, Graph] = {}
 
 
 def build(model: Model) -> Graph:
     """Build (or fetch) the CasADi functions of a model's structure."""
-    return _build_cached(model.structure_key(), _Holder(model))
+    key = model.structure_key()
+    if key not in _CACHE:
+        _CACHE[key] = _build(model)
+    return _CACHE[key]
 
 
 def _chain(effects: Iterable[Effect], stage: str) -> list[Effect]:

@@ -1,0 +1,288 @@
+"""What data say about unknowns: information, null directions, honest errors.
+
+The information matrix is kept as the scaled triangular factor of the whitened
+Jacobian. A direction the data do not see stays visible there, while an
+inverted matrix would only show large numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import stats
+
+# Directions whose information falls below this share of the best are null.
+NULL_TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """Fisher information of some unknowns, as a factor.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Names of the unknowns.
+    factor : ndarray (n_rows, n_unknowns)
+        ``R`` with ``R' R`` the information of the *scaled* unknowns.
+    scales : ndarray (n_unknowns,)
+        Unknown = scale * scaled unknown.
+
+    Examples
+    --------
+    >>> information = Information.from_jacobian(("a", "b"), np.diag([2.0, 0.5]))
+    >>> information.std_errors.round(3)
+    array([0.5, 2. ])
+    """
+
+    names: tuple[str, ...]
+    factor: np.ndarray
+    scales: np.ndarray
+
+    @classmethod
+    def from_jacobian(
+        cls, names: Sequence[str], jacobian: np.ndarray, scales: np.ndarray | None = None
+    ) -> Information:
+        """Build from a whitened Jacobian ``(n_rows, n_unknowns)``."""
+        n = len(names)
+        scales = np.ones(n) if scales is None else np.asarray(scales, dtype=float)
+        rows = np.asarray(jacobian, dtype=float).reshape(-1, n) * scales
+        factor = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) >= n else rows
+        return cls(tuple(names), factor, scales)
+
+    @classmethod
+    def from_matrix(
+        cls, names: Sequence[str], matrix: np.ndarray, scales: np.ndarray | None = None
+    ) -> Information:
+        """Build from an information matrix ``(n_unknowns, n_unknowns)``."""
+        scales = np.ones(len(names)) if scales is None else np.asarray(scales, dtype=float)
+        scaled = np.asarray(matrix) * scales[:, None] * scales
+        values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+        return cls(tuple(names), np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, scales)
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Information matrix of the unknowns, shape ``(n, n)``."""
+        scaled = self.factor.T @ self.factor
+        return scaled / self.scales[:, None] / self.scales
+
+    @cached_property
+    def _svd(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Column norms, singular values and right vectors of the equilibrated factor."""
+        norms = np.linalg.norm(self.factor, axis=0)
+        safe = np.where(norms > 0, norms, 1.0)
+        _, values, vectors = np.linalg.svd(self.factor / safe, full_matrices=True)
+        padded = np.zeros(len(self.names))
+        padded[: len(values)] = values
+        return safe, padded, vectors
+
+    @property
+    def rank(self) -> int:
+        """Number of directions that the data see."""
+        _, values, _ = self._svd
+        return int(np.sum(values > NULL_TOLERANCE * max(values.max(initial=0.0), 1e-300)))
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the equilibrated factor."""
+        _, values, _ = self._svd
+        return float(values.max() / values.min()) if values.min() > 0 else np.inf
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Cramer-Rao bound, shape ``(n, n)``; infinite along null directions."""
+        norms, values, vectors = self._svd
+        seen = values > NULL_TOLERANCE * max(values.max(initial=0.0), 1e-300)
+        inner = vectors[seen].T * values[seen] ** -1.0
+        covariance = inner @ inner.T
+        scale = self.scales / norms
+        covariance = covariance * scale[:, None] * scale
+        blind = np.abs(vectors[~seen]).max(axis=0, initial=0.0) > 1e-6
+        covariance[blind, :] = covariance[:, blind] = 0.0
+        covariance[blind, blind] = np.inf
+        return covariance
+
+    @property
+    def std_errors(self) -> np.ndarray:
+        """Square roots of the bound's diagonal, shape ``(n,)``."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def log_determinant(self) -> float:
+        """Natural logarithm of the determinant of the information; -inf when singular."""
+        sign, value = np.linalg.slogdet(self.matrix)
+        return float(value) if sign > 0 else -np.inf
+
+    def __add__(self, other: Information) -> Information:
+        """Information of two independent experiments on the same unknowns."""
+        if other.names != self.names:
+            raise ValueError("Only information on the same unknowns can be added.")
+        rows = np.vstack([self.factor, other.factor * (self.scales / other.scales)])
+        return Information.from_jacobian(self.names, rows / self.scales, self.scales)
+
+    def null_directions(self, labels: Sequence[str] | None = None) -> tuple[str, ...]:
+        """Name, in words, every combination of unknowns that the data do not see."""
+        norms, values, vectors = self._svd
+        labels = list(labels or self.names)
+        words = []
+        limit = NULL_TOLERANCE * max(values.max(initial=0.0), 1e-300)
+        for value, vector in zip(values, vectors, strict=True):
+            if value > limit:
+                continue
+            # Relative change of each unknown along the direction.
+            change = vector / norms * self.scales
+            share = np.abs(vector)
+            members = [i for i in np.argsort(-share) if share[i] > 0.05]
+            if len(members) == 1:
+                words.append(f"{labels[members[0]]} does not influence any output")
+                continue
+            lead = change[members[0]]
+            ratios = ", ".join(f"{labels[i]}: {change[i] / lead:+.3g}" for i in members)
+            words.append(f"free to move together ({ratios})")
+        return tuple(words)
+
+
+def autocorrelation(series: np.ndarray, n_lags: int) -> np.ndarray:
+    """Sample autocorrelation at lags ``0..n_lags``; missing samples are skipped.
+
+    Returns
+    -------
+    ndarray (n_lags + 1,)
+    """
+    present = np.isfinite(series)
+    centred = np.where(present, series - np.nanmean(series), 0.0)
+    n = len(series)
+    size = 1 << int(np.ceil(np.log2(2 * n)))
+
+    def correlate(x: np.ndarray) -> np.ndarray:
+        spectrum = np.fft.rfft(x, size)
+        return np.fft.irfft(spectrum * spectrum.conj(), size)[: n_lags + 1]
+
+    pairs = np.maximum(np.round(correlate(present.astype(float))), 1.0)
+    covariance = correlate(centred) / pairs
+    return covariance / covariance[0] if covariance[0] > 0 else np.eye(1, n_lags + 1)[0]
+
+
+def effective_sample_size(series: np.ndarray) -> float:
+    """Number of independent samples that would average as well as this series.
+
+    Uses the initial positive pair sums of the autocorrelation (Geyer 1992),
+    never more than the number of samples.
+    """
+    n = int(np.isfinite(series).sum())
+    if n < 8:
+        return float(n)
+    rho = autocorrelation(series, min(n - 1, max(20, n // 2)))
+    pairs = rho[1:-1:2] + rho[2::2]
+    negative = np.flatnonzero(pairs <= 0)
+    total = float(np.sum(pairs[: negative[0] if len(negative) else len(pairs)]))
+    # The first lag counts even when the first pair sum is negative.
+    total = max(total, float(min(rho[1], 0.0)))
+    return float(np.clip(n / max(1.0 + 2.0 * total, 1e-12), 1.0, n))
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Portmanteau test of one series.
+
+    Attributes
+    ----------
+    statistic, p_value : float
+        Ljung-Box statistic and its probability if the series were white.
+    lag_one : float
+        Autocorrelation at lag one.
+    effective_samples, n_samples : float, int
+        See :func:`effective_sample_size`.
+    """
+
+    statistic: float
+    p_value: float
+    lag_one: float
+    effective_samples: float
+    n_samples: int
+
+    @property
+    def is_white(self) -> bool:
+        """Whether whiteness is not rejected at one in a thousand."""
+        return self.p_value > 1e-3
+
+
+def whiteness(series: np.ndarray, n_lags: int = 20) -> Whiteness:
+    """Test a residual series for whiteness (Ljung & Box 1978)."""
+    n = int(np.isfinite(series).sum())
+    n_lags = min(n_lags, max(1, n // 5))
+    rho = autocorrelation(series, n_lags)
+    statistic = n * (n + 2) * float(np.sum(rho[1:] ** 2 / (n - np.arange(1, n_lags + 1))))
+    return Whiteness(
+        statistic,
+        float(stats.chi2.sf(statistic, n_lags)),
+        float(rho[1]),
+        effective_sample_size(series),
+        n,
+    )
+
+
+def coloured_score_covariance(
+    jacobians: Sequence[np.ndarray], residuals: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Covariance of ``J' r`` when the residuals ``r`` are stationary but coloured.
+
+    The autocovariances of all pairs of outputs are estimated from the
+    residuals themselves, tapered where they fade into estimation noise, and
+    carried through the Jacobian. This is the middle of a sandwich covariance;
+    it needs far fewer samples than a heteroscedasticity-consistent one,
+    because the noise does not depend on the manoeuvre.
+
+    Parameters
+    ----------
+    jacobians : sequence of ndarray (n_times, n_outputs, n_unknowns)
+        In units of the noise, zero rows where nothing was measured.
+    residuals : sequence of ndarray (n_times, n_outputs)
+        In units of the noise, NaN where nothing was measured.
+
+    Returns
+    -------
+    ndarray (n_unknowns, n_unknowns)
+    """
+    n_unknowns = jacobians[0].shape[2]
+    total = np.zeros((n_unknowns, n_unknowns))
+    lags = _taper_length(residuals)
+    covariance = _lagged_covariance(residuals, lags)
+    taper = 1.0 - np.arange(lags + 1) / (lags + 1.0)
+    for jacobian in jacobians:
+        for lag in range(min(lags, len(jacobian) - 1) + 1):
+            mixed = jacobian[: len(jacobian) - lag].transpose(0, 2, 1)
+            later = np.einsum("ij,kjm->kim", covariance[lag] * taper[lag], jacobian[lag:])
+            part = np.einsum("kmi,kin->mn", mixed, later)
+            total += part if lag == 0 else part + part.T
+    return total
+
+
+def _taper_length(residuals: Sequence[np.ndarray]) -> int:
+    """Lag where the slowest output's correlation has faded, times a margin."""
+    longest = 1.0
+    for residual in residuals:
+        for column in residual.T:
+            n = np.isfinite(column).sum()
+            if n > 20:
+                longest = max(longest, n / effective_sample_size(column))
+    shortest = min(len(residual) for residual in residuals)
+    return int(np.clip(4 * longest, 1, max(2, shortest // 4)))
+
+
+def _lagged_covariance(residuals: Sequence[np.ndarray], lags: int) -> np.ndarray:
+    """``E[r_i(t) r_j(t + lag)]`` over all records, shape ``(lags + 1, n, n)``."""
+    n_outputs = residuals[0].shape[1]
+    sums = np.zeros((lags + 1, n_outputs, n_outputs))
+    counts = np.zeros_like(sums)
+    for residual in residuals:
+        present = np.isfinite(residual).astype(float)
+        filled = np.where(present > 0, residual, 0.0)
+        for lag in range(min(lags, len(filled) - 1) + 1):
+            stop = len(filled) - lag
+            sums[lag] += filled[:stop].T @ filled[lag:]
+            counts[lag] += present[:stop].T @ present[lag:]
+    return sums / np.maximum(counts, 1.0)

@@ -1,0 +1,126 @@
+"""Compile a model's kernel once and keep it on disk.
+
+Safe against processes that compile the same model at the same time, and
+against torn files: a library is loaded only when its digest is right.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import warnings
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+
+import casadi as ca
+
+from oed_sysid.graph import build
+from oed_sysid.model import Model
+from oed_sysid.native.generate import source
+
+_FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w")
+
+
+def cache_folder() -> Path:
+    """Folder that keeps compiled kernels."""
+    stated = os.environ.get("OED_SYSID_CACHE")
+    return Path(stated) if stated else Path.home() / ".cache" / "oed_sysid"
+
+
+@lru_cache(maxsize=1)
+def _compiler() -> str | None:
+    if os.environ.get("OED_SYSID_COMPILER") == "none":
+        return None
+    for name in (os.environ.get("OED_SYSID_COMPILER"), os.environ.get("CC"), "gcc", "clang", "cc"):
+        if name and shutil.which(name):
+            return name
+    return None
+
+
+@lru_cache(maxsize=1)
+def _tool_digest() -> str:
+    """Digest of the generator, the libraries and the machine the code is for."""
+    digest = hashlib.sha256()
+    package = files("oed_sysid")
+    for name in (
+        "graph.py",
+        "expressions.py",
+        "native/generate.py",
+        "native/trajectory.c",
+    ):
+        digest.update(package.joinpath(name).read_bytes())
+    digest.update(repr((ca.CasadiMeta.version(), _FLAGS, _compiler(), platform.machine())).encode())
+    try:  # -march=native: another processor needs its own code
+        with open("/proc/cpuinfo") as handle:
+            digest.update(next((line for line in handle if line.startswith("flags")), "").encode())
+    except OSError:
+        digest.update(platform.processor().encode())
+    return digest.hexdigest()[:16]
+
+
+def load(model: Model) -> ctypes.CDLL | None:
+    """Return the library of a model, compiling it if need be; None without a compiler."""
+    compiler = _compiler()
+    if compiler is None:
+        _say_interpreted("no C compiler (gcc or clang) was found")
+        return None
+    name = f"{model.structure_key()}-{_tool_digest()}"
+    library = cache_folder() / f"{name}.so"
+    if not _intact(library):
+        try:
+            _compile(model, compiler, library)
+        except OSError as error:
+            _say_interpreted(f"{cache_folder()} cannot be written ({error})")
+            return None
+        except subprocess.CalledProcessError as error:
+            text = (error.stderr or b"").decode(errors="replace").strip().splitlines()
+            _say_interpreted(f"{compiler} failed: {text[-1] if text else error}")
+            return None
+    loaded = ctypes.CDLL(str(library))
+    return loaded
+
+
+def _intact(library: Path) -> bool:
+    """Whether a cached library is the one that was written: a torn file would crash."""
+    try:
+        stated = library.with_suffix(".sha256").read_text()
+        return hashlib.sha256(library.read_bytes()).hexdigest() == stated
+    except OSError:
+        return False
+
+
+def _compile(model: Model, compiler: str, library: Path) -> None:
+    library.parent.mkdir(parents=True, exist_ok=True)
+    print(
+        f"oed_sysid: compiling the equations of {model.name!r} (once; kept in {library.parent})",
+        file=sys.stderr,
+    )
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        code = Path(folder) / "kernel.c"
+        built = Path(folder) / "kernel.so"
+        code.write_text(source(build(model)))
+        subprocess.run(
+            [compiler, *_FLAGS, "-fPIC", "-shared", str(code), "-o", str(built), "-lm"],
+            check=True,
+            capture_output=True,
+        )
+        # Digest first, library last: a reader that sees both sees a matching pair.
+        digest = Path(folder) / "kernel.sha256"
+        digest.write_text(hashlib.sha256(built.read_bytes()).hexdigest())
+        os.replace(digest, library.with_suffix(".sha256"))
+        os.replace(built, library)
+
+
+@lru_cache(maxsize=1)
+def _say_interpreted(reason: str) -> None:
+    warnings.warn(
+        f"Models run in CasADi's interpreter, 15 to 60 times slower, because {reason}.",
+        stacklevel=2,
+    )

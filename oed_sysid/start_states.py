@@ -1,0 +1,75 @@
+"""Where shooting begins: cutting records and guessing states from measurements."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed_sysid.dataset import Dataset, Record
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.model import Model
+
+
+def check_channels(model: Model, dataset: Dataset) -> None:
+    """Raise :class:`DataError` where records and model name different signals."""
+    for record in dataset:
+        if record.channels.input_names != model.input_names:
+            raise DataError(
+                f"Record {record.name!r} has inputs {record.channels.input_names}, model "
+                f"{model.name!r} expects {model.input_names}. Read it with the model's channels."
+            )
+        if record.channels.output_names != model.output_names:
+            raise DataError(
+                f"Record {record.name!r} has outputs {record.channels.output_names}, model "
+                f"{model.name!r} expects {model.output_names}. Read it with the model's channels."
+            )
+
+
+def cut(record: Record, interval: float | None) -> np.ndarray:
+    """Index of the first sample of each shooting interval."""
+    n = len(record.times)
+    if interval is None:
+        length = max(5, int(np.ceil(n / 30)))
+        return np.arange(0, max(n - length // 2, 1), length, dtype=np.intc)
+    if not interval > 0:
+        raise ModelError(f"Shooting interval is {interval} s. Give a positive length.")
+    if not np.isfinite(interval):
+        return np.zeros(1, dtype=np.intc)
+    edges = np.arange(record.times[0], record.times[-1], interval)
+    starts = np.unique(np.searchsorted(record.times, edges - 1e-9))
+    keep = [0]
+    for start in starts[1:]:
+        if start - keep[-1] >= 2 and n - start >= 2:
+            keep.append(int(start))
+    return np.array(keep, dtype=np.intc)
+
+
+def measured_columns(model: Model) -> dict[int, int]:
+    """Map the position of every state that is measured directly to its output."""
+    return {
+        model.state_names.index(output.source): column
+        for column, output in enumerate(model.outputs)
+        if output.source in model.state_names
+    }
+
+
+def measured_states(model: Model, record: Record) -> dict[int, np.ndarray]:
+    """Smoothed series of every state that an output measures directly."""
+    result: dict[int, np.ndarray] = {}
+    for state, column in measured_columns(model).items():
+        series = record.outputs[:, column]
+        present = np.isfinite(series)
+        if present.sum() < 2:
+            continue
+        filled = np.interp(record.times, record.times[present], series[present])
+        result[state] = smooth(filled)
+    return result
+
+
+def smooth(series: np.ndarray) -> np.ndarray:
+    """Average over five samples, with straight-line ends."""
+    if len(series) < 10:
+        return series
+    padded = np.concatenate(
+        [2 * series[0] - series[2:0:-1], series, 2 * series[-1] - series[-2:-4:-1]]
+    )
+    return np.convolve(padded, np.full(5, 0.2), mode="valid")
