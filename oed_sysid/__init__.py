@@ -1,3 +1,68 @@
-"""System identification and optimal experiment design for marine vehicles."""
+"""System identification and optimal experiment design for marine vehicles.
+
+Names are imported when they are first used, so that ``import oed_sysid`` is
+quick; ``oed_sysid/README.md`` is the map of the package.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+_HOME = {
+    "Actuator": "effects",
+    "Environment": "effects",
+    "ExtraState": "effects",
+    "Force": "effects",
+    "Inertia": "effects",
+    "Memory": "effects",
+    "Sensor": "effects",
+    "Channels": "channels",
+    "Input": "channels",
+    "Output": "channels",
+    "State": "channels",
+    "Dataset": "dataset",
+    "Record": "dataset",
+    "read_csv": "dataset",
+    "write_csv": "dataset",
+    "Experiment": "experiment",
+    "Limits": "experiment",
+    "Fit": "fit",
+    "Model": "model",
+    "MultipleShooting": "estimators",
+    "OedSysidError": "errors",
+    "Parameter": "parameters",
+    "Problem": "problem",
+    "list_problems": "problem",
+    "load_problem": "problem",
+    "new_problem": "problem",
+    "simulate": "simulate",
+}
+
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(f"oed_sysid.{_HOME[name]}"), name)
+    raise AttributeError(f"module 'oed_sysid' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+if TYPE_CHECKING:
+    from oed_sysid.channels import Channels, Input, Output, State
+    from oed_sysid.dataset import Dataset, Record, read_csv, write_csv
+    from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
+    from oed_sysid.errors import OedSysidError
+    from oed_sysid.estimators import MultipleShooting
+    from oed_sysid.experiment import Experiment, Limits
+    from oed_sysid.fit import Fit
+    from oed_sysid.model import Model
+    from oed_sysid.parameters import Parameter
+    from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
+    from oed_sysid.simulate import simulate

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri
 
 from oed_sysid.dataset import Dataset
 from oed_sysid.information import Information, Whiteness, whiteness
@@ -154,7 +154,7 @@ class Fit:
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of one parameter from its standard error."""
-        half = stats.norm.ppf(0.5 + level / 2) * self.std_errors[name]
+        half = ndtri(0.5 + level / 2) * self.std_errors[name]
         return self.values[name] - half, self.values[name] + half
 
     def whiteness(self) -> dict[str, tuple[Whiteness, ...]]:

@@ -47,6 +47,9 @@ def free_node_start(
     return shooting.start_point(unknowns)
 
 
+Blocks = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
 class _FreeNodes:
     """Levenberg-Marquardt on parameters and independent interval starts."""
 
@@ -72,9 +75,7 @@ class _FreeNodes:
 
     def evaluate(
         self, unknowns: np.ndarray, nodes: list[np.ndarray]
-    ) -> (
-        tuple[float, list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]] | None
-    ):
+    ) -> tuple[float, list[Blocks]] | None:
         """Cost and, per record, the blocks of the normal equations."""
         s = self.shooting
         cost = 0.5 * float(s.prior_weight @ (unknowns - s.prior_mean) ** 2)

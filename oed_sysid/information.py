@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy.special import gammaincc
 
 # Directions whose information falls below this share of the best are null.
 NULL_TOLERANCE = 1e-7
@@ -218,7 +218,7 @@ def whiteness(series: np.ndarray, n_lags: int = 20) -> Whiteness:
     statistic = n * (n + 2) * float(np.sum(rho[1:] ** 2 / (n - np.arange(1, n_lags + 1))))
     return Whiteness(
         statistic,
-        float(stats.chi2.sf(statistic, n_lags)),
+        float(gammaincc(n_lags / 2, statistic / 2)),
         float(rho[1]),
         effective_sample_size(series),
         n,

@@ -37,6 +37,7 @@ class Interpreted:
     def start(
         self, own: np.ndarray, inputs: np.ndarray, values: np.ndarray, time: float
     ) -> tuple[np.ndarray, np.ndarray]:
+        """See :meth:`oed_sysid.kernels.Kernel.start`."""
         z, dz = self._start(own, inputs, values, time)
         return np.array(z).ravel(), np.array(dz)
 
@@ -50,6 +51,7 @@ class Interpreted:
         carry: bool,
         results: tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray, np.ndarray | None],
     ) -> int:
+        """Fill the results as the compiled loop does; return -1 or the failing sample."""
         z_out, y_out, dy_out, ends, dends = results
         n, n_full = len(times), self.graph.n_full
         linear = np.array(self.graph.linear_inputs, dtype=float)
