@@ -38,7 +38,6 @@ _HOME = {
     "list_problems": "problem",
     "load_problem": "problem",
     "new_problem": "problem",
-    "simulate": "simulate",
 }
 
 __all__ = ["__version__", *_HOME]
@@ -65,4 +64,3 @@ if TYPE_CHECKING:
     from oed_sysid.model import Model
     from oed_sysid.parameters import Parameter
     from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
-    from oed_sysid.simulate import simulate

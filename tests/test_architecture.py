@@ -46,7 +46,7 @@ LAYERS = (
     "fit",
     "estimators",
     "design",
-    "diagnose",
+    "diagnosis",
     "report",
     "testing",
     "demo",
