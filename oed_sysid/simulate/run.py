@@ -1,0 +1,191 @@
+"""Records of experiments: open loop in one go, manoeuvres with feedback sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from oed_sysid.dataset import Record
+from oed_sysid.errors import DesignError, SimulationError
+from oed_sysid.experiment import Experiment
+from oed_sysid.kernels import Run, kernel
+from oed_sysid.manoeuvres import Controller, command_all
+from oed_sysid.model import Model
+from oed_sysid.simulate.trajectory import simulate_inputs, start_array, state_names
+
+
+def simulate(
+    model: Model,
+    experiment: Experiment,
+    *,
+    rng: np.random.Generator | None = None,
+    noise: bool = True,
+    name: str | None = None,
+) -> Record:
+    """Run an experiment on a model and return what would be logged.
+
+    Parameters
+    ----------
+    model : Model
+        The model, at its parameter values.
+    experiment : Experiment
+        What is commanded, and from which state.
+    rng : numpy.random.Generator
+        Source of the measurement noise; needed if there is any.
+    noise : bool
+        Add white normal noise of each output's ``noise_std``.
+    name : str, optional
+        Name of the record; by default that of the experiment.
+
+    Returns
+    -------
+    Record
+        Inputs as commanded and outputs as measured.
+
+    Raises
+    ------
+    DesignError
+        If the experiment does not fit the model, or its commands break a limit.
+    SimulationError
+        If the trajectory diverges, or noise is wanted but not known.
+
+    Notes
+    -----
+    A manoeuvre with feedback decides at each sample on the measurement of that
+    sample, which is taken while the previous command still acts. An input that
+    is interpolated linearly then moves from the previous command to the new
+    one; the measurement on which a decision is taken still has it constant.
+
+    Examples
+    --------
+    >>> from math import radians
+    >>> from oed_sysid.channels import Input, Output, State
+    >>> from oed_sysid.manoeuvres import ZigZag
+    >>> nomoto = Model(
+    ...     "Nomoto", (State("psi", "rad"), State("r", "rad/s")), (Input("rudder", "rad"),),
+    ...     (Output("psi", "rad", noise_std=0.002),), {"psi": "r", "r": "(0.1*rudder - r)/10"},
+    ... )
+    >>> test = Experiment("zigzag", ZigZag("rudder", 0.2, 0.2), duration=90.0, sample_time=0.5)
+    >>> record = simulate(nomoto, test, rng=np.random.default_rng(1))
+    >>> record.n_samples, int((np.diff(record.input("rudder")) != 0).sum())
+    (181, 2)
+    """
+    experiment.check_model(model)
+    times = experiment.times
+    noise_values = _draw_noise(model, experiment, len(times), rng) if noise else None
+    if experiment.reacts:
+        inputs = _closed_loop(model, experiment, noise_values)
+        _check_commands(model, experiment, inputs)
+    else:
+        inputs = experiment.commands(model.input_names)
+    trajectory = simulate_inputs(model, times, inputs=inputs, initial=experiment.initial)
+    outputs = trajectory.outputs if noise_values is None else trajectory.outputs + noise_values
+    return Record(
+        name or experiment.name,
+        times,
+        inputs,
+        outputs,
+        model.channels,
+        source=f"simulation of {model.name}: {experiment.describe()}",
+    )
+
+
+def _draw_noise(
+    model: Model, experiment: Experiment, n_times: int, rng: np.random.Generator | None
+) -> np.ndarray:
+    """Noise of all outputs, shape ``(n_times, n_outputs)``."""
+    stds = {output.name: output.noise_std for output in model.outputs} | dict(experiment.noise)
+    unknown = [name for name, std in stds.items() if std is None]
+    if unknown:
+        raise SimulationError(
+            f"The noise of {', '.join(unknown)} is not known. Give Output(noise_std=...), "
+            f"Experiment(noise={{{unknown[0]!r}: ...}}), or simulate with noise=False."
+        )
+    scales = np.array([stds[name] for name in model.output_names], dtype=float)
+    if not scales.any():
+        return np.zeros((n_times, len(scales)))
+    if rng is None:
+        raise SimulationError(
+            "Noise needs a generator: pass rng=np.random.default_rng(seed), or noise=False."
+        )
+    return rng.standard_normal((n_times, len(scales))) * scales
+
+
+def _check_commands(model: Model, experiment: Experiment, inputs: np.ndarray) -> None:
+    """Raise if commands that only the run could tell break a limit."""
+    signals = dict(zip(model.input_names, inputs.T, strict=True))
+    broken = experiment.limits.violations(experiment.times, signals)
+    if broken:
+        raise DesignError(
+            f"Experiment {experiment.name!r} breaks its limits: {'; '.join(broken)}. Make the "
+            "manoeuvre smaller or slower (Saturated, RateLimited), or widen the limit."
+        )
+
+
+def _closed_loop(model: Model, experiment: Experiment, noise: np.ndarray | None) -> np.ndarray:
+    """Commands ``(n_times, n_inputs)`` of manoeuvres that react to signals."""
+    controllers = experiment.excitation.controllers() if experiment.excitation else {}
+    times, names = experiment.times, model.input_names
+    values, runner = model.value_vector, kernel(model)
+    own = start_array(model, experiment.initial)
+    signals = _Signals(model, experiment, noise)
+    constants = experiment.constants
+    linear = any(channel.interpolation == "linear" for channel in model.inputs)
+
+    # Before the first decision the commanded inputs are at rest.
+    before = np.array([constants.get(name, 0.0) for name in names])
+    z, _ = runner.start(own, before, values, times[0])
+    window = runner.run(times[:2], np.stack([before, before]), values, z)
+    inputs = np.empty((len(times), len(names)))
+    inputs[0] = _decide(controllers, names, constants, times[0], signals.at(0, window, 0))
+    z, _ = runner.start(own, inputs[0], values, times[0])
+    for k in range(1, len(times)):
+        pair = inputs[[k - 1, k - 1]]
+        window = runner.run(times[k - 1 : k + 1], pair, values, z)
+        if window.failed_at >= 0:
+            inputs[k:] = inputs[k - 1]
+            break  # simulate_inputs will fail at the same place, with words
+        seen = signals.at(k, window, 1)
+        inputs[k] = _decide(controllers, names, constants, times[k], seen)
+        if linear and (inputs[k] != inputs[k - 1]).any():
+            window = runner.run(times[k - 1 : k + 1], inputs[k - 1 : k + 1], values, z)
+        z = window.states[1]
+    return inputs
+
+
+def _decide(
+    controllers: Mapping[str, Controller],
+    names: tuple[str, ...],
+    constants: Mapping[str, float],
+    time: float,
+    signals: Mapping[str, float],
+) -> list[float]:
+    """Commands of all inputs at one sample."""
+    commands = command_all(controllers, float(time), signals)
+    return [commands[name] if name in commands else constants[name] for name in names]
+
+
+class _Signals:
+    """What the manoeuvres see: the signals they react to, measured or true."""
+
+    def __init__(self, model: Model, experiment: Experiment, noise: np.ndarray | None) -> None:
+        states, outputs = state_names(model), model.output_names
+        wanted = experiment.excitation.feedback if experiment.excitation else ()
+        measured = experiment.feedback == "measured"
+        self._noise = noise if measured else None
+        self._outputs = {
+            name: outputs.index(name)
+            for name in wanted
+            if name in outputs and (measured or name not in states)
+        }
+        self._states = {name: states.index(name) for name in wanted if name not in self._outputs}
+
+    def at(self, sample: int, window: Run, row: int) -> dict[str, float]:
+        """Signals at one sample, found in one row of a short run."""
+        seen = {name: float(window.states[row, i]) for name, i in self._states.items()}
+        for name, index in self._outputs.items():
+            seen[name] = float(window.outputs[row, index])
+            if self._noise is not None:
+                seen[name] += self._noise[sample, index]
+        return seen
