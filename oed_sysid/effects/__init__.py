@@ -1,5 +1,18 @@
 """Physical effects: the words in which a model and its deficiencies are written."""
 
+from oed_sysid.effects.actuators import (
+    actuator_delay,
+    actuator_gain_error,
+    actuator_lag,
+    actuator_offset,
+    backlash,
+    deadband,
+    maximum_rate,
+    rate_limit,
+    saturation,
+    stall,
+)
+from oed_sysid.effects.amplitudes import amplitude
 from oed_sysid.effects.base import (
     STAGES,
     Actuator,
@@ -10,6 +23,62 @@ from oed_sysid.effects.base import (
     Inertia,
     Memory,
     Sensor,
+)
+from oed_sysid.effects.derivatives import derivative, derivatives, hull_derivatives
+from oed_sysid.effects.drag import (
+    coupling,
+    crossed_drag,
+    cubic_damping,
+    deflection_drag,
+    hull_asymmetry,
+    induced_drag,
+    linear_damping,
+    quadratic_drag,
+)
+from oed_sysid.effects.environment import (
+    current_down,
+    current_forward,
+    current_horizontal_plane,
+    wave_force,
+    wind_load,
+)
+from oed_sysid.effects.inertia import added_mass_coupling, added_mass_error, added_mass_factor
+from oed_sysid.effects.memory import fluid_memory
+from oed_sysid.effects.propulsion import (
+    propeller_thrust,
+    single_screw_asymmetry,
+    thrust_decay,
+    thrust_speed_loss,
+)
+from oed_sysid.effects.restoring import (
+    cg_offset,
+    cubic_restoring,
+    excess_buoyancy,
+    heel_moment,
+    hull_compressibility,
+    metacentric_moment,
+    righting_arm_table,
+)
+from oed_sysid.effects.sensors import (
+    sensor_bias,
+    sensor_delay,
+    sensor_drift,
+    sensor_lag,
+    sensor_lever_arm,
+    sensor_misalignment,
+    sensor_scale,
+)
+from oed_sysid.effects.steering import (
+    nonlinear_yaw_damping,
+    rudder_in_slipstream,
+    rudder_neutral_angle,
+    rudder_stall,
+    speed_loss_in_turn,
+)
+from oed_sysid.effects.vocabulary import (
+    diving_plane_effects,
+    roll_effects,
+    surface_ship_effects,
 )
 
 __all__ = [
@@ -22,4 +91,61 @@ __all__ = [
     "Inertia",
     "Memory",
     "Sensor",
+    "amplitude",
+    "derivative",
+    "derivatives",
+    "hull_derivatives",
+    "linear_damping",
+    "quadratic_drag",
+    "cubic_damping",
+    "crossed_drag",
+    "induced_drag",
+    "deflection_drag",
+    "hull_asymmetry",
+    "coupling",
+    "excess_buoyancy",
+    "cg_offset",
+    "metacentric_moment",
+    "cubic_restoring",
+    "heel_moment",
+    "righting_arm_table",
+    "hull_compressibility",
+    "added_mass_error",
+    "added_mass_coupling",
+    "added_mass_factor",
+    "fluid_memory",
+    "current_forward",
+    "current_down",
+    "current_horizontal_plane",
+    "wave_force",
+    "wind_load",
+    "propeller_thrust",
+    "thrust_decay",
+    "thrust_speed_loss",
+    "single_screw_asymmetry",
+    "rudder_neutral_angle",
+    "rudder_stall",
+    "rudder_in_slipstream",
+    "speed_loss_in_turn",
+    "nonlinear_yaw_damping",
+    "actuator_offset",
+    "actuator_gain_error",
+    "actuator_lag",
+    "actuator_delay",
+    "rate_limit",
+    "maximum_rate",
+    "deadband",
+    "backlash",
+    "stall",
+    "saturation",
+    "sensor_bias",
+    "sensor_scale",
+    "sensor_misalignment",
+    "sensor_lever_arm",
+    "sensor_lag",
+    "sensor_delay",
+    "sensor_drift",
+    "diving_plane_effects",
+    "surface_ship_effects",
+    "roll_effects",
 ]

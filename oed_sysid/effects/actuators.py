@@ -1,0 +1,211 @@
+"""What happens between a command and the actual deflection, rate or thrust.
+
+Every constructor takes the signal that it changes. Commands are held between
+samples, and the value handed on is the mean over the integration step; lag,
+delay and rate limit are exact in this sense, so that they are smooth functions
+of their parameter and exactly absent at zero.
+"""
+
+from __future__ import annotations
+
+import math
+
+from oed_sysid.effects.amplitudes import amplitude
+from oed_sysid.effects.base import Actuator, Memory
+
+AMERONGEN = "van Amerongen (1982), Adaptive steering of ships, TU Delft."
+TAO = "Tao & Kokotović (1996), Adaptive control of systems with actuator nonlinearities, Wiley."
+ABBOTT = "Abbott & von Doenhoff (1959), Theory of wing sections, Dover."
+FRANKLIN = "Franklin, Powell & Workman (1998), Digital control of dynamic systems, ch. 4."
+
+_GUARD = "1e-9"  # keeps a division by a vanishing time constant finite
+
+
+def actuator_offset(
+    name: str, signal: str, unit: str = "rad", *, scale: float = 0.02, value: float = 0.0
+) -> Actuator:
+    """Constant difference between actual and commanded value.
+
+    >>> actuator_offset("fin_offset", "ds").terms
+    {'ds': 'ds + E_fin_offset'}
+    """
+    size = amplitude(name, unit, scale=scale, value=value)
+    return Actuator(
+        name,
+        {signal: f"{signal} + {size.name}"},
+        (size,),
+        description=f"constant offset of {signal}",
+        source=AMERONGEN,
+        needs="several speeds, to tell it from constant forces",
+    )
+
+
+def actuator_gain_error(
+    name: str, signal: str, *, scale: float = 0.1, value: float = 0.0
+) -> Actuator:
+    """Actual value is ``1 + E`` times the command; free force derivatives absorb it."""
+    size = amplitude(name, "1", scale=scale, value=value, bound=0.9)
+    return Actuator(
+        name,
+        {signal: f"{signal}*(1 + {size.name})"},
+        (size,),
+        description=f"relative error of {signal}",
+        source=AMERONGEN,
+        needs="a measurement of the deflection, or known force derivatives",
+    )
+
+
+def stall(name: str, signal: str, *, scale: float = 2.0, value: float = 0.0) -> Actuator:
+    """Loss of lift at large angles, :math:`d(1 - E d^2)`; valid before full stall."""
+    size = amplitude(name, "1/rad^2", scale=scale, value=value)
+    return Actuator(
+        name,
+        {signal: f"{signal}*(1 - {size.name}*{signal}**2)"},
+        (size,),
+        description=f"effect of {signal} grows less than in proportion",
+        source=ABBOTT,
+        needs=f"small and large {signal}",
+    )
+
+
+def actuator_lag(
+    name: str, signal: str, *, scale: float = 0.25, value: float = 0.0, parameter: str | None = None
+) -> Actuator:
+    """First-order lag of time constant ``E``."""
+    size = amplitude(name, "s", scale=scale, value=value, parameter=parameter, positive=True)
+    return Actuator(
+        name,
+        {signal: f"{signal} + (actual - {signal})*{size.name}/h*(1 - decay)"},
+        (size,),
+        definitions={"decay": f"exp(-h/({size.name} + {_GUARD}))"},
+        memory=(Memory("actual", f"{signal} + (actual - {signal})*decay", signal),),
+        description=f"{signal} follows its command with a first-order lag",
+        source=FRANKLIN,
+        needs="steps or reversals, sampled faster than the lag",
+    )
+
+
+def actuator_delay(
+    name: str,
+    signal: str,
+    *,
+    max_delay: float = 1.0,
+    step: float = 0.1,
+    scale: float = 0.2,
+    value: float = 0.0,
+) -> Actuator:
+    """Pure delay of ``E`` seconds.
+
+    The delayed command is a mean of earlier ones, kept in a register; its
+    weights are exact for held commands. ``step`` is the shortest integration
+    step; the register holds ``max_delay/step`` commands.
+    """
+    size = amplitude(name, "s", scale=scale, value=value, positive=True, bound=max_delay)
+    past = [f"past_{i}" for i in range(1, math.ceil(max_delay / step) + 1)]
+    return Actuator(
+        name,
+        {signal: delayed(signal, past, size.name)},
+        (size,),
+        memory=tuple(
+            Memory(own, newer, signal)
+            for own, newer in zip(past, [signal, *past[:-1]], strict=True)
+        ),
+        description=f"{signal} follows its command after a dead time",
+        source=FRANKLIN,
+        needs="steps or reversals, sampled faster than the delay",
+    )
+
+
+def delayed(signal: str, past: list[str], delay: str) -> str:
+    """Mean of present and past values that a delay hands on.
+
+    Hat functions of ``delay/h``; of the two slopes that meet at a node the
+    right one is taken, so that the derivative at zero delay is that of more delay.
+    """
+    pieces = [f"max(0, 1 - {delay}/h)*{signal}"]
+    for i, name in enumerate(past, start=1):
+        fall = "1" if i == len(past) else f"max(0, {i + 1} - {delay}/h)"
+        pieces.append(f"where({delay} < {i}*h, max({delay}/h - {i - 1}, 0), {fall})*{name}")
+    return " + ".join(pieces)
+
+
+def rate_limit(
+    name: str, signal: str, unit: str = "rad", *, scale: float = 3.0, value: float = 0.0
+) -> Actuator:
+    """Limited rate, by its slowness ``E = 1/rate`` so that zero means unlimited.
+
+    See :func:`maximum_rate` for the rate itself.
+    """
+    size = amplitude(
+        name, f"s/{unit}", scale=scale, value=value, positive=True, description="1 / maximum rate"
+    )
+    reach = f"h/max({size.name}, {_GUARD})"
+    arrives = f"abs(way)*{size.name} <= h"
+    mean = f"where({arrives}, {signal} - way*abs(way)*{size.name}/(2*h), actual + toward*{reach}/2)"
+    return Actuator(
+        name,
+        {signal: mean},
+        (size,),
+        definitions={"way": f"{signal} - actual", "toward": "sign(way)"},
+        memory=(Memory("actual", f"where({arrives}, {signal}, actual + toward*{reach})", signal),),
+        description=f"{signal} changes at no more than 1/{size.name} per second",
+        source=AMERONGEN,
+        needs="steps of different size: the time to arrive grows with the step",
+    )
+
+
+def maximum_rate(effect: Actuator) -> float:
+    """Rate of a :func:`rate_limit`, infinite where it is absent.
+
+    >>> maximum_rate(rate_limit("fin_rate_limit", "ds", value=4.0))
+    0.25
+    """
+    slowness = effect.parameters[0].value
+    return 1.0 / slowness if slowness > 0 else math.inf
+
+
+def deadband(
+    name: str, signal: str, unit: str = "rad", *, scale: float = 0.03, value: float = 0.0
+) -> Actuator:
+    """Commands within ``±E`` do nothing, larger ones lose ``E``."""
+    size = amplitude(name, unit, scale=scale, value=value, positive=True, description="half-width")
+    shrunk = f"{signal} - {size.name}*sign({signal})"
+    return Actuator(
+        name,
+        {signal: f"where(abs({signal}) > {size.name}, {shrunk}, 0)"},
+        (size,),
+        description=f"small {signal} commands have no effect",
+        source=TAO,
+        needs="commands near zero and far from it",
+    )
+
+
+def backlash(
+    name: str, signal: str, unit: str = "rad", *, scale: float = 0.03, value: float = 0.0
+) -> Actuator:
+    """Play of half-width ``E``: the actual value moves when its flank is touched."""
+    size = amplitude(name, unit, scale=scale, value=value, positive=True, description="half-width")
+    return Actuator(
+        name,
+        {signal: "held"},
+        (size,),
+        definitions={"held": f"max(min(actual, {signal} + {size.name}), {signal} - {size.name})"},
+        memory=(Memory("actual", "held", signal),),
+        description=f"play between command and actual {signal}",
+        source=TAO,
+        needs="reversals of small and large amplitude",
+    )
+
+
+def saturation(name: str, signal: str, limit: float, unit: str = "rad") -> Actuator:
+    """Mechanical stops at ``±limit``, a known property of a base model."""
+    size = amplitude(name, unit, value=limit, parameter=f"limit_{name}", positive=True)
+    return Actuator(
+        name,
+        {signal: f"max(min({signal}, {size.name}), -{size.name})"},
+        (size,),
+        amplitudes=(),
+        description=f"mechanical stops of {signal}",
+        source=AMERONGEN,
+        needs="commands beyond the stops",
+    )
