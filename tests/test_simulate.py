@@ -1,0 +1,414 @@
+"""Simulation against closed forms, an adaptive integrator, and itself."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from oed_sysid.channels import Input, Output, State
+from oed_sysid.effects import Actuator, Force, Memory, Sensor
+from oed_sysid.errors import DesignError, SimulationError
+from oed_sysid.experiment import Experiment, Limits
+from oed_sysid.manoeuvres import Constant, Doublet, RateLimited, TurningCircle, ZigZag, ZigZagLike
+from oed_sysid.model import Model
+from oed_sysid.parameters import Parameter
+from oed_sysid.simulate import (
+    equilibrium,
+    linearise,
+    reference_trajectory,
+    simulate,
+    simulate_batch,
+    simulate_inputs,
+)
+
+K, T = 0.08, 12.0
+NOMOTO = Model(
+    "Nomoto",
+    states=(State("psi", "rad"), State("r", "rad/s", scale=0.05)),
+    inputs=(Input("rudder", "rad"),),
+    outputs=(Output("psi", "rad", noise_std=0.003), Output("r", "rad/s", noise_std=1e-3)),
+    kinematics={"psi": "r", "r": "(K*rudder - r)/T"},
+    parameters=(Parameter("K", K, "1/s"), Parameter("T", T, "s", lower=0.1)),
+)
+PENDULUM = Model(
+    "pendulum",
+    states=(State("angle", "rad"), State("rate", "rad/s")),
+    inputs=(),
+    outputs=(Output("angle", "rad"),),
+    kinematics={"angle": "rate", "rate": "-4*sin(angle)"},
+    step=0.01,
+)
+# Diving plane of a small AUV; actuator lag and depth-sensor lag have memory.
+AUV = Model(
+    "AUV",
+    states=(
+        State("u", "m/s"),
+        State("w", "m/s", scale=0.1),
+        State("q", "rad/s", scale=0.1),
+        State("theta", "rad", scale=0.1),
+        State("z", "m"),
+    ),
+    inputs=(Input("fin", "rad"), Input("thrust", "N")),
+    outputs=(
+        Output("q", "rad/s", noise_std=0.004),
+        Output("theta", "rad", noise_std=0.004),
+        Output("z", "m", noise_std=0.03),
+    ),
+    axes={"X": "u", "Z": "w", "M": "q"},
+    inertia={
+        ("X", "u"): "31.4",
+        ("Z", "w"): "66",
+        ("Z", "q"): "1.93",
+        ("M", "w"): "1.93",
+        ("M", "q"): "8.33",
+    },
+    kinematics={"theta": "q", "z": "-u*sin(theta) + w*cos(theta)"},
+    actuators={"ds": "fin", "T": "thrust"},
+    effects=(
+        Force(
+            "hull",
+            {
+                "X": "X_uu*u*abs(u) + T - 30.5*q*w",
+                "Z": "30.5*u*q - 40*u*w - 9*u*q - 12*u**2*ds",
+                "M": "14*u*w - 9*u*q - 6.15*u**2*ds - 5.9*sin(theta)",
+            },
+            (Parameter("X_uu", -3.9, "kg/m"),),
+        ),
+        Actuator(
+            "fin_lag",
+            {"ds": "ds + (before - ds)*0.3/h*(1 - exp(-h/0.3))"},
+            memory=(Memory("before", "ds + (before - ds)*exp(-h/0.3)", "fin"),),
+        ),
+        Sensor(
+            "depth_lag",
+            {"z": "lagged"},
+            definitions={"lagged": "z + (before - z)*exp(-h/0.5)"},
+            memory=(Memory("before", "lagged", "z"),),
+        ),
+    ),
+)
+DIVE = Experiment(
+    "dive",
+    ZigZagLike("fin", 0.2, 0.15, rate=0.3),
+    duration=100.0,
+    sample_time=0.1,
+    constants={"thrust": 9.0},
+    initial={"u": 1.5, "z": 10.0},
+)
+
+
+def test_step_response_of_first_order_nomoto() -> None:
+    """Yaw rate and heading after a rudder step follow the closed form (Nomoto 1957)."""
+    times = np.linspace(0.0, 60.0, 121)
+    run = simulate_inputs(NOMOTO, times, inputs={"rudder": 0.2})
+    rate = K * 0.2 * (1 - np.exp(-times / T))
+    np.testing.assert_allclose(run.signal("r"), rate, atol=1e-10)
+    heading = K * 0.2 * (times - T * (1 - np.exp(-times / T)))
+    np.testing.assert_allclose(run.signal("psi"), heading, atol=1e-9)
+
+
+def test_pendulum_keeps_its_energy() -> None:
+    """A pendulum without friction loses less than 1e-7 of its energy in 50 swings."""
+    run = simulate_inputs(PENDULUM, np.linspace(0.0, 200.0, 2001), inputs={}, initial=[2.0, 0.0])
+    energy = run.signal("rate") ** 2 / 2 - 4 * np.cos(run.signal("angle"))
+    assert np.ptp(energy) < 1e-7 * 4
+
+
+def test_order_four_against_the_reference() -> None:
+    """Halving the step divides the error by 16, as Runge-Kutta's order 4 says."""
+    times = np.linspace(0.0, 10.0, 26)
+    exact = reference_trajectory(PENDULUM, times, inputs={}, initial=[0.5, 0.0])
+    errors = []
+    for step in (0.1, 0.05, 0.025):
+        run = simulate_inputs(replace(PENDULUM, step=step), times, inputs={}, initial=[0.5, 0.0])
+        errors.append(np.abs(run.states - exact.states).max())
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    np.testing.assert_allclose(orders, 4.0, atol=0.1)
+
+
+def test_reference_agrees_with_memory_and_linear_inputs() -> None:
+    """Actuator and sensor memory move alike in kernel and reference, for held and linear inputs."""
+    times = np.linspace(0.0, 12.0, 61)
+    for interpolation in ("hold", "linear"):
+        inputs = tuple(replace(channel, interpolation=interpolation) for channel in AUV.inputs)
+        model = replace(AUV, inputs=inputs, step=0.05)
+        commands = {"fin": 0.2 * np.sin(times), "thrust": 9.0}
+        start = {"u": 1.5, "z": 10.0}
+        run = simulate_inputs(model, times, inputs=commands, initial=start)
+        exact = reference_trajectory(model, times, inputs=commands, initial=start)
+        np.testing.assert_allclose(run.outputs, exact.outputs, atol=3e-6)
+
+
+def test_zigzag_reverses_on_what_is_measured() -> None:
+    """Without noise each reversal is at the first sample at or beyond the switch."""
+    test = Experiment("zz", ZigZag("rudder", 0.2, 0.2), duration=120.0, sample_time=0.5)
+    record = simulate(NOMOTO, test, noise=False)
+    rudder, psi = record.input("rudder"), record.output("psi")
+    changes = np.flatnonzero(np.diff(rudder)) + 1
+    assert len(changes) >= 3
+    for side, k in zip([1, -1] * 5, changes, strict=False):
+        assert side * psi[k] >= 0.2 > side * psi[k - 1]
+    assert record.channels == NOMOTO.channels
+
+
+def test_closed_loop_record_is_reproduced_by_its_own_inputs() -> None:
+    """Replaying the logged commands gives the logged outputs, with lags and rate limits too."""
+    record = simulate(AUV, DIVE, noise=False)
+    run = simulate_inputs(AUV, record.times, inputs=record.inputs, initial=DIVE.initial)
+    np.testing.assert_array_equal(run.outputs, record.outputs)
+    assert np.abs(np.diff(record.input("fin"))).max() <= 0.3 * 0.1 * (1 + 1e-9)
+    assert (np.abs(np.diff(np.sign(record.input("fin")))) > 0).sum() >= 5
+
+
+def test_linear_inputs_in_closed_loop() -> None:
+    """A linearly interpolated rudder is decided causally and replays exactly."""
+    rudder = Input("rudder", "rad", interpolation="linear")
+    model = replace(NOMOTO, inputs=(rudder,))
+    zigzag = ZigZag("rudder", 0.2, 0.2, rate=0.1)
+    record = simulate(model, Experiment("zz", zigzag, duration=90.0, sample_time=0.5), noise=False)
+    run = simulate_inputs(model, record.times, inputs=record.inputs)
+    np.testing.assert_array_equal(run.outputs, record.outputs)
+    assert np.ptp(record.input("rudder")) == pytest.approx(0.4)
+
+
+def test_feedback_on_true_signals_ignores_noise() -> None:
+    """With feedback='true' noise does not move the reversals; with 'measured' it does."""
+    noisy = {"psi": 0.05, "r": 1e-3}
+    settings = {"duration": 120.0, "sample_time": 0.5, "noise": noisy}
+    clean = simulate(NOMOTO, Experiment("a", ZigZag("rudder", 0.2, 0.2), **settings), noise=False)
+    results = {
+        feedback: simulate(
+            NOMOTO,
+            Experiment("a", ZigZag("rudder", 0.2, 0.2), feedback=feedback, **settings),
+            rng=np.random.default_rng(5),
+        )
+        for feedback in ("true", "measured")
+    }
+    np.testing.assert_array_equal(results["true"].inputs, clean.inputs)
+    assert (results["measured"].inputs != clean.inputs).any()
+
+
+def test_noise_has_the_stated_standard_deviation() -> None:
+    """Over 4000 samples the noise is as large as stated, within 4 standard errors."""
+    test = Experiment("a", Constant("rudder", 0.0), duration=400.0, noise={"r": 0.02})
+    record = simulate(NOMOTO, test, rng=np.random.default_rng(3))
+    tolerance = 4 / np.sqrt(2 * record.n_samples)
+    assert record.output("psi").std() == pytest.approx(0.003, rel=tolerance)
+    assert record.output("r").std() == pytest.approx(0.02, rel=tolerance)
+    again = simulate(NOMOTO, test, rng=np.random.default_rng(3))
+    np.testing.assert_array_equal(again.outputs, record.outputs)
+
+
+def test_noise_needs_a_generator_and_a_size() -> None:
+    """Neither is guessed."""
+    test = Experiment("a", Constant("rudder", 0.0), duration=5.0)
+    with pytest.raises(SimulationError, match="default_rng"):
+        simulate(NOMOTO, test)
+    unknown = replace(NOMOTO, outputs=(Output("psi", "rad"),))
+    with pytest.raises(SimulationError, match="noise of psi is not known"):
+        simulate(unknown, test, rng=np.random.default_rng(1))
+    assert simulate(unknown, test, noise=False, name="b").name == "b"
+
+
+def test_closed_loop_commands_respect_limits() -> None:
+    """A zigzag larger than its limit is refused by name."""
+    limits = Limits(inputs={"rudder": (-0.1, 0.1)})
+    test = Experiment("zz", ZigZag("rudder", 0.2, 0.2), duration=20.0, limits=limits)
+    with pytest.raises(DesignError, match="input 'rudder' reaches"):
+        simulate(NOMOTO, test, noise=False)
+
+
+def test_closed_loop_is_fast() -> None:
+    """1000 samples of a rate-limited zigzag take less than 50 ms (best of five)."""
+    simulate(AUV, DIVE, noise=False)
+    seconds = []
+    for _ in range(5):
+        begin = time.perf_counter()
+        simulate(AUV, DIVE, noise=False)
+        seconds.append(time.perf_counter() - begin)
+    assert min(seconds) < 0.05
+
+
+def test_divergence_names_state_and_time_and_step() -> None:
+    """A step that is too long is recognised, and a finite escape is not blamed on it."""
+    stiff = replace(NOMOTO.with_values({"T": 0.1}), step=1.0)
+    with pytest.raises(SimulationError, match=r"'Nomoto' diverged .* r = .*step=0.1"):
+        simulate_inputs(stiff, np.arange(800.0), inputs={"rudder": 0.1})
+    escape = Model("escape", (State("x", "m"),), (), (Output("x", "m"),), {"x": "x*x"})
+    with pytest.raises(SimulationError, match=r"x = .*Check signs"):
+        simulate_inputs(escape, np.arange(0, 5.0, 0.1), inputs={}, initial={"x": 1.0})
+    run = simulate_inputs(
+        escape, np.arange(0, 5.0, 0.1), inputs={}, initial={"x": 1.0}, throw=False
+    )
+    assert not run.ok
+    assert np.isnan(run.outputs[run.failed_at :]).all()
+    assert np.isfinite(run.states[: run.failed_at]).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"inputs": np.zeros((4, 1))}, r"expected time first, \(5, 1\)"),
+        ({"inputs": {"fin": 0.0}}, "has the inputs rudder"),
+        ({"inputs": {"rudder": [0, 0, np.nan, 0, 0]}}, "'rudder' is nan at sample 2"),
+        ({"inputs": {"rudder": 0.0}, "initial": {"v": 1.0}}, "'v'"),
+        ({"inputs": {"rudder": 0.0}, "initial": [0.0]}, "2 finite numbers: psi, r"),
+    ],
+)
+def test_inputs_and_start_are_checked(settings: dict, message: str) -> None:
+    """Shapes and names are compared with the model before anything runs."""
+    with pytest.raises(SimulationError, match=message):
+        simulate_inputs(NOMOTO, np.arange(5.0), **settings)
+
+
+def test_signals_by_name() -> None:
+    """True state and lagging measurement of the same name are told apart."""
+    run = simulate_inputs(
+        AUV,
+        np.arange(0, 20, 0.1),
+        inputs={"fin": 0.1, "thrust": 9.0},
+        initial={"u": 1.5, "z": 10.0},
+    )
+    assert np.abs(run.signal("z") - run.output("z")).max() > 0.01
+    np.testing.assert_array_equal(run.signal("fin"), 0.1)
+    assert set(run.signals) == {"u", "w", "q", "theta", "z", "fin", "thrust"}
+    with pytest.raises(SimulationError, match="no signal 'phi'"):
+        run.signal("phi")
+
+
+@pytest.mark.parametrize("n_workers", [1, 2])
+def test_batch_equals_loop(n_workers: int) -> None:
+    """Every member is what a single simulation gives, whatever the number of threads."""
+    rng = np.random.default_rng(2)
+    times = np.arange(0, 30, 0.2)
+    values = np.array([-3.9, -4.5, -2.0, -3.0, -8.0])[:, np.newaxis]
+    inputs = rng.normal(size=(5, len(times), 2)) * [0.1, 1.0] + [0.0, 9.0]
+    starts = np.column_stack([rng.uniform(1, 2, 5), np.zeros((5, 3)), rng.uniform(5, 15, 5)])
+    together = simulate_batch(
+        AUV, times, inputs=inputs, values=values, initials=starts, n_workers=n_workers
+    )
+    for member in range(5):
+        model = AUV.with_values({"X_uu": float(values[member, 0])})
+        alone = simulate_inputs(model, times, inputs=inputs[member], initial=starts[member])
+        np.testing.assert_array_equal(together[member], alone.outputs)
+
+
+def test_batch_marks_divergence_and_checks_shapes() -> None:
+    """A member that diverges is NaN from there; the others are not touched."""
+    values = [[K, T], [K, 1e-1]]
+    stiff = replace(NOMOTO, step=1.0)
+    y = simulate_batch(stiff, np.arange(800.0), inputs={"rudder": 0.1}, values=values)
+    assert np.isfinite(y[0]).all()
+    assert np.isnan(y[1, -1]).all()
+    with pytest.raises(SimulationError, match="K, T"):
+        simulate_batch(NOMOTO, np.arange(5.0), inputs={"rudder": 0.1}, values=[[1.0]])
+    with pytest.raises(SimulationError, match="3 sets of inputs"):
+        simulate_batch(NOMOTO, np.arange(5.0), inputs=np.zeros((3, 5, 1)), values=values)
+    with pytest.raises(SimulationError, match="3 start states"):
+        simulate_batch(
+            NOMOTO,
+            np.arange(5.0),
+            inputs={"rudder": 0.1},
+            values=values,
+            initials=np.zeros((3, 2)),
+        )
+
+
+def test_equilibrium_of_a_dive() -> None:
+    """With a given fin the AUV settles in a steady dive, as a long simulation confirms."""
+    trim = equilibrium(AUV, inputs={"fin": 0.05, "thrust": 9.0})
+    assert trim.ok, trim.status
+    assert trim.steady == ("u", "w", "q", "theta")
+    assert trim.residual < 1e-8
+    run = simulate_inputs(
+        AUV, np.arange(0, 200, 0.5), inputs={"fin": 0.05, "thrust": 9.0}, initial={"u": 1.5}
+    )
+    for name in trim.steady:
+        assert run.signal(name)[-1] == pytest.approx(trim.states[name], abs=1e-6)
+
+
+def test_equilibrium_solves_for_inputs_within_limits() -> None:
+    """Level flight at 1.5 m/s needs thrust -X_uu u^2; where the limit forbids it, it says so."""
+    level = {"fixed": {"u": 1.5, "z": 10.0}, "free": ["fin", "thrust"]}
+    wanted = ["u", "w", "q", "theta", "z"]
+    trim = equilibrium(AUV, **level, steady=wanted)
+    assert trim.ok
+    assert trim.inputs["thrust"] == pytest.approx(3.9 * 1.5**2)
+    assert trim.inputs["fin"] == pytest.approx(0.0, abs=1e-9)
+    weak = equilibrium(AUV, **level, steady=wanted, limits=Limits(inputs={"thrust": (0.0, 5.0)}))
+    assert not weak.ok
+    assert "u keeps changing" in weak.status
+    assert weak.inputs["thrust"] == pytest.approx(5.0, abs=1e-6)
+
+
+def test_equilibrium_says_what_is_missing() -> None:
+    """An input is given or free; nothing is assumed to be zero."""
+    with pytest.raises(SimulationError, match="'thrust' is neither given nor free"):
+        equilibrium(AUV, inputs={"fin": 0.0})
+    with pytest.raises(SimulationError, match="no state or input 'rudder'"):
+        equilibrium(AUV, inputs={"fin": 0.0, "thrust": 9.0, "rudder": 1.0})
+    with pytest.raises(SimulationError, match="both given and free"):
+        equilibrium(AUV, inputs={"fin": 0.0, "thrust": 9.0}, free=["fin"])
+    drifting = Model("drift", (State("x", "m"),), (), (Output("x", "m"),), {"x": "1 + x*x"})
+    nothing = equilibrium(drifting)
+    assert not nothing.ok
+    with pytest.raises(SimulationError, match="at an equilibrium only"):
+        linearise(drifting, nothing)
+
+
+def test_linear_model_against_finite_differences() -> None:
+    """Matrices are the derivatives of the equations, also by central differences."""
+    bare = AUV.without("fin_lag", "depth_lag")
+    trim = equilibrium(bare, inputs={"fin": 0.05, "thrust": 9.0})
+    linear = linearise(bare, trim)
+    assert linear.state_labels == list(bare.state_names)
+    assert linear.input_labels == ["fin", "thrust"]
+    assert linear.output_labels == ["q", "theta", "z"]
+    x = np.array(list(trim.states.values()))
+    u = np.array(list(trim.inputs.values()))
+
+    def slope(direction: np.ndarray) -> np.ndarray:
+        # A very short run is the rate of the states; central in the deviation.
+        ends = []
+        for sign in (1e-4, -1e-4):
+            start = x + sign * direction[: len(x)]
+            command = np.tile(u + sign * direction[len(x) :], (2, 1))
+            run = simulate_inputs(bare, [0.0, 1e-4], inputs=command, initial=start)
+            ends.append((run.states[1] - start) / 1e-4)
+        return (ends[0] - ends[1]) / 2e-4
+
+    columns = np.column_stack([slope(axis) for axis in np.eye(len(x) + len(u))])
+    np.testing.assert_allclose(np.hstack([linear.A, linear.B]), columns, atol=2e-3, rtol=1e-3)
+
+
+def test_linear_model_of_a_linear_model() -> None:
+    """The poles of a Nomoto ship are 0 (heading) and -1/T, its yaw gain is K."""
+    linear = linearise(NOMOTO, equilibrium(NOMOTO, inputs={"rudder": 0.0}), outputs=["r"])
+    np.testing.assert_allclose(np.sort(linear.poles().real), [-1 / T, 0.0], atol=1e-12)
+    assert linear(1e-6j)[()].real == pytest.approx(K, rel=1e-4)
+    with pytest.raises(SimulationError, match="no output 'u'"):
+        linearise(NOMOTO, equilibrium(NOMOTO, inputs={"rudder": 0.0}), outputs=["u"])
+
+
+def test_settled_sensor_and_actuator_have_unit_gain() -> None:
+    """Lags vanish in the linear model: the depth sensor reads depth one to one."""
+    linear = linearise(AUV, equilibrium(AUV, inputs={"fin": 0.0, "thrust": 9.0}))
+    bare = AUV.without("fin_lag", "depth_lag")
+    plain = linearise(bare, equilibrium(bare, inputs={"fin": 0.0, "thrust": 9.0}))
+    for name in "ABCD":
+        np.testing.assert_allclose(getattr(linear, name), getattr(plain, name), atol=1e-9)
+
+
+def test_open_loop_experiments_need_no_feedback() -> None:
+    """Doublet, circle and a rate-limited command run in one go."""
+    manoeuvres = (
+        Doublet("rudder", 0.1, pulse_time=5.0),
+        TurningCircle("rudder", 0.3, rate=0.05),
+        RateLimited(TurningCircle("rudder", 0.3), 0.05),
+    )
+    for manoeuvre in manoeuvres:
+        record = simulate(NOMOTO, Experiment("a", manoeuvre, duration=30.0), noise=False)
+        np.testing.assert_allclose(record.input("rudder"), manoeuvre.commands(record.times))
