@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -109,7 +110,7 @@ def _integrator(graph: Graph, tolerance: float) -> ca.Function:
     problem = {"x": x, "t": fraction, "p": ca.vertcat(memory, begin, end, p, start, h), "ode": ode}
     sizes = [*(state.scale for state in model.states)]
     sizes += [1.0] * (graph.n_states - len(sizes))
-    options = {
+    options: dict[str, Any] = {
         "linear_multistep_method": "adams",
         "reltol": tolerance,
         "abstol": tolerance * min(sizes),
