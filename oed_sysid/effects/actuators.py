@@ -119,13 +119,15 @@ def actuator_delay(
 def delayed(signal: str, past: list[str], delay: str) -> str:
     """Mean of present and past values that a delay hands on.
 
-    Hat functions of ``delay/h``; of the two slopes that meet at a node the
-    right one is taken, so that the derivative at zero delay is that of more delay.
+    Hat functions of ``delay/h``; of the two slopes that meet at a corner the
+    right one is taken, so that the derivative at zero is that of more delay. A
+    delay longer than the register counts as the register's length.
     """
-    pieces = [f"max(0, 1 - {delay}/h)*{signal}"]
+    pieces = [f"where({delay} < h, 1 - {delay}/h, 0)*{signal}"]
     for i, name in enumerate(past, start=1):
-        fall = "1" if i == len(past) else f"max(0, {i + 1} - {delay}/h)"
-        pieces.append(f"where({delay} < {i}*h, max({delay}/h - {i - 1}, 0), {fall})*{name}")
+        rise = f"where({delay} < {i - 1}*h, 0, {delay}/h - {i - 1})" if i > 1 else f"{delay}/h"
+        fall = f"where({delay} < {i + 1}*h, {i + 1} - {delay}/h, 0)" if i < len(past) else "1"
+        pieces.append(f"where({delay} < {i}*h, {rise}, {fall})*{name}")
     return " + ".join(pieces)
 
 
@@ -185,11 +187,14 @@ def backlash(
 ) -> Actuator:
     """Play of half-width ``E``: the actual value moves when its flank is touched."""
     size = amplitude(name, unit, scale=scale, value=value, positive=True, description="half-width")
+    low, high = f"{signal} - {size.name}", f"{signal} + {size.name}"
     return Actuator(
         name,
         {signal: "held"},
         (size,),
-        definitions={"held": f"max(min(actual, {signal} + {size.name}), {signal} - {size.name})"},
+        definitions={
+            "held": f"where(actual > {high}, {high}, where(actual < {low}, {low}, actual))"
+        },
         memory=(Memory("actual", "held", signal),),
         description=f"play between command and actual {signal}",
         source=TAO,

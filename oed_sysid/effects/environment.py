@@ -167,6 +167,7 @@ def wind_load(
             for axis in coefficients
         },
         (size, *known.values()),
+        amplitudes=(size.name,),
         definitions={
             "air_u": f"u - {known['speed'].name}*cos{blow}",
             "air_v": f"v - {known['speed'].name}*sin{blow}",

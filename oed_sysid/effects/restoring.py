@@ -162,6 +162,7 @@ def hull_compressibility(
         name,
         {axis: f"{size.name}*({depth} - {zero.name})"},
         (size, zero),
+        amplitudes=(size.name,),
         description="the hull is compressed more than the water",
         source=FOSSEN,
         needs="a change of depth that is large against the manoeuvre",
