@@ -1,0 +1,71 @@
+"""The command line ``oed-sysid``: thin commands over the public API.
+
+==========  =============================================================
+exit code   meaning
+==========  =============================================================
+0           done
+1           ended without a usable result (a fit did not converge)
+2           the command line, a file or a problem has to be corrected
+3           an unexpected error: a fault of this program
+130         interrupted
+==========  =============================================================
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+import warnings
+from collections.abc import Sequence
+
+DONE, NO_RESULT, BAD_INPUT, UNEXPECTED, INTERRUPTED = 0, 1, 2, 3, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code.
+
+    Every error of the package is said in words here, and only here.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command line after the program's name; by default that of the process.
+    """
+    from oed_sysid.cli.application import app
+    from oed_sysid.cli.arguments import spread
+    from oed_sysid.cli.options import SEVERAL
+    from oed_sysid.errors import OedSysidError
+
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in given
+    given = spread([argument for argument in given if argument != "--debug"], SEVERAL)
+    with warnings.catch_warnings():
+        warnings.showwarning = _say_warning
+        try:
+            app(args=given, prog_name="oed-sysid")
+        except SystemExit as end:
+            return int(end.code or 0)
+        except OedSysidError as error:
+            if debug:
+                traceback.print_exc()
+            print(f"Error: {error}", file=sys.stderr)
+            return BAD_INPUT
+        except KeyboardInterrupt:
+            print("Interrupted.", file=sys.stderr)
+            return INTERRUPTED
+        except Exception as error:
+            if debug:
+                traceback.print_exc()
+                return UNEXPECTED
+            print(
+                f"Unexpected error: {type(error).__name__}: {error}\nThis is a fault of the "
+                "program. Repeat the command with --debug to see where, and report it.",
+                file=sys.stderr,
+            )
+            return UNEXPECTED
+    return DONE
+
+
+def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
+    """Print a warning as a sentence, without file and line of this package."""
+    print(f"Note: {message}", file=sys.stderr)

@@ -1,0 +1,52 @@
+"""The commands and how they are offered."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from oed_sysid.cli import commands_data, commands_fit
+
+EPILOG = (
+    "Exit codes: 0 done; 1 the work ended without a usable result, such as a fit that did not "
+    "converge; 2 the command line, a file or a problem has to be corrected; 3 an unexpected "
+    "error; 130 interrupted.\n\n"
+    "The whole path in Python and on the command line: README.md."
+)
+
+app = typer.Typer(
+    name="oed-sysid",
+    help="Identify ships and underwater vehicles: simulate, fit, and find what a model lacks.",
+    epilog=EPILOG,
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from oed_sysid import __version__
+
+        typer.echo(f"oed_sysid {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _settings(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version.", callback=_version, is_eager=True)
+    ] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show the traceback of an error; works anywhere.")
+    ] = False,
+) -> None:
+    pass  # --debug is taken out of the command line before, in oed_sysid.cli.main
+
+
+for module in (commands_data, commands_fit):
+    for command in module.COMMANDS:
+        app.command(no_args_is_help=command.__name__ != "problems")(command)

@@ -1,0 +1,155 @@
+"""Commands around problems and records: problems, new, simulate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from oed_sysid.cli.options import JsonFile, ProblemName, Variant
+from oed_sysid.cli.terminal import note, say, store, table
+from oed_sysid.errors import DataError, OedSysidError, ProblemError
+
+if TYPE_CHECKING:
+    from oed_sysid.experiment import Experiment
+    from oed_sysid.problem import Problem
+
+
+def problems(
+    problem: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[PROBLEM]",
+            help="A shipped problem or a folder: says what it holds, with its equations.",
+            show_default=False,
+        ),
+    ] = None,
+    model: Variant = None,
+    json_file: JsonFile = None,
+) -> None:
+    """List the shipped problems, or describe one.
+
+    [bold]Example[/bold]: oed-sysid problems remus_diving_plane
+    """
+    from oed_sysid.problem import list_problems, load_problem
+
+    if problem is not None:
+        chosen = load_problem(problem, variant=model)
+        say(chosen.describe())
+        say("\nEquations of motion")
+        say("\n".join(f"  {line}" for line in chosen.model.equations().splitlines()))
+        say("\nExperiments")
+        say("\n".join(f"  {run.describe()}" for run in chosen.experiments.values()) or "  none")
+        store(_summary(chosen) | {"equations": chosen.model.equations().splitlines()}, json_file)
+        return
+    found, rows = [], []
+    for name in list_problems():
+        try:
+            one = load_problem(name)
+        except OedSysidError as error:
+            # One faulty folder must not hide the others.
+            note(f"Problem {name!r} cannot be loaded: {error}")
+            continue
+        found.append(one)
+        rows.append((name, str(len(one.model.free_names)), str(len(one.effects)), one.title))
+    table(("problem", "parameters", "candidates", "title"), rows)
+    store({"problems": [_summary(one) for one in found]}, json_file)
+
+
+def new(
+    folder: Annotated[Path, typer.Argument(help="The folder to make; its name names the problem.")],
+) -> None:
+    """Write a starter folder for a vehicle of your own.
+
+    [bold]Example[/bold]: oed-sysid new my_vehicle
+    """
+    from oed_sysid.problem import new_problem
+
+    made = new_problem(folder)
+    say(f"Written: {made}")
+    say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {made}")
+
+
+def simulate(
+    problem: ProblemName,
+    experiment: Annotated[
+        str | None,
+        typer.Option(
+            "--experiment", metavar="NAME", help="Which experiment; by default all of them."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="CSV",
+            help="File to write, or a folder for one file per experiment.",
+            show_default="<experiment>.csv",
+        ),
+    ] = None,
+    model: Variant = None,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the measurement noise.")] = 0,
+    no_noise: Annotated[bool, typer.Option("--no-noise", help="Without noise.")] = False,
+) -> None:
+    """Simulate experiments of a problem and write what would be logged as CSV.
+
+    [bold]Example[/bold]: oed-sysid simulate remus_diving_plane --out runs/
+    """
+    import numpy as np
+
+    from oed_sysid.dataset import write_csv
+    from oed_sysid.problem import load_problem
+    from oed_sysid.simulate import simulate as run
+
+    chosen = load_problem(problem, variant=model)
+    wanted = _experiments(chosen, experiment)
+    files = _files(wanted, out)
+    rng = np.random.default_rng(seed)
+    for one, file in zip(wanted, files, strict=True):
+        record = run(chosen.model, one, rng=rng, noise=not no_noise)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_csv(record, file)
+        say(f"{file}: {one.describe()}")
+    if chosen.truth:
+        note("Simulated with the model's own parameter values, not with the problem's truth.")
+
+
+def _experiments(problem: Problem, name: str | None) -> list[Experiment]:
+    if name is not None:
+        return [problem.experiment(name)]
+    if not problem.experiments:
+        raise ProblemError(
+            f"Problem {problem.name!r} has no experiments. Add one to its problem.py: "
+            "experiments={'name': Experiment(...)}."
+        )
+    return list(problem.experiments.values())
+
+
+def _files(experiments: list[Experiment], out: Path | None) -> list[Path]:
+    """File of each experiment; ``out`` names a file or a folder."""
+    if out is not None and out.suffix.lower() == ".csv" and not out.is_dir():
+        if len(experiments) > 1:
+            raise DataError(
+                f"{out} is one file, but there are {len(experiments)} experiments: "
+                f"{', '.join(one.name for one in experiments)}. Choose one with --experiment, or "
+                "give a folder."
+            )
+        return [out]
+    return [(out or Path()) / f"{one.name}.csv" for one in experiments]
+
+
+def _summary(problem: Problem) -> dict[str, object]:
+    return {
+        "name": problem.name,
+        "title": problem.title,
+        "models": list(problem.variants),
+        "inputs": list(problem.model.input_names),
+        "outputs": list(problem.model.output_names),
+        "free_parameters": list(problem.model.free_names),
+        "candidates": [effect.name for effect in problem.effects],
+        "experiments": list(problem.experiments),
+    }
+
+
+COMMANDS = (problems, new, simulate)

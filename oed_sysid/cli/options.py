@@ -1,0 +1,60 @@
+"""Arguments and options that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+# Options that take several values after one flag; see oed_sysid.cli.arguments.
+SEVERAL = ("--train", "--test")
+
+ProblemName = Annotated[
+    str,
+    typer.Argument(
+        metavar="PROBLEM",
+        help="A shipped problem (see: oed-sysid problems) or the path of a folder of your own.",
+        show_default=False,
+    ),
+]
+Variant = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        metavar="NAME",
+        help="Which of the problem's models to believe, if it has several.",
+        show_default=False,
+    ),
+]
+JsonFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--json", metavar="FILE", help="Also write the result to FILE as JSON.", show_default=False
+    ),
+]
+Train = Annotated[
+    list[str],
+    typer.Option(
+        "--train",
+        metavar="CSV...",
+        help="Records to learn from: files, folders or patterns; several after one --train.",
+        show_default=False,
+    ),
+]
+Test = Annotated[
+    list[str],
+    typer.Option(
+        "--test",
+        metavar="CSV...",
+        help="Records to judge with; nothing is fitted to them.",
+        show_default=False,
+    ),
+]
+KnownNoise = Annotated[
+    bool,
+    typer.Option(
+        "--known-noise",
+        help="Trust the noise levels that the problem declares instead of estimating them.",
+    ),
+]
