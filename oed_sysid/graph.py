@@ -8,6 +8,8 @@ function   arguments                              results
 =========  =====================================  ========================
 actuate    memory, inputs, parameters, t, h       signals, next memory
 rates      states, signals, parameters, t         rates of the states
+balance    states, their rates, signals,          inertia times rates minus
+           parameters, t                          forces, zero in motion
 observe    states, signals, memory, parameters,   outputs, next memory
            t, h
 start      own states, inputs, parameters, t      full state
@@ -39,6 +41,7 @@ class Graph:
     model: Model
     actuate: ca.Function
     rates: ca.Function
+    balance: ca.Function
     observe: ca.Function
     start: ca.Function
     state_names: tuple[str, ...]
@@ -199,11 +202,20 @@ def _build(model: Model) -> Graph:
             rates[state.name] = to_casadi(state.rate, local, tables)
     for name in model.kinematics:
         rates[name] = rates[name] + added.get(name, ca.SX(0))
-    rates |= _momentum(model, scope, added, tables)
+    speeds = {name: ca.SX.sym(f"{name}_rate") for name in states}
+    balance = {name: speeds[name] - rates[name] for name in rates}
+    accelerations, momentum = _momentum(model, scope, added, tables, speeds)
+    rates |= accelerations
+    balance |= momentum
     x = _vertcat(states.values())
     d = _vertcat(drive.values())
     move = ca.Function(
         "rates", [x, d, p, t], [_vertcat(rates[name] for name in states)], {"cse": True}
+    )
+    balanced = ca.Function(
+        "balance",
+        [x, _vertcat(speeds.values()), d, p, t],
+        [_vertcat(balance[name] for name in states)],
     )
 
     # Sensors: sampled, with memory.
@@ -255,6 +267,7 @@ def _build(model: Model) -> Graph:
         model=model,
         actuate=actuate,
         rates=move,
+        balance=balanced,
         observe=observe,
         start=start,
         state_names=tuple(states),
@@ -267,11 +280,19 @@ def _build(model: Model) -> Graph:
 
 
 def _momentum(
-    model: Model, scope: Scope, forces: Mapping[str, ca.SX], tables: Mapping
-) -> dict[str, ca.SX]:
-    """Solve the mass matrix for the accelerations of the axes."""
+    model: Model,
+    scope: Scope,
+    forces: Mapping[str, ca.SX],
+    tables: Mapping,
+    speeds: Mapping[str, ca.SX],
+) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+    """Solve the mass matrix for the accelerations of the axes.
+
+    Also returned are the equations before that, inertia times ``speeds`` minus
+    forces, by velocity: unlike the accelerations they are linear in masses.
+    """
     if not model.axes:
-        return {}
+        return {}, {}
     axes = list(model.axes)
     velocities = list(model.axes.values())
     mass = ca.SX.zeros(len(axes), len(axes))
@@ -287,4 +308,8 @@ def _momentum(
         mass[row, column] += to_casadi(text, scope, tables)
     right = ca.vertcat(*(forces.get(axis, ca.SX(0)) for axis in axes))
     accelerations = ca.inv_minor(mass) @ right if len(axes) <= 4 else ca.solve(mass, right)
-    return {velocity: accelerations[row] for row, velocity in enumerate(velocities)}
+    balance = mass @ ca.vertcat(*(speeds[velocity] for velocity in velocities)) - right
+    return (
+        {velocity: accelerations[row] for row, velocity in enumerate(velocities)},
+        {velocity: balance[row] for row, velocity in enumerate(velocities)},
+    )
