@@ -1,0 +1,154 @@
+"""Find and load problems: shipped ones by name, any folder by path."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import os
+import sys
+import traceback
+from pathlib import Path
+from types import ModuleType
+
+from oed_sysid.errors import ProblemError
+from oed_sysid.problem.definition import Problem
+
+FILE = "problem.py"
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def catalogue_folder() -> Path | None:
+    """Folder of the shipped problems; None if this installation has none.
+
+    A wheel carries them inside the package; a checkout and an editable install
+    have them beside it.
+    """
+    for folder in (_PACKAGE / "_problems", _PACKAGE.parent / "problems"):
+        if folder.is_dir():
+            return folder
+    return None
+
+
+def list_problems() -> tuple[str, ...]:
+    """Names of the shipped problems, in alphabetical order; nothing is executed."""
+    folder = catalogue_folder()
+    if folder is None:
+        return ()
+    return tuple(sorted(file.parent.name for file in folder.glob(f"*/{FILE}")))
+
+
+def load_problem(name_or_folder: str | Path, *, variant: str | None = None) -> Problem:
+    """Load a shipped problem by name, or a problem of your own by folder.
+
+    A plain word is first taken as a shipped name; write ``"./word"`` for a
+    folder of that name. The folder's ``problem.py`` is executed: load only
+    folders that you trust.
+
+    Parameters
+    ----------
+    name_or_folder : str or Path
+        Name of a shipped problem, a folder with ``problem.py``, or that file.
+    variant : str, optional
+        Which of the problem's models to believe; see ``problem.variants``.
+
+    Returns
+    -------
+    Problem
+
+    Raises
+    ------
+    ProblemError
+        If nothing is found, or ``problem.py`` fails or does not export
+        ``problem``; the message names the file and the line.
+    """
+    problem = _load(_find(name_or_folder))
+    return problem if variant is None else problem.variant(variant)
+
+
+def _find(name_or_folder: str | Path) -> Path:
+    """Return the ``problem.py`` that is meant."""
+    shipped = list_problems()
+    folder = catalogue_folder()
+    if folder is not None and str(name_or_folder) in shipped:
+        return folder / str(name_or_folder) / FILE
+    path = Path(name_or_folder).expanduser()
+    if path.is_file():
+        if path.suffix == ".py":
+            return path
+        raise ProblemError(
+            f"{path} is a file. Give the folder that holds {FILE}; data is read with "
+            "oed_sysid.read_csv(path, problem.channels)."
+        )
+    if (path / FILE).is_file():
+        return path / FILE
+    if path.is_dir():
+        found = ", ".join(sorted(entry.name for entry in path.iterdir())[:8]) or "nothing"
+        raise ProblemError(
+            f"The folder {path} has no {FILE}; it holds {found}. Write one, or start from "
+            "oed_sysid.new_problem(folder)."
+        )
+    names = ", ".join(shipped) or "none"
+    near = difflib.get_close_matches(path.name, shipped, n=3, cutoff=0.5)
+    hint = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
+    looked = (
+        f"no folder {path}"
+        if _is_path(name_or_folder)
+        else f"no folder of that name in {Path.cwd()}"
+    )
+    raise ProblemError(
+        f"There is no problem {str(name_or_folder)!r}: it is not shipped, and there is {looked}."
+        f"{hint} Shipped problems: {names}. A folder of your own is made by "
+        "oed_sysid.new_problem(folder)."
+    )
+
+
+def _is_path(name_or_folder: str | Path) -> bool:
+    text = str(name_or_folder)
+    return isinstance(name_or_folder, Path) or os.sep in text or "/" in text
+
+
+def _load(file: Path) -> Problem:
+    """Execute a ``problem.py`` and return its ``problem``."""
+    file = file.resolve()
+    digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
+    name = f"oed_sysid_problem_{file.parent.name}_{digest}"
+    module = ModuleType(name)
+    module.__file__ = str(file)
+    # Registered, so that what the file defines can be pickled and inspected.
+    sys.modules[name] = module
+    try:
+        # Compiled here, not imported: no stale bytecode, nothing written into the folder.
+        exec(compile(file.read_bytes(), str(file), "exec"), vars(module))
+    except SyntaxError as error:
+        sys.modules.pop(name, None)
+        raise ProblemError(
+            f"{error.filename}, line {error.lineno}: {error.msg}. Correct this line of the problem."
+        ) from None
+    except Exception as error:
+        sys.modules.pop(name, None)
+        raise ProblemError(_fault(file, error)) from None
+    problem = getattr(module, "problem", None)
+    if isinstance(problem, Problem):
+        return problem
+    sys.modules.pop(name, None)
+    others = [key for key, value in vars(module).items() if isinstance(value, Problem)]
+    if others:
+        found = f"it has a Problem called {others[0]!r}: rename it to 'problem'"
+    elif problem is not None:
+        found = f"its 'problem' is a {type(problem).__name__}: use problem = Problem(...)"
+    else:
+        public = [key for key in vars(module) if not key.startswith("_")]
+        found = f"it defines {', '.join(public) or 'nothing'}: end it with problem = Problem(...)"
+    raise ProblemError(f"{file} does not export 'problem'; {found}.")
+
+
+def _fault(file: Path, error: Exception) -> str:
+    """Say where in the problem's own file an exception came from."""
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if Path(frame.filename) == file
+    ]
+    where = f"{file}, line {lines[-1]}" if lines else str(file)
+    kind = "" if isinstance(error, ProblemError) else f"{type(error).__name__}: "
+    return f"{where}: {kind}{error}"

@@ -1,0 +1,231 @@
+"""What a problem is: a system, what may be missing in its model, and how to test it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass, field, replace
+from typing import Any
+
+from oed_sysid.channels import Channels
+from oed_sysid.dataset import Dataset
+from oed_sysid.effects import Effect
+from oed_sysid.errors import OedSysidError, ProblemError
+from oed_sysid.experiment import Experiment, Limits
+from oed_sysid.model import Model
+from oed_sysid.record import closest
+
+DEFAULT = "default"
+_NAME = re.compile(r"[A-Za-z]\w*")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One system to identify.
+
+    Parameters
+    ----------
+    name : str
+        Identifier: letters, digits and underscores.
+    model : Model
+        What is believed before the data.
+    title : str
+        The same in words.
+    effects : tuple of Effect
+        Candidates for what the model lacks.
+    experiments : mapping of str to Experiment
+        Runs that make sense for this system, by name.
+    limits : Limits
+        What any experiment has to keep.
+    truth : mapping of str to float, optional
+        True parameter values, where the data is simulated.
+    models : mapping of str to Model
+        Other models of the same system, by name; ``"default"`` is ``model``.
+    records : callable, optional
+        Returns the measured records, ``() -> Dataset``; called when they are
+        wanted.
+    published : mapping
+        Numbers from the literature to compare with.
+    references : tuple of str
+        Citations.
+    description : str
+        What the system is, and what success means.
+
+    Raises
+    ------
+    ProblemError
+        If the parts do not fit together.
+
+    Examples
+    --------
+    >>> from oed_sysid.channels import Output, State
+    >>> decay = Model("decay", (State("x", "m"),), (), (Output("x", "m"),), {"x": "-x"})
+    >>> Problem("decay", decay, title="A decay").channels.output_names
+    ('x',)
+    """
+
+    name: str
+    model: Model
+    _: KW_ONLY
+    title: str = ""
+    effects: tuple[Effect, ...] = ()
+    experiments: Mapping[str, Experiment] = field(default_factory=dict)
+    limits: Limits = field(default_factory=Limits)
+    truth: Mapping[str, float] | None = None
+    models: Mapping[str, Model] = field(default_factory=dict)
+    records: Callable[[], Dataset] | None = None
+    published: Mapping[str, Any] = field(default_factory=dict)
+    references: tuple[str, ...] = ()
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise ProblemError(
+                f"Problem name {self.name!r} is no identifier. Use letters, digits and "
+                "underscores, beginning with a letter."
+            )
+        object.__setattr__(self, "effects", tuple(self.effects))
+        object.__setattr__(self, "references", tuple(self.references))
+        object.__setattr__(self, "experiments", dict(self.experiments))
+        others = {name: model for name, model in self.models.items() if name != DEFAULT}
+        if DEFAULT in self.models and self.models[DEFAULT] != self.model:
+            raise ProblemError(
+                f"Problem {self.name!r} has two default models. Leave {DEFAULT!r} out of models."
+            )
+        object.__setattr__(self, "models", {DEFAULT: self.model, **others})
+        if not self.title:
+            object.__setattr__(self, "title", self.name.replace("_", " "))
+        self._check_effects()
+        try:
+            for experiment in self.experiments.values():
+                experiment.check_model(self.model)
+            self.limits.check_names(self.model)
+        except OedSysidError as error:
+            raise ProblemError(f"Problem {self.name!r}: {error}") from None
+
+    def _check_effects(self) -> None:
+        seen: set[str] = set()
+        for effect in self.effects:
+            if effect.name in seen:
+                raise ProblemError(
+                    f"Problem {self.name!r} has two candidates called {effect.name!r}. Rename one."
+                )
+            seen.add(effect.name)
+            if effect.name in self.model.effect_names:
+                raise ProblemError(
+                    f"Problem {self.name!r} has the candidate {effect.name!r}, which its model "
+                    "contains already. Remove it from one of the two."
+                )
+            try:
+                self.model + effect
+            except OedSysidError as error:
+                raise ProblemError(
+                    f"Problem {self.name!r}: the candidate {effect.name!r} does not fit the "
+                    f"model. {error}"
+                ) from None
+        known = set(self._parameter_names())
+        if unknown := [name for name in self.truth or {} if name not in known]:
+            raise ProblemError(
+                f"Problem {self.name!r} states the truth of {unknown[0]!r}, which is a parameter "
+                f"of none of its models and candidates.{closest(unknown[0], known)}"
+            )
+
+    def _parameter_names(self) -> tuple[str, ...]:
+        names = [name for model in self.models.values() for name in model.parameter_names]
+        names += [p.name for effect in self.effects for p in effect.parameters]
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def channels(self) -> Channels:
+        """Inputs and outputs that a record of this system holds."""
+        return self.model.channels
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """Names of the models."""
+        return tuple(self.models)
+
+    def variant(self, name: str) -> Problem:
+        """Return the problem with another of its models as the one believed.
+
+        Candidates that this model contains already are left out.
+        """
+        if name not in self.models:
+            raise ProblemError(
+                f"Problem {self.name!r} has no model {name!r}. It has {', '.join(self.models)}."
+                + closest(name, self.models)
+            )
+        if name == DEFAULT:
+            return self
+        model = self.models[name]
+        others = {key: other for key, other in self.models.items() if key not in (DEFAULT, name)}
+        effects = tuple(e for e in self.effects if e.name not in model.effect_names)
+        return replace(self, model=model, models=others, effects=effects)
+
+    def true_model(self) -> Model:
+        """Return the model that made simulated data: true values, and the candidates they need.
+
+        Raises
+        ------
+        ProblemError
+            If the truth is not known.
+        """
+        if self.truth is None:
+            raise ProblemError(
+                f"The truth of problem {self.name!r} is not known: its data was measured."
+            )
+        truth, model = self.truth, self.model
+        hidden = [e for e in self.effects if any(truth.get(p.name) for p in e.parameters)]
+        model = model + hidden
+        return model.with_values({n: v for n, v in truth.items() if n in model.parameter_names})
+
+    def effect(self, name: str) -> Effect:
+        """Return one candidate effect by name."""
+        names = [effect.name for effect in self.effects]
+        if name not in names:
+            raise ProblemError(
+                f"Problem {self.name!r} has no candidate {name!r}. It has "
+                f"{', '.join(names) or 'none'}." + closest(name, names)
+            )
+        return self.effects[names.index(name)]
+
+    def experiment(self, name: str) -> Experiment:
+        """Return one experiment by name."""
+        if name not in self.experiments:
+            raise ProblemError(
+                f"Problem {self.name!r} has no experiment {name!r}. It has "
+                f"{', '.join(self.experiments) or 'none'}." + closest(name, self.experiments)
+            )
+        return self.experiments[name]
+
+    def data(self) -> Dataset:
+        """Return the measured records of this problem.
+
+        Raises
+        ------
+        ProblemError
+            If it comes without records.
+        """
+        if self.records is None:
+            raise ProblemError(
+                f"Problem {self.name!r} comes without records. Read your own with "
+                "oed_sysid.read_csv(path, problem.channels), or simulate an experiment."
+            )
+        return self.records()
+
+    def describe(self) -> str:
+        """Return what the problem holds, in words."""
+        inputs, outputs = ", ".join(self.model.input_names), ", ".join(self.model.output_names)
+        lines = [
+            f"{self.name}: {self.title}",
+            self.description,
+            f"model        {self.model.name}: {len(self.model.free_names)} parameters to "
+            f"estimate, {len(self.model.state_names)} states",
+            f"inputs       {inputs or 'none'}",
+            f"outputs      {outputs}",
+            f"models       {', '.join(self.models)}",
+            f"candidates   {', '.join(effect.name for effect in self.effects) or 'none'}",
+            f"experiments  {', '.join(self.experiments) or 'none'}",
+            *(f"[{number}] {text}" for number, text in enumerate(self.references, start=1)),
+        ]
+        return "\n".join(line for line in lines if line)

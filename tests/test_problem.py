@@ -1,0 +1,245 @@
+"""Problems are found by name or folder, checked, and fail with file and line."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import oed_sysid
+from oed_sysid.channels import Input, Output, State
+from oed_sysid.effects import Force, Sensor
+from oed_sysid.errors import ProblemError
+from oed_sysid.experiment import Experiment, Limits
+from oed_sysid.model import Model
+from oed_sysid.parameters import Parameter
+from oed_sysid.problem import Problem, catalogue, list_problems, load_problem, new_problem
+
+MODEL = Model(
+    "tug",
+    states=(State("r", "rad/s"),),
+    inputs=(Input("rudder", "rad"),),
+    outputs=(Output("r", "rad/s", noise_std=0.001),),
+    kinematics={"r": "K*rudder - r"},
+    parameters=(Parameter("K", 0.1, "1/s"),),
+)
+DRAG = Force("drag", {"r": "-E*r*abs(r)"}, (Parameter("E", 0.0, "1/rad"),))
+SOURCE = """\
+from oed_sysid import Input, Model, Output, Problem, State
+
+model = Model(
+    "barge", (State("r", "rad/s"),), (Input("rudder", "rad"),), (Output("r", "rad/s"),),
+    {"r": "rudder - r"},
+)
+problem = Problem("barge", model)
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    """Write a problem.py and return its folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "problem.py").write_text(text)
+    return folder
+
+
+@pytest.fixture
+def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A catalogue with two problems."""
+    folder = tmp_path / "catalogue"
+    write(folder / "river_barge", SOURCE)
+    write(folder / "harbour_tug", SOURCE)
+    (folder / "README.md").write_text("no problem")
+    monkeypatch.setattr(catalogue, "catalogue_folder", lambda: folder)
+    return folder
+
+
+def test_shipped_problems_are_listed_and_loaded_by_name(shipped: Path) -> None:
+    """Names are those of the folders; listing executes nothing."""
+    write(shipped / "broken", "raise RuntimeError")
+    assert list_problems() == ("broken", "harbour_tug", "river_barge")
+    assert load_problem("river_barge").name == "barge"
+
+
+def test_every_shipped_problem_loads() -> None:
+    """The catalogue of this checkout is complete: every folder works and has a README."""
+    folder = catalogue.catalogue_folder()
+    assert folder is not None
+    for name in list_problems():
+        assert isinstance(load_problem(name), Problem)
+        assert (folder / name / "README.md").is_file()
+
+
+def test_wheel_comes_before_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Problems inside the package are used where there are any, those beside it otherwise."""
+    monkeypatch.setattr(catalogue, "_PACKAGE", tmp_path / "oed_sysid")
+    assert catalogue.catalogue_folder() is None
+    assert catalogue.list_problems() == ()
+    (tmp_path / "problems").mkdir()
+    assert catalogue.catalogue_folder() == tmp_path / "problems"
+    (tmp_path / "oed_sysid" / "_problems").mkdir(parents=True)
+    assert catalogue.catalogue_folder() == tmp_path / "oed_sysid" / "_problems"
+
+
+def test_own_folder_by_any_kind_of_path(
+    tmp_path: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Path, text, file and a plain word all lead to the user's folder; edits are seen."""
+    folder = write(tmp_path / "mine", SOURCE)
+    monkeypatch.chdir(tmp_path)
+    for given in (folder, str(folder), folder / "problem.py", "mine", "./mine"):
+        assert load_problem(given).name == "barge"
+    write(folder, SOURCE.replace('Problem("barge"', 'Problem("raft"'))
+    assert load_problem(folder).name == "raft"
+    assert [path.name for path in folder.iterdir()] == ["problem.py"]
+
+
+def test_shipped_name_wins_over_a_folder_of_that_name(
+    tmp_path: Path, shipped: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A plain word means the shipped problem; './word' means the folder."""
+    write(tmp_path / "river_barge", SOURCE.replace('Problem("barge"', 'Problem("mine"'))
+    monkeypatch.chdir(tmp_path)
+    assert load_problem("river_barge").name == "barge"
+    assert load_problem("./river_barge").name == "mine"
+
+
+def test_unknown_name_gets_near_matches_and_advice(shipped: Path) -> None:
+    """The message names the nearest problem, all others, and how to begin one's own."""
+    with pytest.raises(ProblemError, match="Did you mean 'river_barge'") as caught:
+        load_problem("river_barg")
+    assert "harbour_tug, river_barge" in str(caught.value)
+    assert "new_problem" in str(caught.value)
+    with pytest.raises(ProblemError, match="there is no folder /no/where"):
+        load_problem("/no/where")
+
+
+def test_folder_or_file_without_problem(tmp_path: Path) -> None:
+    """What is there instead is said."""
+    (tmp_path / "run.csv").write_text("t [s]\n")
+    with pytest.raises(ProblemError, match=r"has no problem\.py; it holds run\.csv"):
+        load_problem(tmp_path)
+    with pytest.raises(ProblemError, match="is a file"):
+        load_problem(tmp_path / "run.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x = 1\ny = x / 0\n", r"problem\.py, line 2: ZeroDivisionError: division by zero"),
+        ("import oed_sysid\n\nx = (\n", r"problem\.py, line 3: .*never closed"),
+        ("import no_such_thing_here\n", r"problem\.py, line 1: ModuleNotFoundError"),
+        (SOURCE.replace('"rudder - r"', '"ruder - r"'), r"line 3: ModelError: .*ruder"),
+        (SOURCE.replace('"barge", model', '"a barge", model'), r"line 7: Problem name 'a barge'"),
+        (SOURCE.replace("problem =", "barge ="), r"a Problem called 'barge': rename it"),
+        ("problem = 3\n", r"its 'problem' is a int"),
+        ("x = 1\n", r"it defines x"),
+    ],
+)
+def test_faults_are_reported_with_file_and_line(tmp_path: Path, text: str, message: str) -> None:
+    """A user sees the line in the own file, not the inside of the package."""
+    with pytest.raises(ProblemError, match=message) as caught:
+        load_problem(write(tmp_path / "p", text))
+    error = caught.value
+    assert error.__cause__ is None
+    assert error.__context__ is None or error.__suppress_context__
+
+
+def test_variants_change_what_is_believed() -> None:
+    """Another model becomes the default, and candidates it contains are left out."""
+    problem = Problem("tug", MODEL, effects=(DRAG,), models={"with_drag": MODEL + DRAG})
+    assert problem.variants == ("default", "with_drag")
+    other = problem.variant("with_drag")
+    assert other.model.effect_names == ("drag",)
+    assert other.effects == ()
+    assert problem.variant("default") is problem
+    with pytest.raises(ProblemError, match="Did you mean 'with_drag'"):
+        problem.variant("with_drug")
+
+
+def test_variant_by_load_problem(tmp_path: Path) -> None:
+    """load_problem takes the name of a variant."""
+    text = SOURCE.replace(
+        'Problem("barge", model)', 'Problem("barge", model, models={"big": model})'
+    )
+    folder = write(tmp_path / "p", text)
+    assert load_problem(folder, variant="big").model.name == "barge"
+    with pytest.raises(ProblemError, match="It has default, big"):
+        load_problem(folder, variant="small")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"effects": (DRAG, DRAG)}, "two candidates called 'drag'"),
+        ({"effects": (Sensor("s", {"q": "q"}, ()),)}, "candidate 's' does not fit"),
+        ({"truth": {"L": 1.0}}, "truth of 'L'"),
+        ({"limits": Limits(signals={"depth": (0, 1)})}, "'depth'"),
+        ({"experiments": {"a": Experiment("a", duration=1.0)}}, "nothing about the input"),
+        ({"models": {"default": MODEL.with_values({"K": 1.0})}}, "two default models"),
+    ],
+)
+def test_parts_have_to_fit(settings: dict, message: str) -> None:
+    """Contradictions between the parts are found at construction."""
+    with pytest.raises(ProblemError, match=message):
+        Problem("tug", MODEL, **settings)
+    with pytest.raises(ProblemError, match="contains already"):
+        Problem("tug", MODEL + DRAG, effects=(DRAG,))
+
+
+def test_true_model_holds_values_and_hidden_effects() -> None:
+    """The truth names parameters of the model and of candidates; zero means absent."""
+    problem = Problem("tug", MODEL, effects=(DRAG,), truth={"K": 0.2, "E": 3.0})
+    assert problem.true_model().values == {"K": 0.2, "E": 3.0}
+    absent = replace(problem, truth={"K": 0.2, "E": 0.0})
+    assert absent.true_model().effect_names == ()
+    with pytest.raises(ProblemError, match="not known"):
+        Problem("tug", MODEL).true_model()
+    with pytest.raises(ProblemError, match="comes without records"):
+        problem.data()
+
+
+def test_parts_by_name() -> None:
+    """Effects and experiments are found by name, with a hint where the name is wrong."""
+    run = Experiment("run", duration=1.0, constants={"rudder": 0.1})
+    problem = Problem("tug", MODEL, effects=(DRAG,), experiments={"run": run})
+    assert problem.effect("drag") is DRAG
+    assert problem.experiment("run") is run
+    with pytest.raises(ProblemError, match="Did you mean 'drag'"):
+        problem.effect("drags")
+    with pytest.raises(ProblemError, match="It has run"):
+        problem.experiment("walk")
+    assert "1 parameters to estimate" in problem.describe()
+    assert pickle.loads(pickle.dumps(problem)) == problem
+
+
+def test_starter_folder_works_at_once(tmp_path: Path) -> None:
+    """Loaded, its data read and fitted, the hidden effect explains what the model cannot."""
+    folder = new_problem(tmp_path / "my ship")
+    problem = load_problem(folder)
+    assert problem.name == "my_ship"
+    assert "# My ship" in (folder / "README.md").read_text()
+    train, _ = problem.data().split(test=["turning_circle"])
+    better = oed_sysid.MultipleShooting().fit(
+        problem.model + problem.effect("yaw_quadratic_damping"), train
+    )
+    assert better.status.ok
+    assert problem.truth is not None
+    for name, estimate in zip(better.names, better.estimates, strict=True):
+        assert estimate == pytest.approx(problem.truth[name], rel=0.05)
+
+
+def test_starter_data_is_reproducible(tmp_path: Path) -> None:
+    """Two starter folders hold the same numbers."""
+    first, second = new_problem(tmp_path / "a"), new_problem(tmp_path / "b")
+    for file in sorted((first / "data").iterdir()):
+        assert file.read_bytes() == (second / "data" / file.name).read_bytes()
+
+
+def test_starter_never_overwrites(tmp_path: Path) -> None:
+    """A folder in use is left alone."""
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ProblemError, match="not an empty folder"):
+        new_problem(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
