@@ -236,6 +236,13 @@ def to_casadi(
     return ca.SX(_walk(parse(expression), scope, library))
 
 
+def _interpolate(x: Any, abscissae: np.ndarray, ordinates: np.ndarray) -> Any:
+    """Linear between points, with the end slopes beyond, as in the compiled model."""
+    a, o = np.asarray(abscissae, float), np.asarray(ordinates, float)
+    i = np.clip(np.searchsorted(a, x, side="right") - 1, 0, len(a) - 2)
+    return o[i] + (x - a[i]) * (o[i + 1] - o[i]) / (a[i + 1] - a[i])
+
+
 def to_numpy(
     expression: str,
     scope: Mapping[str, Any],
@@ -248,7 +255,7 @@ def to_numpy(
     """
     library = dict(_NUMPY)
     for name, (abscissae, ordinates) in (tables or {}).items():
-        library[name] = lambda x, a=abscissae, o=ordinates: np.interp(x, a, o)
+        library[name] = lambda x, a=abscissae, o=ordinates: _interpolate(x, a, o)
     return np.asarray(_walk(parse(expression), scope, library))
 
 

@@ -377,7 +377,7 @@ def _validate_effect(
     for key in effect.terms:
         if key not in targets[effect.stage]:
             raise ModelError(
-                f"{where} acts on {key!r}, which is no target of a {effect.stage} effect here. "
+                f"{where} acts on {key!r}, which no {effect.stage} effect can change here. "
                 f"Choose among: {', '.join(sorted(map(str, targets[effect.stage])))}."
             )
     scope = set(known)
