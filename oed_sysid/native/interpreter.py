@@ -12,8 +12,9 @@ from oed_sysid.model import Model
 class Interpreted:
     """The same results from CasADi's interpreter, one call per step."""
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: Graph, step: float) -> None:
         self.graph = graph
+        self.step = step  # not the graph's: models of one structure share a graph
         free = list(graph.free_indices)
 
         def differentiated(function: ca.Function, z_index: int, p_index: int) -> ca.Function:
@@ -77,7 +78,7 @@ class Interpreted:
                 if k + 1 == n:
                     break
                 interval = times[k + 1] - times[k]
-                steps = max(1, int(np.ceil(interval / self.graph.model.step - 1e-9)))
+                steps = max(1, int(np.ceil(interval / self.step - 1e-9)))
                 slope = linear * (inputs[k + 1] - inputs[k]) / steps
                 for i in range(steps):
                     begin, end = inputs[k] + i * slope, inputs[k] + (i + 1) * slope
@@ -107,5 +108,5 @@ def interpreted(model: Model) -> Interpreted:
     """Return the interpreted kernel of a model, built at most once per structure."""
     key = (model.structure_key(), model.step)
     if key not in _CACHE:
-        _CACHE[key] = Interpreted(build(model))
+        _CACHE[key] = Interpreted(build(model), model.step)
     return _CACHE[key]
