@@ -132,8 +132,8 @@ def _step(
         x = advance(x0=z[:first], p=np.concatenate([memory, begin, end, values, [time, h]]))["xf"]
     except RuntimeError as error:
         raise SimulationError(
-            f"The reference integrator gave up in model {graph.model.name!r} at t = {time:g} s, "
-            f"with {dict(zip(graph.state_names, z[:first].tolist(), strict=True))}. Look at the "
+            f"The reference integrator gave up at t = {time:g} s, with "
+            f" {dict(zip(graph.state_names, z[:first].tolist(), strict=True))}. Look at the "
             f"model there, or ask for a wider tolerance. ({str(error).splitlines()[-1]})"
         ) from None
     return np.concatenate([np.array(x).ravel(), np.array(memory_next).ravel(), z[second:]])

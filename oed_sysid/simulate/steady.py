@@ -123,7 +123,7 @@ def equilibrium(
     graph = graph_module.build(model)
     names, wanted = graph.state_names, tuple(free)
     _check(model, names, given, wanted, (*(steady or ()), *(guess or {})))
-    function = _rates(graph)
+    function = _rates(graph, model.step)
     depended = _depended(function, names)
     target = tuple(steady) if steady is not None else tuple(n for n in names if n in depended)
     unknowns = tuple(
@@ -237,8 +237,8 @@ def linearise(
     n_states = graph.n_states
     x = np.array([point.states[name] for name in graph.state_names])
     u = np.array([point.inputs[name] for name in model.input_names])
-    _, motion = _rates(graph)(x, u, model.value_vector)
-    seen = np.array(_readings(graph)(x, u, model.value_vector))
+    _, motion = _rates(graph, model.step)(x, u, model.value_vector)
+    seen = np.array(_readings(graph, model.step)(x, u, model.value_vector))
     motion, rows = np.array(motion), [model.output_names.index(name) for name in kept]
     return control.ss(
         motion[:, :n_states],
@@ -252,7 +252,7 @@ def linearise(
     )
 
 
-def _settled(graph: Graph) -> tuple[tuple[ca.SX, ca.SX, ca.SX], ca.SX, ca.SX]:
+def _settled(graph: Graph, step: float) -> tuple[tuple[ca.SX, ca.SX, ca.SX], ca.SX, ca.SX]:
     """Symbols ``(states, inputs, parameters)``, settled signals and settled full state."""
     model = graph.model
     x = ca.SX.sym("x", graph.n_states)
@@ -260,22 +260,22 @@ def _settled(graph: Graph) -> tuple[tuple[ca.SX, ca.SX, ca.SX], ca.SX, ca.SX]:
     p = ca.SX.sym("p", len(model.all_parameters))
     full = graph.start(x[: graph.n_own, 0], u, p, 0.0)
     memory = full[graph.n_states : graph.n_states + graph.n_actuator_memory, 0]
-    signals, _ = graph.actuate(memory, u, p, 0.0, model.step)
+    signals, _ = graph.actuate(memory, u, p, 0.0, step)
     return (x, u, p), signals, full
 
 
-def _rates(graph: Graph) -> ca.Function:
+def _rates(graph: Graph, step: float) -> ca.Function:
     """Rates and their derivatives by states and inputs, with settled actuators."""
-    (x, u, p), signals, _ = _settled(graph)
+    (x, u, p), signals, _ = _settled(graph, step)
     rates = graph.rates(x, signals, p, 0.0)
     return ca.Function("steady", [x, u, p], [rates, ca.jacobian(rates, ca.vertcat(x, u))])
 
 
-def _readings(graph: Graph) -> ca.Function:
+def _readings(graph: Graph, step: float) -> ca.Function:
     """Return the derivatives of settled sensors by states and inputs."""
-    (x, u, p), signals, full = _settled(graph)
+    (x, u, p), signals, full = _settled(graph, step)
     sensors = full[graph.n_states + graph.n_actuator_memory :, 0]
-    y, _ = graph.observe(x, signals, sensors, p, 0.0, graph.model.step)
+    y, _ = graph.observe(x, signals, sensors, p, 0.0, step)
     return ca.Function("readings", [x, u, p], [ca.densify(ca.jacobian(y, ca.vertcat(x, u)))])
 
 

@@ -1,0 +1,75 @@
+"""A ship, a pendulum and an AUV whose actuator and sensor have memory, for simulation."""
+
+from __future__ import annotations
+
+from oed_sysid.channels import Input, Output, State
+from oed_sysid.effects import Actuator, Force, Memory, Sensor
+from oed_sysid.model import Model
+from oed_sysid.parameters import Parameter
+
+K, T = 0.08, 12.0
+NOMOTO = Model(
+    "Nomoto",
+    states=(State("psi", "rad"), State("r", "rad/s", scale=0.05)),
+    inputs=(Input("rudder", "rad"),),
+    outputs=(Output("psi", "rad", noise_std=0.003), Output("r", "rad/s", noise_std=1e-3)),
+    kinematics={"psi": "r", "r": "(K*rudder - r)/T"},
+    parameters=(Parameter("K", K, "1/s"), Parameter("T", T, "s", lower=0.1)),
+)
+PENDULUM = Model(
+    "pendulum",
+    states=(State("angle", "rad"), State("rate", "rad/s")),
+    inputs=(),
+    outputs=(Output("angle", "rad"),),
+    kinematics={"angle": "rate", "rate": "-4*sin(angle)"},
+    step=0.01,
+)
+# Diving plane of a small AUV; actuator lag and depth-sensor lag have memory.
+AUV = Model(
+    "AUV",
+    states=(
+        State("u", "m/s"),
+        State("w", "m/s", scale=0.1),
+        State("q", "rad/s", scale=0.1),
+        State("theta", "rad", scale=0.1),
+        State("z", "m"),
+    ),
+    inputs=(Input("fin", "rad"), Input("thrust", "N")),
+    outputs=(
+        Output("q", "rad/s", noise_std=0.004),
+        Output("theta", "rad", noise_std=0.004),
+        Output("z", "m", noise_std=0.03),
+    ),
+    axes={"X": "u", "Z": "w", "M": "q"},
+    inertia={
+        ("X", "u"): "31.4",
+        ("Z", "w"): "66",
+        ("Z", "q"): "1.93",
+        ("M", "w"): "1.93",
+        ("M", "q"): "8.33",
+    },
+    kinematics={"theta": "q", "z": "-u*sin(theta) + w*cos(theta)"},
+    actuators={"ds": "fin", "T": "thrust"},
+    effects=(
+        Force(
+            "hull",
+            {
+                "X": "X_uu*u*abs(u) + T - 30.5*q*w",
+                "Z": "30.5*u*q - 40*u*w - 9*u*q - 12*u**2*ds",
+                "M": "14*u*w - 9*u*q - 6.15*u**2*ds - 5.9*sin(theta)",
+            },
+            (Parameter("X_uu", -3.9, "kg/m"),),
+        ),
+        Actuator(
+            "fin_lag",
+            {"ds": "ds + (before - ds)*0.3/h*(1 - exp(-h/0.3))"},
+            memory=(Memory("before", "ds + (before - ds)*exp(-h/0.3)", "fin"),),
+        ),
+        Sensor(
+            "depth_lag",
+            {"z": "lagged"},
+            definitions={"lagged": "z + (before - z)*exp(-h/0.5)"},
+            memory=(Memory("before", "lagged", "z"),),
+        ),
+    ),
+)
