@@ -133,7 +133,7 @@ def _step(
     except RuntimeError as error:
         raise SimulationError(
             f"The reference integrator gave up at t = {time:g} s, with "
-            f" {dict(zip(graph.state_names, z[:first].tolist(), strict=True))}. Look at the "
+            f"{dict(zip(graph.state_names, z[:first].tolist(), strict=True))}. Look at the "
             f"model there, or ask for a wider tolerance. ({str(error).splitlines()[-1]})"
         ) from None
     return np.concatenate([np.array(x).ravel(), np.array(memory_next).ravel(), z[second:]])
