@@ -19,6 +19,8 @@ NODE_FREEDOM = 10.0
 # Measured ones stay near the smoothed measurement, in units of its noise: with
 # start states held, even wild parameters enter almost linearly.
 MEASURED_FREEDOM = 1.0
+# The way in only has to arrive nearby: stop when an iteration gains less than this share.
+ENOUGH = 1e-3
 
 
 def free_node_start(
@@ -31,7 +33,7 @@ def free_node_start(
     shooting : Shooting
         The problem; bounds, priors and noise levels are taken from it.
     point : Point
-        Start point.
+        Start point; only its unknowns are used.
     n_samples : int
         Length of an interval.
     max_iterations : int
@@ -42,9 +44,14 @@ def free_node_start(
     Point
         A point with better parameters and data-driven nodes.
     """
-    problem = _FreeNodes(shooting, point, n_samples)
-    unknowns = problem.solve(point.unknowns, max_iterations)
-    return shooting.start_point(unknowns)
+    return shooting.start_point(climb(shooting, point.unknowns, n_samples, max_iterations))
+
+
+def climb(
+    shooting: Shooting, unknowns: np.ndarray, n_samples: int, max_iterations: int = 30
+) -> np.ndarray:
+    """Return better unknowns; see :func:`free_node_start`."""
+    return _FreeNodes(shooting, unknowns, n_samples).solve(unknowns, max_iterations)
 
 
 Blocks = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -53,22 +60,14 @@ Blocks = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 class _FreeNodes:
     """Levenberg-Marquardt on parameters and independent interval starts."""
 
-    def __init__(self, shooting: Shooting, point: Point, n_samples: int) -> None:
+    def __init__(self, shooting: Shooting, unknowns: np.ndarray, n_samples: int) -> None:
         self.shooting = shooting
         self.length = n_samples
-        fine = shooting.with_intervals(n_samples)
-        start = fine.start_point(point.unknowns)
-        self.nodes = []
+        self.guesses = []
         for index, record in enumerate(shooting.records):
-            n_segments = len(record.times) // n_samples
-            z0, _ = shooting.kernel.start(
-                shooting.initial_state(point.unknowns, index),
-                record.inputs[0],
-                shooting.values(point.unknowns, index),
-                record.times[0],
-            )
-            self.nodes.append(np.vstack([z0[None], start.nodes[index]])[:n_segments])
-        self.guesses = [nodes.copy() for nodes in self.nodes]
+            stop = len(record.times) // n_samples * n_samples
+            guess = shooting.state_guess(unknowns, index)
+            self.guesses.append(guess[:stop:n_samples])
         self.node_weight = (NODE_FREEDOM * shooting.state_scale) ** -2.0
         for state, output in measured_columns(shooting.model).items():
             self.node_weight[state] = (MEASURED_FREEDOM * shooting.sigma[output]) ** -2.0
@@ -78,8 +77,9 @@ class _FreeNodes:
     ) -> tuple[float, list[Blocks]] | None:
         """Cost and, per record, the blocks of the normal equations."""
         s = self.shooting
-        cost = 0.5 * float(s.prior_weight @ (unknowns - s.prior_mean) ** 2)
+        cost = s.prior_cost(unknowns)
         blocks = []
+        n_full = s.kernel.n_full
         for index, record in enumerate(s.records):
             n_segments = len(nodes[index])
             stop = n_segments * self.length
@@ -93,85 +93,83 @@ class _FreeNodes:
                 sensitivities=True,
             )
             dy = run.output_sensitivities
-            if not run.ok or dy is None or not np.isfinite(dy).all():
+            if not run.ok or dy is None:
                 return None
             residual = record.outputs[:stop] - run.outputs
-            present = np.isfinite(residual)
-            scaled = np.where(present, residual, 0.0) / s.sigma
+            scaled, weights = s.scaled(residual)
             away = nodes[index] - self.guesses[index]
-            cost += 0.5 * float(np.sum(scaled**2) + np.sum(self.node_weight * away**2))
-            jacobian = dy * (present / s.sigma)[:, :, None]
+            cost += 0.5 * float(np.vdot(scaled, scaled) + np.sum(self.node_weight * away**2))
+            jacobian = dy * (weights / s.sigma)[:, :, None]
             jacobian = jacobian.reshape(n_segments, -1, dy.shape[2])
-            target = scaled.reshape(n_segments, -1, 1)
-            n_full = s.kernel.n_full
-            by_node, by_free = jacobian[:, :, :n_full], jacobian[:, :, n_full:]
-            node_matrix = by_node.transpose(0, 2, 1) @ by_node + np.diag(self.node_weight)
-            cross = by_node.transpose(0, 2, 1) @ by_free
-            node_right = (by_node.transpose(0, 2, 1) @ target)[:, :, 0] - self.node_weight * away
-            flat = by_free.reshape(-1, by_free.shape[2])
+            gram = jacobian.transpose(0, 2, 1) @ jacobian
+            right = (scaled.reshape(n_segments, 1, -1) @ jacobian)[:, 0]
+            if not np.isfinite(gram).all():
+                return None
+            gram[:, range(n_full), range(n_full)] += self.node_weight
             blocks.append(
-                (node_matrix, cross, node_right, flat.T @ flat, flat.T @ target.reshape(-1))
+                (
+                    gram[:, :n_full, :n_full],
+                    gram[:, :n_full, n_full:],
+                    right[:, :n_full] - self.node_weight * away,
+                    gram[:, n_full:, n_full:].sum(axis=0),
+                    right[:, n_full:].sum(axis=0),
+                )
             )
         return cost, blocks
 
     def solve(self, unknowns: np.ndarray, max_iterations: int) -> np.ndarray:
-        s = self.shooting
-        n_own = s.layout.n_own
-        nodes = self.nodes
+        limits = self.shooting.limits
+        nodes = self.guesses
         state = self.evaluate(unknowns, nodes)
         if state is None:
             return unknowns
         cost, blocks = state
         damping = 1e-3
         for _ in range(max_iterations):
-            n = s.layout.n_unknowns
-            matrix = np.diag(s.prior_weight)
-            right = s.prior_weight * (s.prior_mean - unknowns)
-            eliminated = []
-            for index, (node_matrix, cross, node_right, free_matrix, free_right) in enumerate(
-                blocks
-            ):
-                columns = s.layout.record_columns(index)[n_own:]
-                damped = node_matrix + damping * _diagonals(node_matrix)
-                solved = np.linalg.solve(
-                    damped, np.concatenate([cross, node_right[:, :, None]], axis=2)
-                )
-                eliminated.append((columns, solved))
-                by_cross, by_right = solved[:, :, :-1], solved[:, :, -1:]
-                matrix[np.ix_(columns, columns)] += free_matrix - np.sum(
-                    cross.transpose(0, 2, 1) @ by_cross, axis=0
-                )
-                right[columns] += (
-                    free_right - np.sum(cross.transpose(0, 2, 1) @ by_right, axis=0).ravel()
-                )
-            step = bounded_step(
-                matrix[:n, :n], right, s.lower - unknowns, s.upper - unknowns, damping
-            )
-            trial = np.clip(unknowns + step, s.lower, s.upper)
-            trial_nodes = [
-                node + solved[:, :, -1] - solved[:, :, :-1] @ step[columns]
-                for node, (columns, solved) in zip(nodes, eliminated, strict=True)
-            ]
+            step, moves = self._step(unknowns, blocks, damping)
+            trial = np.clip(unknowns + step, limits.lower, limits.upper)
+            trial_nodes = [node + move for node, move in zip(nodes, moves, strict=True)]
             new = self.evaluate(trial, trial_nodes)
             if new is not None and new[0] < cost:
-                small = cost - new[0] < 1e-4 * cost
+                done = cost - new[0] < ENOUGH * cost
                 unknowns, nodes, (cost, blocks) = trial, trial_nodes, new
                 damping = max(damping / 10, 1e-9)
-                if small:
+                if done:
                     break
             else:
                 damping *= 10
                 if damping > 1e6:
                     break
-        for index in range(len(s.records)):
-            columns = s.layout.record_columns(index)[:n_own]
-            unknowns = unknowns.copy()
-            unknowns[columns] = nodes[index][0][:n_own]
-        return unknowns
+        unknowns = unknowns.copy()
+        n_own = self.shooting.layout.n_own
+        for index, node in enumerate(nodes):
+            unknowns[self.shooting.layout.record_columns(index)[:n_own]] = node[0][:n_own]
+        return np.clip(unknowns, limits.lower, limits.upper)
 
-
-def _diagonals(matrices: np.ndarray) -> np.ndarray:
-    result = np.zeros_like(matrices)
-    index = np.arange(matrices.shape[1])
-    result[:, index, index] = matrices[:, index, index]
-    return result
+    def _step(
+        self, unknowns: np.ndarray, blocks: list[Blocks], damping: float
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Step of the unknowns, and of the nodes per record."""
+        limits, layout = self.shooting.limits, self.shooting.layout
+        matrix = np.diag(limits.prior_weight)
+        right = limits.prior_weight * (limits.prior_mean - unknowns)
+        eliminated = []
+        for index, (node_matrix, cross, node_right, free_matrix, free_right) in enumerate(blocks):
+            columns = layout.record_columns(index)[layout.n_own :]
+            damped = node_matrix.copy()
+            diagonal = range(node_matrix.shape[1])
+            damped[:, diagonal, diagonal] *= 1.0 + damping
+            both = np.concatenate([cross, node_right[:, :, None]], axis=2)
+            solved = np.linalg.solve(damped, both)
+            eliminated.append((columns, solved))
+            n_full = cross.shape[1]
+            reduction = cross.reshape(-1, cross.shape[2]).T @ solved.reshape(
+                len(solved) * n_full, -1
+            )
+            matrix[np.ix_(columns, columns)] += free_matrix - reduction[:, :-1]
+            right[columns] += free_right - reduction[:, -1]
+        lower, upper = limits.lower - unknowns, limits.upper - unknowns
+        step = bounded_step(matrix, right, lower, upper, damping)
+        return step, [
+            solved[:, :, -1] - solved[:, :, :-1] @ step[columns] for columns, solved in eliminated
+        ]

@@ -11,6 +11,13 @@ from scipy.optimize import lsq_linear
 
 from oed_sysid.shooting import Linearisation, Point, Shooting
 
+# Below this share of the largest eigenvalue of the equilibrated matrix, a
+# direction is rounding error: the square of the information's null tolerance.
+NULL_EIGENVALUE = 1e-13
+LINE_SEARCH_STEPS = 5
+# A trajectory whose scaled jumps sum to less is continuous.
+CLOSED = 1e-8
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -24,9 +31,10 @@ class Progress:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the Gauss-Newton iterations ended.
+    """Where the iterations ended.
 
-    ``reason`` is ``"converged"``, ``"stalled"``, ``"iterations"`` or ``"diverged"``.
+    ``reason`` is ``"converged"``, ``"stalled"``, ``"iterations"``,
+    ``"interrupted"`` or, from constrained solvers, ``"infeasible"``.
     """
 
     point: Point
@@ -64,60 +72,78 @@ def solve(
     Returns
     -------
     Solution or None
-        None where even the start trajectory is not finite.
+        None where even the start trajectory is not finite. A keyboard
+        interrupt ends the iterations and keeps the best point.
     """
     lin = shooting.linearise(point)
     if lin is None:
         return None
-    cost, defect = shooting.cost(lin, point.unknowns), shooting.defect(lin)
-    damping, penalty, reason = 0.0, 1.0, "iterations"
-    iteration = 0
-    for iteration in range(1, max_iterations + 1):
-        matrix, right = shooting.normal_equations(lin)
-        right = right + shooting.prior_weight * (shooting.prior_mean - point.unknowns)
-        matrix = matrix + np.diag(shooting.prior_weight)
-        accepted = None
-        while accepted is None and damping < 1e8:
-            step = bounded_step(
-                matrix,
-                right,
-                shooting.lower - point.unknowns,
-                shooting.upper - point.unknowns,
-                damping,
-            )
-            decrease = cost - shooting.predicted_cost(lin, point.unknowns, step)
-            if defect > 0 and decrease < 0.5 * penalty * defect:
-                penalty = max(penalty, -2.0 * decrease / defect)
-            expected = decrease + penalty * defect
-            if abs(decrease) < tolerance and defect < 1e-8:
-                reason = "converged"
+    search = _Search(shooting, point, lin)
+    reason, iteration = "iterations", 0
+    try:
+        for iteration in range(1, max_iterations + 1):
+            outcome = search.advance(tolerance)
+            if outcome:
+                reason = outcome
                 break
-            length = 1.0
-            for _ in range(5):
-                trial = shooting.move(point, lin, step, length)
-                new = shooting.linearise(trial)
-                if new is not None:
-                    new_cost, new_defect = (
-                        shooting.cost(new, trial.unknowns),
-                        shooting.defect(new),
-                    )
-                    merit = cost - new_cost + penalty * (defect - new_defect)
-                    if merit > 1e-4 * length * expected or (
-                        merit >= -1e-10 * abs(cost) and expected < 1e-6 * abs(cost)
-                    ):
-                        accepted = (trial, new, new_cost, new_defect)
-                        break
-                length *= 0.4
-            if accepted is None:
-                damping = max(10.0 * damping, 1e-4)
-        if accepted is None:
-            reason = reason if reason == "converged" else "stalled"
-            break
-        point, lin, cost, defect = accepted
-        damping = damping / 10.0 if damping > 1e-7 else 0.0
-        if callback is not None:
-            callback(Progress(iteration, cost, defect, decrease))
-    return Solution(point, lin, cost, iteration, reason)
+            if callback is not None:
+                callback(Progress(iteration, search.cost, search.defect, search.decrease))
+    except KeyboardInterrupt:
+        reason = "interrupted"
+    return Solution(search.point, search.lin, search.cost, iteration, reason)
+
+
+class _Search:
+    """State of the iterations: the point, its linearisation, damping and penalty."""
+
+    def __init__(self, shooting: Shooting, point: Point, lin: Linearisation) -> None:
+        self.shooting = shooting
+        self.damping, self.penalty, self.decrease = 0.0, 1.0, np.inf
+        self._accept(point, lin)
+
+    def _accept(self, point: Point, lin: Linearisation) -> None:
+        self.point, self.lin = point, lin
+        self.cost = self.shooting.cost(lin, point.unknowns)
+        self.defect = self.shooting.defect(lin)
+
+    def advance(self, tolerance: float) -> str:
+        """Take one step; return why there is none, or an empty string."""
+        shooting, limits, point = self.shooting, self.shooting.limits, self.point
+        matrix, right = shooting.normal_equations(self.lin)
+        right = right + limits.prior_weight * (limits.prior_mean - point.unknowns)
+        matrix = matrix + np.diag(limits.prior_weight)
+        lower, upper = limits.lower - point.unknowns, limits.upper - point.unknowns
+        while self.damping < 1e8:
+            step = bounded_step(matrix, right, lower, upper, self.damping)
+            predicted = shooting.predicted_cost(self.lin, point.unknowns, step)
+            self.decrease = self.cost - predicted
+            if abs(self.decrease) < tolerance and self.defect < CLOSED:
+                return "converged"
+            if self.defect > 0 and self.decrease < 0.5 * self.penalty * self.defect:
+                self.penalty = max(self.penalty, -2.0 * self.decrease / self.defect)
+            if self._line_search(step):
+                self.damping = self.damping / 10.0 if self.damping > 1e-7 else 0.0
+                return ""
+            self.damping = max(10.0 * self.damping, 1e-4)
+        return "stalled"
+
+    def _line_search(self, step: np.ndarray) -> bool:
+        shooting = self.shooting
+        expected = self.decrease + self.penalty * self.defect
+        length = 1.0
+        for _ in range(LINE_SEARCH_STEPS):
+            trial = shooting.move(self.point, self.lin, step, length)
+            lin = shooting.linearise(trial)
+            if lin is not None:
+                cost, defect = shooting.cost(lin, trial.unknowns), shooting.defect(lin)
+                merit = self.cost - cost + self.penalty * (self.defect - defect)
+                # Near the optimum the gain drowns in rounding: any step that does no harm will do.
+                tiny = expected < 1e-6 * abs(self.cost) and merit >= -1e-10 * abs(self.cost)
+                if merit > 1e-4 * length * expected or tiny:
+                    self._accept(trial, lin)
+                    return True
+            length *= 0.4
+        return False
 
 
 def bounded_step(
@@ -125,35 +151,49 @@ def bounded_step(
 ) -> np.ndarray:
     """Minimise ``x' matrix x / 2 - right' x`` within bounds.
 
-    Unknowns that the data do not see (a zero on the diagonal) stay where they
-    are; others that they see only in combination take the smallest step.
+    Unknowns that the data do not see (a zero on the diagonal), or whose bounds
+    coincide, stay where they are; along directions that are seen in no
+    combination the step is the smallest one, in equilibrated unknowns.
+
+    Parameters
+    ----------
+    matrix : ndarray (n, n)
+        Positive semidefinite.
+    right, lower, upper : ndarray (n,)
+        Right-hand side and bounds of the step.
+    damping : float
+        Levenberg-Marquardt damping, in units of the diagonal.
+
+    Returns
+    -------
+    ndarray (n,)
     """
     diagonal = np.diag(matrix)
-    seen = diagonal > 0
+    open_ = np.flatnonzero((diagonal > 0) & (upper > lower))
     step = np.zeros_like(right)
-    scale = 1.0 / np.sqrt(diagonal[seen])
-    scaled = matrix[np.ix_(seen, seen)] * scale[:, None] * scale
-    n = len(scale)
-    for attempt in (damping, 1e-12, 1e-9, 1e-6):
-        try:
-            damped = scaled + max(damping, attempt) * np.eye(n)
-            factor = cho_factor(damped, lower=False)
-            break
-        except LinAlgError:
-            continue
-    else:
-        damped = scaled + np.eye(n)
-        factor = cho_factor(damped, lower=False)
-    step[seen] = scale * cho_solve(factor, scale * right[seen])
+    if not len(open_):
+        return np.clip(step, lower, upper)
+    scale = 1.0 / np.sqrt(diagonal[open_])
+    scaled = matrix[np.ix_(open_, open_)] * scale[:, None] * scale
+    scaled[np.diag_indices_from(scaled)] += damping
+    target = scale * right[open_]
+    try:
+        factor = cho_factor(scaled)
+        # Rounding errors, not the data, decide along directions with a smaller pivot.
+        if np.min(np.diag(factor[0])) ** 2 < 10 * NULL_EIGENVALUE:
+            raise LinAlgError
+        step[open_] = scale * cho_solve(factor, target)
+        triangle = np.triu(factor[0])
+    except LinAlgError:
+        values, vectors = np.linalg.eigh(scaled)
+        seen = values > NULL_EIGENVALUE * values[-1]
+        vectors, roots = vectors[:, seen], np.sqrt(values[seen])
+        step[open_] = scale * (vectors @ ((vectors.T @ target) / roots**2))
+        triangle = roots[:, None] * vectors.T
     if np.all(step >= lower) and np.all(step <= upper):
         return step
-    triangle = np.triu(factor[0])
-    target = np.linalg.solve(triangle.T, scale * right[seen])
-    low, high = lower[seen] / scale, upper[seen] / scale
-    # lsq_linear wants an open interval.
-    closed = high - low < 1e-14
-    result = lsq_linear(
-        triangle, target, (np.where(closed, low - 1e-14, low), np.where(closed, high + 1e-14, high))
-    )
-    step[seen] = scale * result.x
+    projected = np.linalg.lstsq(triangle.T, target, rcond=None)[0]
+    bounds = lower[open_] / scale, upper[open_] / scale
+    result = lsq_linear(triangle, projected, bounds, method="bvls")
+    step[open_] = scale * result.x
     return np.clip(step, lower, upper)

@@ -6,69 +6,23 @@ nodes links the intervals, the linearised constraints express every node by
 the record's own initial state and the parameters, and the least-squares
 problem shrinks to these few unknowns (Bock 1987). The cost of one iteration
 is linear in the length of the records.
-
-Unknowns, in order: global free parameters, then for each record its initial
-states and its local (``per_record``) parameters.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from oed_sysid.dataset import Dataset, Record
 from oed_sysid.kernels import Kernel, kernel
 from oed_sysid.model import Model
-from oed_sysid.start_states import check_channels, cut, measured_states
+from oed_sysid.start_states import check_channels, cut, measured_states, state_series
+from oed_sysid.unknowns import Layout, Limits
 
 Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where each unknown sits in the vector of unknowns.
-
-    Attributes
-    ----------
-    free_names : tuple of str
-        Free parameters in kernel order.
-    shared, local : ndarray of int
-        Positions, among the free ones, of global and of per-record parameters.
-    n_own, n_records : int
-        Initial states per record; number of records.
-    """
-
-    free_names: tuple[str, ...]
-    shared: np.ndarray
-    local: np.ndarray
-    n_own: int
-    n_records: int
-
-    @property
-    def n_unknowns(self) -> int:
-        """Length of the vector of unknowns."""
-        return len(self.shared) + self.n_records * (self.n_own + len(self.local))
-
-    def record_columns(self, index: int) -> np.ndarray:
-        """Positions of ``[own states, free parameters]`` of one record among the unknowns."""
-        width = self.n_own + len(self.local)
-        begin = len(self.shared) + index * width
-        columns = np.empty(self.n_own + len(self.free_names), dtype=int)
-        columns[: self.n_own] = begin + np.arange(self.n_own)
-        columns[self.n_own + self.shared] = np.arange(len(self.shared))
-        columns[self.n_own + self.local] = begin + self.n_own + np.arange(len(self.local))
-        return columns
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of every unknown; local ones carry the record's index."""
-        names = [self.free_names[i] for i in self.shared]
-        for record in range(self.n_records):
-            names += [f"x0[{record}][{i}]" for i in range(self.n_own)]
-            names += [f"{self.free_names[i]}[{record}]" for i in self.local]
-        return tuple(names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +32,7 @@ class Point:
     Attributes
     ----------
     unknowns : ndarray (n_unknowns,)
-        As laid out by :class:`Layout`.
+        As laid out by :class:`~oed_sysid.unknowns.Layout`.
     nodes : tuple of ndarray (n_segments - 1, n_full)
         State at the start of every interval but the first, per record.
     """
@@ -150,41 +104,17 @@ class Shooting:
         self.kernel: Kernel = kernel(model)
         self.sigma = np.asarray(sigma, dtype=float)
         self.loss = loss
-        parameters = model.free_parameters
-        local = np.array([p.per_record for p in parameters], dtype=bool)
-        self.layout = Layout(
-            free_names=model.free_names,
-            shared=np.flatnonzero(~local),
-            local=np.flatnonzero(local),
-            n_own=self.kernel.n_own,
-            n_records=len(self.records),
-        )
+        self.layout = Layout.of(model, len(self.records))
+        self.limits = Limits.of(model, self.layout)
         names = model.parameter_names
         self._free_index = np.array([names.index(n) for n in model.free_names], dtype=int)
         self._base_values = model.value_vector
         self._starts = tuple(cut(record, interval) for record in self.records)
         self._guesses = tuple(initial_states or ({},) * len(self.records))
         self._columns = tuple(self.layout.record_columns(i) for i in range(len(self.records)))
-        self._bounds_and_priors()
-
-    def _bounds_and_priors(self) -> None:
-        n = self.layout.n_unknowns
-        self.lower, self.upper = np.full(n, -np.inf), np.full(n, np.inf)
-        self.prior_mean, self.prior_weight = np.zeros(n), np.zeros(n)
-        for columns in self._columns:
-            positions = columns[self.layout.n_own :]
-            for position, parameter in zip(positions, self.model.free_parameters, strict=True):
-                self.lower[position], self.upper[position] = parameter.lower, parameter.upper
-                if parameter.prior_std is not None:
-                    self.prior_mean[position] = parameter.prior_mean
-                    self.prior_weight[position] = parameter.prior_std**-2
-        scales = [parameter.magnitude for parameter in self.model.free_parameters]
-        self.unknown_scale = np.ones(n)
-        state_scales = [state.scale for state in self.model.states]
-        for columns in self._columns:
-            self.unknown_scale[columns] = [*state_scales, *scales]
+        self._measured = tuple(measured_states(model, record) for record in self.records)
         extra = self.kernel.n_full - self.kernel.n_own
-        self.state_scale = np.array([*state_scales, *np.ones(extra)])
+        self.state_scale = np.array([*(state.scale for state in model.states), *np.ones(extra)])
 
     # -- points --------------------------------------------------------------------
 
@@ -198,53 +128,65 @@ class Shooting:
         """The model's own initial states of one record, shape ``(n_own,)``."""
         return unknowns[self._columns[record][: self.layout.n_own]]
 
+    def full_start(self, unknowns: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray]:
+        """Full state at a record's first sample, and its derivatives."""
+        data = self.records[record]
+        own, values = self.initial_state(unknowns, record), self.values(unknowns, record)
+        return self.kernel.start(own, data.inputs[0], values, data.times[0])
+
+    def start_unknowns(self) -> np.ndarray:
+        """Start values: parameters of the model, initial states from the data."""
+        unknowns = np.zeros(self.layout.n_unknowns)
+        names = self.model.state_names
+        for index, columns in enumerate(self._columns):
+            own = np.zeros(self.layout.n_own)
+            for position, series in self._measured[index].items():
+                own[position] = series[0]
+            for name, value in self._guesses[index].items():
+                if names.index(name) not in self._measured[index]:
+                    own[names.index(name)] = value
+            unknowns[columns] = [*own, *self._base_values[self._free_index]]
+        return unknowns
+
+    def state_guess(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """Full state at every sample, measured where possible, ``(n_times, n_full)``."""
+        values, (z0, _) = self.values(unknowns, record), self.full_start(unknowns, record)
+        measured, data = self._measured[record], self.records[record]
+        return state_series(self.kernel, data, values, z0, self.state_scale, measured)
+
     def start_point(self, unknowns: np.ndarray | None = None) -> Point:
         """Nodes from the measurements where a state is measured, else by simulation.
 
         Parameters
         ----------
         unknowns : ndarray (n_unknowns,), optional
-            Start values; by default those of the model and of the data.
+            Start values; by default :meth:`start_unknowns`.
         """
-        guess = unknowns is None
         if unknowns is None:
-            unknowns = np.zeros(self.layout.n_unknowns)
+            unknowns = self.start_unknowns()
+        nodes = tuple(
+            self.state_guess(unknowns, index)[starts[1:]]
+            for index, starts in enumerate(self._starts)
+        )
+        return Point(unknowns.copy(), nodes)
+
+    def continuous(self, unknowns: np.ndarray) -> Point:
+        """Return the point whose nodes lie on the simulated trajectory."""
         nodes = []
-        unknowns = unknowns.copy()
         for index, record in enumerate(self.records):
-            measured = measured_states(self.model, record)
-            if guess:
-                own = np.zeros(self.layout.n_own)
-                for name, value in self._guesses[index].items():
-                    own[self.model.state_names.index(name)] = value
-                for position, series in measured.items():
-                    own[position] = series[0]
-                free = self._base_values[self._free_index]
-                unknowns[self._columns[index]] = np.concatenate([own, free])
-            nodes.append(self._start_nodes(unknowns, index, measured))
+            values, (z0, _) = self.values(unknowns, index), self.full_start(unknowns, index)
+            run = self.kernel.run(record.times, record.inputs, values, z0)
+            nodes.append(run.states[self._starts[index][1:]])
         return Point(unknowns, tuple(nodes))
 
-    def _start_nodes(
-        self, unknowns: np.ndarray, index: int, measured: Mapping[int, np.ndarray]
-    ) -> np.ndarray:
-        record, starts = self.records[index], self._starts[index]
-        values = self.values(unknowns, index)
-        z, _ = self.kernel.start(
-            self.initial_state(unknowns, index), record.inputs[0], values, record.times[0]
-        )
-        nodes = np.empty((len(starts), self.kernel.n_full))
-        for segment, first in enumerate(starts):
-            if segment:
-                part = slice(starts[segment - 1], first + 1)
-                run = self.kernel.run(record.times[part], record.inputs[part], values, z)
-                following = run.states[-1] if run.ok else z.copy()
-                # A wild start value must not carry nonsense from node to node.
-                tame = np.abs(following) < 1e3 * (1 + np.abs(z) + self.state_scale)
-                z = np.where(tame, following, z)
-                for position, series in measured.items():
-                    z[position] = series[first]
-            nodes[segment] = z
-        return nodes[1:]
+    def move(self, point: Point, lin: Linearisation, step: np.ndarray, length: float) -> Point:
+        """Return the point after a step of the unknowns and the step this implies for nodes."""
+        nodes = []
+        for index, columns in enumerate(self._columns):
+            change = lin.node_maps[index] @ step[columns] + lin.node_offsets[index]
+            nodes.append(point.nodes[index] + length * change)
+        unknowns = point.unknowns + length * step
+        return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), tuple(nodes))
 
     # -- evaluation ----------------------------------------------------------------
 
@@ -261,8 +203,7 @@ class Shooting:
     def _linearise_record(self, point: Point, index: int) -> tuple[np.ndarray, ...] | None:
         record, starts = self.records[index], self._starts[index]
         values = self.values(point.unknowns, index)
-        own = self.initial_state(point.unknowns, index)
-        z0, dz0 = self.kernel.start(own, record.inputs[0], values, record.times[0])
+        z0, dz0 = self.full_start(point.unknowns, index)
         nodes = np.vstack([z0[None], point.nodes[index]])
         run = self.kernel.run(
             record.times, record.inputs, values, nodes, starts=starts, sensitivities=True
@@ -270,26 +211,33 @@ class Shooting:
         dy, dends = run.output_sensitivities, run.end_sensitivities
         if not run.ok or dy is None or dends is None or not np.isfinite(run.ends[:-1]).all():
             return None
-        n_own, n_full = self.layout.n_own, self.kernel.n_full
-        jacobian = np.empty((*run.outputs.shape, n_own + self.kernel.n_free))
-        offset = np.zeros_like(run.outputs)
-        node_map = np.empty((len(nodes), *dz0.shape))
-        node_offset = np.zeros_like(nodes)
+        n_own, n_full, n_free = self.layout.n_own, self.kernel.n_full, self.kernel.n_free
         defects = run.ends[:-1] - nodes[1:]
-        stops = [*starts[1:], len(record.times)]
-        node_map[0] = dz0
-        for i, (first, stop) in enumerate(zip(starts, stops, strict=True)):
-            by_state, by_free = dy[first:stop, :, :n_full], dy[first:stop, :, n_full:]
-            jacobian[first:stop] = by_state @ node_map[i]
-            jacobian[first:stop, :, n_own:] += by_free
-            if i:
-                offset[first:stop] = by_state @ node_offset[i]
-            if i + 1 < len(nodes):
-                node_map[i + 1] = dends[i, :, :n_full] @ node_map[i]
-                node_map[i + 1, :, n_own:] += dends[i, :, n_full:]
-                node_offset[i + 1] = dends[i, :, :n_full] @ node_offset[i] + defects[i]
-        residual = record.outputs - run.outputs
-        return residual, jacobian, offset, node_map[1:], node_offset[1:], defects
+        # Columns: own initial states, free parameters, and the closing of the defects.
+        # Rows: state at the start of the interval, free parameters.
+        maps = np.zeros((len(nodes), n_full + n_free, n_own + n_free + 1))
+        maps[:, n_full:, n_own:-1] = np.eye(n_free)
+        maps[0, :n_full, :-1] = dz0
+        for i in range(len(nodes) - 1):
+            maps[i + 1, :n_full] = dends[i] @ maps[i]
+            maps[i + 1, :n_full, -1] += defects[i]
+        n_outputs = dy.shape[1]
+        condensed = np.empty((*run.outputs.shape, maps.shape[2]))
+        flat = condensed.reshape(-1, maps.shape[2])
+        rows = dy.reshape(-1, dy.shape[2])
+        edges = np.append(starts, len(record.times)) * n_outputs
+        for i, (first, stop) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+            np.matmul(rows[first:stop], maps[i], out=flat[first:stop])
+        if not np.isfinite(condensed).all():
+            return None
+        return (
+            record.outputs - run.outputs,
+            condensed[:, :, :-1],
+            condensed[:, :, -1],
+            maps[1:, :n_full, :-1],
+            maps[1:, :n_full, -1],
+            defects,
+        )
 
     def normal_equations(self, lin: Linearisation) -> tuple[np.ndarray, np.ndarray]:
         """Gauss-Newton matrix and right-hand side, priors excluded.
@@ -302,17 +250,16 @@ class Shooting:
         n = self.layout.n_unknowns
         matrix, right = np.zeros((n, n)), np.zeros(n)
         for index, columns in enumerate(self._columns):
-            scaled, weights = self._scaled(lin.residuals[index])
-            root = np.sqrt(weights) / self.sigma
-            target = np.where(weights > 0, scaled - lin.offsets[index] / self.sigma, 0.0)
-            target *= np.sqrt(weights)
-            jacobian = lin.jacobians[index] * root[:, :, None]
+            scaled, weights = self.scaled(lin.residuals[index])
+            root = np.sqrt(weights)
+            target = root * (scaled - lin.offsets[index] / self.sigma)
+            jacobian = lin.jacobians[index] * (root / self.sigma)[:, :, None]
             flat = jacobian.reshape(-1, jacobian.shape[2])
             matrix[np.ix_(columns, columns)] += flat.T @ flat
             right[columns] += flat.T @ target.ravel()
         return matrix, right
 
-    def _scaled(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def scaled(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals in units of noise (0 where missing) and their weights."""
         present = np.isfinite(residual)
         scaled = np.where(present, residual, 0.0) / self.sigma
@@ -321,80 +268,75 @@ class Shooting:
             weights *= self.loss(scaled)[1]
         return scaled, weights
 
+    def _misfit(self, residual: np.ndarray) -> float:
+        """Half the (robust) sum of squares of one record's residuals."""
+        scaled = np.where(np.isfinite(residual), residual, 0.0) / self.sigma
+        if self.loss is not None:
+            return 0.5 * float(np.sum(self.loss(scaled)[0]))
+        return 0.5 * float(np.vdot(scaled, scaled))
+
+    def prior_cost(self, unknowns: np.ndarray) -> float:
+        """Half the weighted sum of squares of the departures from the priors."""
+        return 0.5 * float(self.limits.prior_weight @ (unknowns - self.limits.prior_mean) ** 2)
+
     def cost(self, lin: Linearisation, unknowns: np.ndarray) -> float:
         """Half the (robust) sum of squares of residuals and priors; defects excluded."""
-        total = 0.5 * float(self.prior_weight @ (unknowns - self.prior_mean) ** 2)
-        for residual in lin.residuals:
-            scaled, _ = self._scaled(residual)
-            total += 0.5 * float(
-                np.sum(self.loss(scaled)[0]) if self.loss is not None else np.sum(scaled**2)
-            )
-        return total
+        return self.prior_cost(unknowns) + sum(map(self._misfit, lin.residuals))
 
     def predicted_cost(self, lin: Linearisation, unknowns: np.ndarray, step: np.ndarray) -> float:
         """Cost of the linearised problem after a full step, defects closed."""
-        total = 0.5 * float(self.prior_weight @ (unknowns + step - self.prior_mean) ** 2)
+        total = self.prior_cost(unknowns + step)
         for index, columns in enumerate(self._columns):
             change = lin.offsets[index] + lin.jacobians[index] @ step[columns]
-            scaled, _ = self._scaled(lin.residuals[index] - change)
-            total += 0.5 * float(
-                np.sum(self.loss(scaled)[0]) if self.loss is not None else np.sum(scaled**2)
-            )
+            total += self._misfit(lin.residuals[index] - change)
         return total
 
     def defect(self, lin: Linearisation) -> float:
         """Sum of the scaled jumps at all nodes."""
         return float(sum(np.abs(d / self.state_scale).sum() for d in lin.defects))
 
-    def move(self, point: Point, lin: Linearisation, step: np.ndarray, length: float) -> Point:
-        """Return the point after a step of the unknowns and the step this implies for nodes."""
-        nodes = []
-        for index, columns in enumerate(self._columns):
-            change = lin.node_maps[index] @ step[columns] + lin.node_offsets[index]
-            nodes.append(point.nodes[index] + length * change)
-        unknowns = np.clip(point.unknowns + length * step, self.lower, self.upper)
-        return Point(unknowns, tuple(nodes))
+    # -- the same problem, slightly changed ------------------------------------------
 
-    def continuous(self, unknowns: np.ndarray) -> Point:
-        """Return the point whose nodes lie on the simulated trajectory."""
-        nodes = []
-        for index, record in enumerate(self.records):
-            values = self.values(unknowns, index)
-            own = self.initial_state(unknowns, index)
-            z0, _ = self.kernel.start(own, record.inputs[0], values, record.times[0])
-            run = self.kernel.run(record.times, record.inputs, values, z0)
-            nodes.append(run.states[self._starts[index][1:]])
-        return Point(unknowns, tuple(nodes))
+    def _with(self, **changes: object) -> Shooting:
+        other = copy.copy(self)
+        other.__dict__.update(changes)
+        return other
 
     def with_intervals(self, n_samples: int) -> Shooting:
         """Return the same problem cut into intervals of ``n_samples`` samples."""
-        other = object.__new__(Shooting)
-        other.__dict__.update(self.__dict__)
-        other._starts = tuple(
-            np.arange(0, len(record.times), n_samples, dtype=np.intc) for record in self.records
-        )
-        return other
+        starts = (np.arange(0, len(r.times), n_samples, dtype=np.intc) for r in self.records)
+        return self._with(_starts=tuple(starts))
 
     def with_loss(self, loss: Loss | None) -> Shooting:
         """Return the same problem with another loss."""
-        other = object.__new__(Shooting)
-        other.__dict__.update(self.__dict__)
-        other.loss = loss
-        return other
+        return self._with(loss=loss)
 
     def with_sigma(self, sigma: np.ndarray) -> Shooting:
         """Return the same problem with other noise levels."""
-        other = object.__new__(Shooting)
-        other.__dict__.update(self.__dict__)
-        other.sigma = np.asarray(sigma, dtype=float)
-        return other
+        return self._with(sigma=np.asarray(sigma, dtype=float))
+
+    def holding(self, positions: np.ndarray, values: np.ndarray) -> Shooting:
+        """Return the same problem with some unknowns held at given values."""
+        lower, upper = self.limits.lower.copy(), self.limits.upper.copy()
+        lower[positions] = upper[positions] = values
+        return self._with(limits=replace(self.limits, lower=lower, upper=upper))
+
+    @property
+    def interval_samples(self) -> int:
+        """Longest interval, in samples."""
+        return max(
+            int(np.diff([*starts, len(record.times)]).max())
+            for starts, record in zip(self._starts, self.records, strict=True)
+        )
 
 
 def replace_values(model: Model, shooting: Shooting, unknowns: np.ndarray) -> Model:
     """Return the model at the estimated values; local parameters take their mean."""
     layout = shooting.layout
-    values: dict[str, list[float]] = {name: [] for name in layout.free_names}
-    for columns in (layout.record_columns(i) for i in range(layout.n_records)):
-        for name, value in zip(layout.free_names, unknowns[columns[layout.n_own :]], strict=True):
-            values[name].append(float(value))
-    return model.with_values({name: float(np.mean(v)) for name, v in values.items()})
+    free = np.array([unknowns[c[layout.n_own :]] for c in shooting._columns])
+    means = np.clip(
+        free.mean(axis=0),
+        [p.lower for p in model.free_parameters],
+        [p.upper for p in model.free_parameters],
+    )
+    return model.with_values(dict(zip(layout.free_names, map(float, means), strict=True)))

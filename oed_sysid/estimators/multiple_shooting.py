@@ -19,13 +19,14 @@ from oed_sysid.estimators.noise_levels import (
 )
 from oed_sysid.estimators.summary import summarise
 from oed_sysid.fit import Fit
-from oed_sysid.free_nodes import free_node_start
+from oed_sysid.free_nodes import climb
 from oed_sysid.gauss_newton import Progress, Solution, solve
 from oed_sysid.model import Model
 from oed_sysid.shooting import Point, Shooting
 
-# Lengths, in samples, of the free-node intervals on the wide way in.
-LADDER = (2, 5, 15, 50)
+# Lengths, in samples, of the free-node intervals on the wide way in; beyond the
+# last one they triple until they reach the length of a shooting interval.
+LADDER = (2, 4, 10, 30)
 # A start trajectory further off than this (in noise units, per sample) is far.
 FAR = 1e3
 
@@ -223,11 +224,15 @@ class MultipleShooting:
 def wide_start(shooting: Shooting, point: Point) -> Point:
     """Climb the ladder of free-node intervals from a far start."""
     shortest = min(len(record.times) for record in shooting.records)
-    plain = shooting if shooting.loss is None else shooting.with_loss(None)
-    for n_samples in LADDER:
+    rungs = list(LADDER)
+    while 3 * rungs[-1] <= shooting.interval_samples < shortest:
+        rungs.append(3 * rungs[-1])
+    plain = shooting.with_loss(None)
+    unknowns = point.unknowns
+    for n_samples in rungs:
         if 2 * n_samples <= shortest:
-            point = free_node_start(plain, point, n_samples=n_samples)
-    return shooting.start_point(point.unknowns)
+            unknowns = climb(plain, unknowns, n_samples)
+    return shooting.start_point(unknowns)
 
 
 def _is_far(shooting: Shooting, point: Point) -> bool:

@@ -65,10 +65,10 @@ def summarise(
     unknowns = solution.point.unknowns
     n_shared = len(layout.shared)
     matrix, _ = shooting.normal_equations(solution.linearisation)
-    matrix = matrix + np.diag(shooting.prior_weight)
+    matrix = matrix + np.diag(shooting.limits.prior_weight)
     reduced = eliminate(matrix, n_shared)
     names = tuple(layout.free_names[i] for i in layout.shared)
-    scales = shooting.unknown_scale[:n_shared]
+    scales = shooting.limits.scale[:n_shared]
     information = Information.from_matrix(names, reduced, scales)
     covariance = information.covariance
     use = coloured == "always" or (coloured == "auto" and is_coloured(solution.linearisation))
@@ -165,7 +165,7 @@ def sandwich(
         jacobians.append(reduced)
         residuals.append(residual)
     middle = coloured_score_covariance(jacobians, residuals)
-    prior = np.diag(shooting.prior_weight[:n_shared])
+    prior = np.diag(shooting.limits.prior_weight[:n_shared])
     white = information.covariance
     finite = np.isfinite(np.diag(white))
     result = white.copy()

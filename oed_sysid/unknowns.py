@@ -1,0 +1,116 @@
+"""Where each unknown of an estimation sits, between which bounds, with which prior.
+
+Unknowns, in order: shared free parameters, then for each record its initial
+states and its own (``per_record``) parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.model import Model
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each unknown sits in the vector of unknowns.
+
+    Attributes
+    ----------
+    free_names : tuple of str
+        Free parameters in kernel order.
+    shared, local : ndarray of int
+        Positions, among the free ones, of shared and of per-record parameters.
+    n_own, n_records : int
+        Initial states per record; number of records.
+    """
+
+    free_names: tuple[str, ...]
+    shared: np.ndarray
+    local: np.ndarray
+    n_own: int
+    n_records: int
+
+    @classmethod
+    def of(cls, model: Model, n_records: int) -> Layout:
+        """Layout of a model's unknowns over some records."""
+        local = np.array([p.per_record for p in model.free_parameters], dtype=bool)
+        return cls(
+            free_names=model.free_names,
+            shared=np.flatnonzero(~local),
+            local=np.flatnonzero(local),
+            n_own=len(model.states),
+            n_records=n_records,
+        )
+
+    @property
+    def n_unknowns(self) -> int:
+        """Length of the vector of unknowns."""
+        return len(self.shared) + self.n_records * (self.n_own + len(self.local))
+
+    def record_columns(self, index: int) -> np.ndarray:
+        """Positions of ``[own states, free parameters]`` of one record among the unknowns."""
+        width = self.n_own + len(self.local)
+        begin = len(self.shared) + index * width
+        columns = np.empty(self.n_own + len(self.free_names), dtype=int)
+        columns[: self.n_own] = begin + np.arange(self.n_own)
+        columns[self.n_own + self.shared] = np.arange(len(self.shared))
+        columns[self.n_own + self.local] = begin + self.n_own + np.arange(len(self.local))
+        return columns
+
+    @property
+    def shared_names(self) -> tuple[str, ...]:
+        """Names of the shared free parameters."""
+        return tuple(self.free_names[i] for i in self.shared)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of every unknown; local ones carry the record's index."""
+        names = list(self.shared_names)
+        for record in range(self.n_records):
+            names += [f"x0[{record}][{i}]" for i in range(self.n_own)]
+            names += [f"{self.free_names[i]}[{record}]" for i in self.local]
+        return tuple(names)
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Bounds, priors and scales of all unknowns, each of shape ``(n_unknowns,)``.
+
+    Attributes
+    ----------
+    lower, upper : ndarray
+        Bounds; an unknown whose bounds coincide is held.
+    prior_mean, prior_weight : ndarray
+        Normal priors; the weight is the inverse variance, zero where nothing
+        is known.
+    scale : ndarray
+        Typical magnitudes.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    prior_mean: np.ndarray
+    prior_weight: np.ndarray
+    scale: np.ndarray
+
+    @classmethod
+    def of(cls, model: Model, layout: Layout) -> Limits:
+        """Limits that a model's parameters and states declare."""
+        n = layout.n_unknowns
+        lower, upper, scale = np.full(n, -np.inf), np.full(n, np.inf), np.ones(n)
+        mean, weight = np.zeros(n), np.zeros(n)
+        parameters = model.free_parameters
+        scales = [*(s.scale for s in model.states), *(p.magnitude for p in parameters)]
+        known = [p.prior_std is not None for p in parameters]
+        for index in range(layout.n_records):
+            columns = layout.record_columns(index)
+            free = columns[layout.n_own :]
+            scale[columns] = scales
+            lower[free] = [p.lower for p in parameters]
+            upper[free] = [p.upper for p in parameters]
+            mean[free[known]] = [p.prior_mean for p in parameters if p.prior_std is not None]
+            weight[free[known]] = [p.prior_std**-2 for p in parameters if p.prior_std is not None]
+        return cls(lower, upper, mean, weight, scale)
