@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
+from collections.abc import Callable
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -54,6 +55,7 @@ def _tool_digest() -> str:
         "expressions.py",
         "native/generate.py",
         "native/trajectory.c",
+        "native/innovations.c",
     ):
         digest.update(package.joinpath(name).read_bytes())
     digest.update(repr((ca.CasadiMeta.version(), _FLAGS, _compiler(), platform.machine())).encode())
@@ -65,17 +67,44 @@ def _tool_digest() -> str:
     return digest.hexdigest()[:16]
 
 
-def load(model: Model) -> ctypes.CDLL | None:
-    """Return the library of a model, compiling it if need be; None without a compiler."""
+def load(model: Model, *, selectable: bool = False) -> ctypes.CDLL | None:
+    """Return the library of a model, compiling it if need be; None without a compiler.
+
+    With ``selectable`` the columns of the sensitivities are chosen at run time.
+    """
+    flags = ("-DSELECT",) if selectable else ()
+    return load_source(
+        f"{model.structure_key()}{'-select' if selectable else ''}",
+        lambda: source(build(model)),
+        what=f"the equations of {model.name!r}",
+        flags=flags,
+    )
+
+
+def load_source(
+    key: str, write: Callable[[], str], *, what: str, flags: tuple[str, ...] = ()
+) -> ctypes.CDLL | None:
+    """Return the library of any generated C source, compiling it if need be.
+
+    Parameters
+    ----------
+    key : str
+        Digest of whatever shapes the source.
+    write : callable
+        Returns the source; called only when it has to be compiled.
+    what : str
+        Words for the message while compiling.
+    flags : tuple of str
+        Further compiler flags.
+    """
     compiler = _compiler()
     if compiler is None:
         _say_interpreted("no C compiler (gcc or clang) was found")
         return None
-    name = f"{model.structure_key()}-{_tool_digest()}"
-    library = cache_folder() / f"{name}.so"
+    library = cache_folder() / f"{key}-{_tool_digest()}.so"
     if not _intact(library):
         try:
-            _compile(model, compiler, library)
+            _compile(write, what, compiler, flags, library)
         except OSError as error:
             _say_interpreted(f"{cache_folder()} cannot be written ({error})")
             return None
@@ -83,8 +112,7 @@ def load(model: Model) -> ctypes.CDLL | None:
             text = (error.stderr or b"").decode(errors="replace").strip().splitlines()
             _say_interpreted(f"{compiler} failed: {text[-1] if text else error}")
             return None
-    loaded = ctypes.CDLL(str(library))
-    return loaded
+    return ctypes.CDLL(str(library))
 
 
 def _intact(library: Path) -> bool:
@@ -96,18 +124,20 @@ def _intact(library: Path) -> bool:
         return False
 
 
-def _compile(model: Model, compiler: str, library: Path) -> None:
+def _compile(
+    write: Callable[[], str], what: str, compiler: str, flags: tuple[str, ...], library: Path
+) -> None:
     library.parent.mkdir(parents=True, exist_ok=True)
     print(
-        f"oed_sysid: compiling the equations of {model.name!r} (once; kept in {library.parent})",
+        f"oed_sysid: compiling {what} (once; kept in {library.parent})",
         file=sys.stderr,
     )
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         code = Path(folder) / "kernel.c"
         built = Path(folder) / "kernel.so"
-        code.write_text(source(build(model)))
+        code.write_text(write())
         subprocess.run(
-            [compiler, *_FLAGS, "-fPIC", "-shared", str(code), "-o", str(built), "-lm"],
+            [compiler, *_FLAGS, *flags, "-fPIC", "-shared", str(code), "-o", str(built), "-lm"],
             check=True,
             capture_output=True,
         )

@@ -36,7 +36,7 @@ def _update(sparsity: ca.Sparsity, *, parameter: bool) -> str:
     lines = []
     for index, (row, column) in enumerate(zip(*sparsity.get_triplet(), strict=True)):
         if parameter:
-            lines.append(f"target[{row}][NZ + {column}] += v[{index}];")
+            lines.append(f"PARAMETER({row}, {column}, v[{index}])")
         else:
             lines.append(f"add_scaled(target[{row}], v[{index}], source[{column}]);")
     return " ".join(lines)

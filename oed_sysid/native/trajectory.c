@@ -8,6 +8,9 @@
  *
  * Sensitivities are rows of the full state by NC = NZ + NF columns: first the
  * derivative by the segment's own start state, then by the free parameters.
+ *
+ * Compiled with SELECT, the caller chooses at run time which parameters have a
+ * column, so that one library serves every sub-model of a large model.
  */
 
 #include <math.h>
@@ -17,9 +20,20 @@
 
 typedef double row_t[NC];
 
+#ifdef SELECT
+static _Thread_local int active;
+static _Thread_local const int *column_of;
+#define ACTIVE active
+#define PARAMETER(row, index, value) \
+    if (column_of[index] >= 0) target[row][column_of[index]] += value;
+#else
+#define ACTIVE NC
+#define PARAMETER(row, index, value) target[row][NZ + index] += value;
+#endif
+
 static inline void add_scaled(double *restrict target, double factor, const double *restrict source)
 {
-    for (int j = 0; j < NC; ++j) target[j] += factor * source[j];
+    for (int j = 0; j < ACTIVE; ++j) target[j] += factor * source[j];
 }
 
 static void inputs_between(const double *start, const double *end, double fraction, double *result)
@@ -105,25 +119,25 @@ static void advance_step(double *z, row_t *s, const double *start, const double 
     for (int i = 0; i < NX; ++i) x[i] = z[i] + 0.5 * h * k1[i];
     if (with_sensitivities)
         for (int i = 0; i < NX; ++i)
-            for (int j = 0; j < NC; ++j) stage[i][j] = s[i][j] + 0.5 * h * k1s[i][j];
+            for (int j = 0; j < ACTIVE; ++j) stage[i][j] = s[i][j] + 0.5 * h * k1s[i][j];
     rates_stage(x, middle, p, t + 0.5 * h, k2, (const row_t *)stage, smiddle, k2s,
                 with_sensitivities);
     for (int i = 0; i < NX; ++i) x[i] = z[i] + 0.5 * h * k2[i];
     if (with_sensitivities)
         for (int i = 0; i < NX; ++i)
-            for (int j = 0; j < NC; ++j) stage[i][j] = s[i][j] + 0.5 * h * k2s[i][j];
+            for (int j = 0; j < ACTIVE; ++j) stage[i][j] = s[i][j] + 0.5 * h * k2s[i][j];
     rates_stage(x, middle, p, t + 0.5 * h, k3, (const row_t *)stage, smiddle, k3s,
                 with_sensitivities);
     for (int i = 0; i < NX; ++i) x[i] = z[i] + h * k3[i];
     if (with_sensitivities)
         for (int i = 0; i < NX; ++i)
-            for (int j = 0; j < NC; ++j) stage[i][j] = s[i][j] + h * k3s[i][j];
+            for (int j = 0; j < ACTIVE; ++j) stage[i][j] = s[i][j] + h * k3s[i][j];
     rates_stage(x, last, p, t + h, k4, (const row_t *)stage, slast, k4s, with_sensitivities);
     for (int i = 0; i < NX; ++i) z[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
     for (int i = 0; i < NA; ++i) z[NX + i] = memory[i];
     if (with_sensitivities) {
         for (int i = 0; i < NX; ++i)
-            for (int j = 0; j < NC; ++j)
+            for (int j = 0; j < ACTIVE; ++j)
                 s[i][j] += h / 6.0 * (k1s[i][j] + 2.0 * (k2s[i][j] + k3s[i][j]) + k4s[i][j]);
         memcpy(s + NX, sa, sizeof(row_t) * NA);
     }
@@ -167,6 +181,26 @@ static void sample_step(double *z, row_t *s, const double *input, const double *
     for (int i = 0; i < NS; ++i) z[NX + NA + i] = next[i];
 }
 
+/* From sample k to sample k + 1, in steps no longer than h_max. */
+static void advance_interval(double *z, row_t *s, const double *times, const double *input,
+                             const double *p, double h_max, int k, int with_sensitivities)
+{
+    const double interval = times[k + 1] - times[k];
+    const double *next = input + NU;
+    int steps = (int)ceil(interval / h_max - 1e-9);
+    if (steps < 1) steps = 1;
+    const double h = interval / steps;
+    double from[MAX1(NU)], to[MAX1(NU)];
+    for (int i = 0; i < steps; ++i) {
+        if (ANY_LINEAR_INPUT) {
+            inputs_between(input, next, (double)i / steps, from);
+            inputs_between(input, next, (double)(i + 1) / steps, to);
+        }
+        advance_step(z, s, ANY_LINEAR_INPUT ? from : input, ANY_LINEAR_INPUT ? to : next, p,
+                     times[k] + i * h, h, with_sensitivities);
+    }
+}
+
 /* Sizes, so that the caller can check that it talks to the right library. */
 void kernel_sizes(int *sizes)
 {
@@ -184,6 +218,43 @@ void kernel_start(const double *own, const double *input, const double *p, doubl
     double *res[4] = {z, dz};
     start_jac(arg, res, iw, w, 0);
 }
+
+#ifdef SELECT
+/* One continuous trajectory with chosen columns.
+ *
+ * columns (NF) maps each free parameter to its column or to -1; s0 (NZ x nc)
+ * holds the sensitivities at the start. Results: z (n x NZ), y (n x NY),
+ * dy (n x NY x nc), each may be NULL. Returns as kernel_run does.
+ */
+int kernel_select(int n, const double *times, const double *inputs, const double *p, double h_max,
+                  const double *z0, int nc, const int *columns, const double *s0, double *z_out,
+                  double *y_out, double *dy_out)
+{
+    const int with_sensitivities = dy_out != 0;
+    double z[MAX1(NZ)], y[MAX1(NY)];
+    static _Thread_local row_t s[MAX1(NZ)], sy[MAX1(NY)];
+    active = nc;
+    column_of = columns;
+    memcpy(z, z0, sizeof(double) * NZ);
+    if (with_sensitivities)
+        for (int i = 0; i < NZ; ++i) memcpy(s[i], s0 + (size_t)i * nc, sizeof(double) * nc);
+    for (int k = 0; k < n; ++k) {
+        const double *input = inputs + (size_t)k * NU;
+        const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
+        double check = 0.0;
+        for (int i = 0; i < NZ; ++i) check += z[i];
+        if (!isfinite(check)) return k;
+        if (z_out) memcpy(z_out + (size_t)k * NZ, z, sizeof(double) * NZ);
+        sample_step(z, s, input, p, times[k], since, y, sy, with_sensitivities);
+        if (y_out) memcpy(y_out + (size_t)k * NY, y, sizeof(double) * NY);
+        if (dy_out)
+            for (int i = 0; i < NY; ++i)
+                memcpy(dy_out + ((size_t)k * NY + i) * nc, sy[i], sizeof(double) * nc);
+        if (k + 1 < n) advance_interval(z, s, times, input, p, h_max, k, with_sensitivities);
+    }
+    return -1;
+}
+#endif
 
 /* Run segments of one record.
  *
@@ -223,22 +294,7 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
                 if (dy_out) memcpy(dy_out + (size_t)k * NY * NC, sy, sizeof(row_t) * NY);
             }
             if (k + 1 >= n) break;
-            const double interval = times[k + 1] - times[k];
-            int steps = (int)ceil(interval / h_max - 1e-9);
-            if (steps < 1) steps = 1;
-            const double h = interval / steps;
-            const double *next = input + NU;
-            if (steps == 1 || !ANY_LINEAR_INPUT) {
-                for (int i = 0; i < steps; ++i)
-                    advance_step(z, s, input, next, p, times[k] + i * h, h, with_sensitivities);
-            } else {
-                double from[MAX1(NU)], to[MAX1(NU)];
-                for (int i = 0; i < steps; ++i) {
-                    inputs_between(input, next, (double)i / steps, from);
-                    inputs_between(input, next, (double)(i + 1) / steps, to);
-                    advance_step(z, s, from, to, p, times[k] + i * h, h, with_sensitivities);
-                }
-            }
+            advance_interval(z, s, times, input, p, h_max, k, with_sensitivities);
         }
         if (ends) memcpy(ends + (size_t)segment * NZ, z, sizeof(double) * NZ);
         if (dends) memcpy(dends + (size_t)segment * NZ * NC, s, sizeof(row_t) * NZ);
