@@ -1,0 +1,218 @@
+"""Information of manoeuvres, before any data exist: the Cramer-Rao bound."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
+
+from oed_sysid.dataset import Dataset
+from oed_sysid.errors import DesignError
+from oed_sysid.information import Information
+from oed_sysid.model import Model
+from oed_sysid.sensitivity.noise import Colour, Levels, Noise, noise_of
+from oed_sysid.sensitivity.response import Response, Run, plays, respond
+
+# Squared conditioning up to which normal equations keep ten digits of the factor.
+_SAFE_SQUARED_CONDITION = 1e5
+
+
+def information_of(
+    model: Model,
+    runs: Run | Dataset | Iterable[Run],
+    *,
+    noise: Levels = None,
+    coloured: Colour = None,
+    priors: str | Mapping[str, float] | Information | None = "model",
+    start: str | Mapping[str, float] = "unknown",
+    initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
+) -> Information:
+    r"""Information that manoeuvres hold on a model's free parameters.
+
+    .. math:: F = \sum_r J_r' \Sigma_r^{-1} J_r + F_0
+
+    with the start states of every run, and parameters that differ from run to
+    run, eliminated: the bound is the one of an estimator that has to find them
+    too. Values of the model are taken as true, noise as Gaussian.
+
+    Parameters
+    ----------
+    model : Model
+        The model, at the values in question.
+    runs : Experiment, Record, Dataset or iterable of these
+        Planned manoeuvres, records in hand, or both.
+    noise : mapping or sequence of float, optional
+        Standard deviations of the outputs' noise; ``noise_std`` by default.
+    coloured : mapping of str to float or sequence of float, optional
+        Autoregression of an output's noise (one number: lag-one correlation);
+        the Jacobian is prewhitened with it.
+    priors : {"model", None}, mapping of str to float, or Information
+        What is known besides: the parameters' own ``prior_std``, nothing,
+        standard deviations, or the information of earlier data.
+    start : {"unknown", "known"} or mapping of str to float
+        Start states are estimated too, exactly known, or known with these
+        standard deviations (those left out are unknown).
+    initial_states : sequence, optional
+        See :func:`~oed_sysid.sensitivity.response.plays`.
+
+    Returns
+    -------
+    Information
+        Of the free parameters that all runs share, in the model's order.
+
+    Raises
+    ------
+    DesignError, SimulationError
+        If noise is not known, or a run diverges.
+
+    Examples
+    --------
+    >>> from oed_sysid import Experiment, Input, Model, Output, Parameter, State
+    >>> from oed_sysid.manoeuvres import Doublet
+    >>> nomoto = Model(
+    ...     "Nomoto", (State("r", "rad/s"),), (Input("rudder", "rad"),),
+    ...     (Output("r", "rad/s", noise_std=1e-3),), {"r": "(K*rudder - r)/T"},
+    ...     parameters=(Parameter("K", 0.1, "1/s"), Parameter("T", 10.0, "s")),
+    ... )
+    >>> test = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=20.0), duration=80.0)
+    >>> known = information_of(nomoto, test, start="known")
+    >>> print(known.names, known.std_errors.round(5))
+    ('K', 'T') [0.00056 0.08128]
+    """
+    factors = []
+    for play in plays(model, runs, initial_states=initial_states):
+        response = respond(model, play)
+        factors.append(
+            run_factor(model, response, noise_of(model, noise, coloured, changed=play.noise), start)
+        )
+    shared = [p for p in model.free_parameters if not p.per_record]
+    names = tuple(p.name for p in shared)
+    rows = np.vstack([*factors, prior_factor(model, names, priors)])
+    scales = np.array([p.magnitude for p in shared])
+    return Information(names, triangle(rows) * scales, scales)
+
+
+def run_factor(
+    model: Model, response: Response, noise: Noise, start: str | Mapping[str, float] = "unknown"
+) -> np.ndarray:
+    """Factor of one run's information on the shared parameters, shape ``(n, n_shared)``.
+
+    Start states and per-record parameters, with their priors, are eliminated
+    by triangularisation with them in front.
+    """
+    own_weights = start_weights(model, start)
+    n_own = len(model.states)
+    free = model.free_parameters
+    local = [n_own + i for i, p in enumerate(free) if p.per_record]
+    shared = [n_own + i for i, p in enumerate(free) if not p.per_record]
+    unknown = np.flatnonzero(np.isfinite(own_weights)).tolist()
+    columns = [*unknown, *local, *shared]
+    flat = response.jacobian.reshape(-1, n_own + len(free))
+    # In the usual order nothing has to be copied.
+    kept = flat if columns == list(range(flat.shape[1])) else np.ascontiguousarray(flat[:, columns])
+    rows = noise.whiten(kept.reshape(*response.outputs.shape, -1), response.present)
+    rows = rows.reshape(-1, len(columns))
+    weights = np.zeros(len(columns))
+    weights[: len(unknown)] = own_weights[unknown]
+    for position, index in enumerate(local, start=len(unknown)):
+        std = free[index - n_own].prior_std
+        weights[position] = 0.0 if std is None else 1.0 / std
+    if weights.any():
+        rows = np.vstack([rows, np.diag(weights)[weights > 0]])
+    n_drop = len(unknown) + len(local)
+    return triangle(rows)[n_drop:, n_drop:]
+
+
+def triangle(rows: np.ndarray) -> np.ndarray:
+    """Upper-triangular ``R`` with ``R'R = rows' rows``, shape ``(n, n)``.
+
+    Well-conditioned rows take the quicker way over the normal equations;
+    others keep all digits in a QR factorisation, so that null directions stay
+    null.
+    """
+    n = rows.shape[1]
+    if n == 0:
+        return np.zeros((0, 0))
+    squares = rows.T @ rows
+    norms = np.sqrt(np.diag(squares))
+    if np.all(norms > 0):
+        equilibrated = squares / norms[:, None] / norms
+        values = np.linalg.eigvalsh(equilibrated)
+        if values[0] * _SAFE_SQUARED_CONDITION > values[-1]:
+            try:
+                return cholesky(equilibrated) * norms
+            except LinAlgError:
+                pass
+    if len(rows) < n:
+        rows = np.vstack([rows, np.zeros((n - len(rows), n))])
+    # Householder's factorisation is not affected by the scaling of columns.
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def prior_factor(
+    model: Model, names: Sequence[str], priors: str | Mapping[str, float] | Information | None
+) -> np.ndarray:
+    """Factor of what is known besides, shape ``(n_rows, n_names)``."""
+    n = len(names)
+    if priors is None:
+        return np.zeros((0, n))
+    if isinstance(priors, Information):
+        missing = [name for name in priors.names if name not in names]
+        if missing:
+            raise DesignError(
+                f"The prior knows about {', '.join(missing)}, which is not free in model "
+                f"{model.name!r}. Free it, or give information on {', '.join(names)}."
+            )
+        rows = np.zeros((len(priors.factor), n))
+        rows[:, [names.index(name) for name in priors.names]] = priors.factor / priors.scales
+        return rows
+    if isinstance(priors, str):
+        if priors != "model":
+            raise DesignError(
+                f"priors is {priors!r}. Choose 'model', None, standard deviations by name, or an "
+                "Information."
+            )
+        stds = {p.name: p.prior_std for p in model.free_parameters if p.prior_std is not None}
+        return np.diag([1.0 / stds[name] if name in stds else 0.0 for name in names])
+    for name, std in priors.items():
+        if name not in names or not std > 0:
+            raise DesignError(
+                f"The prior {name!r}: {std} is of no use. Give a positive standard deviation of "
+                f"one of {', '.join(names)}."
+            )
+    return np.diag([1.0 / priors[name] if name in priors else 0.0 for name in names])
+
+
+def start_weights(model: Model, start: str | Mapping[str, float]) -> np.ndarray:
+    """Weights of the start states: 0 unknown, infinity known, else 1 / std; shape ``(n_own,)``."""
+    names = model.state_names
+    if isinstance(start, str):
+        if start not in ("unknown", "known"):
+            raise DesignError(
+                f"start is {start!r}. Choose 'unknown', 'known', or standard deviations by state."
+            )
+        return np.full(len(names), 0.0 if start == "unknown" else np.inf)
+    for name, std in start.items():
+        if name not in names or not std >= 0:
+            raise DesignError(
+                f"The start deviation {name!r}: {std} is of no use. Give a standard deviation of "
+                f"one of {', '.join(names)}."
+            )
+    with np.errstate(divide="ignore"):
+        return np.array(
+            [np.divide(1.0, start[name]) if name in start else 0.0 for name in names], dtype=float
+        )
+
+
+def rows_to_parameters(factor: np.ndarray, keep: Sequence[int]) -> np.ndarray:
+    """Factor of the information on some unknowns when the others are unknown too."""
+    n = factor.shape[1]
+    rest = [i for i in range(n) if i not in keep]
+    return triangle(factor[:, [*rest, *keep]])[len(rest) :, len(rest) :]
+
+
+def solve_factor(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve ``R' R x = right`` for an upper-triangular ``R``."""
+    inner = solve_triangular(factor, right, trans="T")
+    return np.asarray(solve_triangular(factor, inner))

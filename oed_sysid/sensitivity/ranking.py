@@ -1,0 +1,269 @@
+"""Which derivatives matter: the literature's index beside the information."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.dataset import Dataset
+from oed_sysid.errors import DesignError
+from oed_sysid.information import Information
+from oed_sysid.kernels import kernel
+from oed_sysid.model import Model
+from oed_sysid.sensitivity.bound import information_of
+from oed_sysid.sensitivity.noise import Colour, Levels
+from oed_sysid.sensitivity.response import Play, Run, plays
+from oed_sysid.simulate.trajectory import state_names
+
+# An error of the estimate beyond this share of the value counts as not determined.
+POOR = 0.5
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """One parameter in both views.
+
+    Attributes
+    ----------
+    name, unit : str
+    value : float
+    output_change : float
+        Relative change of the outputs for a relative change of the parameter,
+        summed over the signals (Perez & Blanke); per change, not per unit change.
+    peak_change : float
+        Relative change of the peaks per relative change of the parameter
+        (Hwang; Rhee & Kim), averaged over the signals.
+    error_alone : float
+        Relative standard error if everything else were known.
+    error : float
+        Relative standard error with all unknowns estimated together.
+    """
+
+    name: str
+    unit: str
+    value: float
+    output_change: float
+    peak_change: float
+    error_alone: float
+    error: float
+
+    @property
+    def inflation(self) -> float:
+        """How much the other unknowns enlarge the error."""
+        return self.error / self.error_alone if self.error_alone > 0 else float("inf")
+
+
+@dataclass(frozen=True)
+class SensitivityRanking:
+    """Parameters of a model by what a manoeuvre tells about them.
+
+    Attributes
+    ----------
+    rows : tuple of Sensitivity
+        Best determined first.
+    change : float
+        Relative change of the parameters behind ``output_change``.
+    signals, runs : tuple of str
+        What was compared, in which manoeuvres.
+    information : Information
+        Behind the errors.
+    """
+
+    rows: tuple[Sensitivity, ...]
+    change: float
+    signals: tuple[str, ...]
+    runs: tuple[str, ...]
+    information: Information
+
+    @property
+    def by_information(self) -> tuple[str, ...]:
+        """Names, best determined first."""
+        return tuple(row.name for row in self.rows)
+
+    @property
+    def by_output_change(self) -> tuple[str, ...]:
+        """Names, largest change of the outputs first."""
+        return tuple(r.name for r in sorted(self.rows, key=lambda r: -r.output_change))
+
+    def row(self, name: str) -> Sensitivity:
+        """Return one parameter."""
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise DesignError(f"{name!r} was not ranked; ranked are {', '.join(self.by_information)}.")
+
+    @property
+    def disagreements(self) -> tuple[str, ...]:
+        """Sentences about parameters on which the two views differ."""
+        n = len(self.rows)
+        if n < 3:
+            return ()
+        change_rank = {name: i for i, name in enumerate(self.by_output_change)}
+        median = float(np.median([row.output_change for row in self.rows]))
+        words = []
+        for rank, row in enumerate(self.rows):
+            far = abs(rank - change_rank[row.name]) >= max(2, n // 4)
+            if row.output_change >= median and (row.error > POOR or (far and row.inflation > 5)):
+                words.append(
+                    f"{row.name} moves the outputs (place {change_rank[row.name] + 1}) but is "
+                    f"determined to {row.error:.0%} only (place {rank + 1}): other unknowns mimic "
+                    f"it (error {row.inflation:.3g} times that if they were known)"
+                )
+            elif row.output_change < median and far and rank < change_rank[row.name]:
+                words.append(
+                    f"{row.name} moves the outputs little (place {change_rank[row.name] + 1}) but "
+                    f"is determined to {row.error:.1%} (place {rank + 1}): nothing mimics it, or "
+                    "it acts where the noise is low"
+                )
+        return tuple(words)
+
+    def report(self) -> str:
+        """Return the ranking as text."""
+        change_rank = {name: i + 1 for i, name in enumerate(self.by_output_change)}
+        lines = [
+            f"Sensitivity of {len(self.rows)} parameters in {', '.join(self.runs)}; signals "
+            f"{', '.join(self.signals)}; index for a change of {self.change:.0%}",
+            f"{'':>3} {'parameter':<20} {'rel. error':>10} {'alone':>9} {'inflation':>9}"
+            f" {'output change':>14} {'place':>5} {'peak index':>10}",
+        ]
+        for rank, row in enumerate(self.rows, start=1):
+            lines.append(
+                f"{rank:>3} {row.name:<20} {row.error:>10.2%} {row.error_alone:>9.2%}"
+                f" {row.inflation:>9.3g} {row.output_change:>14.3g} {change_rank[row.name]:>5}"
+                f" {row.peak_change:>10.3g}"
+            )
+        lines += [f"Disagreement: {text}." for text in self.disagreements]
+        lines += [f"Not determined: {text}." for text in self.information.null_directions()]
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "runs": list(self.runs),
+            "signals": list(self.signals),
+            "change": self.change,
+            "parameters": [asdict(row) | {"inflation": row.inflation} for row in self.rows],
+            "by_information": list(self.by_information),
+            "by_output_change": list(self.by_output_change),
+            "disagreements": list(self.disagreements),
+            "null_directions": list(self.information.null_directions()),
+        }
+
+
+def rank_parameters(
+    model: Model,
+    runs: Run | Dataset | Iterable[Run],
+    *,
+    noise: Levels = None,
+    coloured: Colour = None,
+    priors: str | Mapping[str, float] | Information | None = None,
+    start: str | Mapping[str, float] = "unknown",
+    initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
+    signals: Sequence[str] | None = None,
+    change: float = 0.2,
+) -> SensitivityRanking:
+    r"""Rank free parameters by the literature's index and by information.
+
+    The index is the relative change of the outputs when one coefficient is
+    multiplied by :math:`1 + \varepsilon`, inputs unchanged,
+
+    .. math:: S_j = \sum_y \sum_k |y_j(k) - y(k)| \,/\, \sum_k |y(k)| .
+
+    It says what moves the outputs, not what can be told apart: two
+    coefficients with the same effect both look important. The information
+    says with which error each can be estimated, alone and with the others.
+
+    Parameters
+    ----------
+    model, runs, noise, coloured, priors, start, initial_states
+        See :func:`~oed_sysid.sensitivity.bound.information_of`.
+    signals : sequence of str, optional
+        Outputs or states in the index; all outputs by default. Leave out
+        positions that start far from zero: they hide every change.
+    change : float
+        Relative change of each coefficient.
+
+    References
+    ----------
+    T. Perez, M. Blanke, Mathematical ship modelling for control applications,
+    Technical University of Denmark (2002): index as used for manoeuvring
+    coefficients; the working form here is the one above.
+    W. Y. Hwang, Application of system identification to ship maneuvering, PhD
+    thesis, MIT (1980), and K. Rhee, K. Kim (1999): relative change of a
+    response per relative change of a coefficient.
+    """
+    if not change or change <= -1:
+        raise DesignError(f"change is {change}. Give a relative change such as 0.2.")
+    played = plays(model, runs, initial_states=initial_states)
+    own = [play.initial for play in played]
+    information = information_of(
+        model, runs, noise=noise, coloured=coloured, priors=priors, start=start, initial_states=own
+    )
+    wanted = tuple(signals) if signals is not None else model.output_names
+    base = [_signals(model, play, wanted) for play in played]
+    alone = np.linalg.norm(information.factor / information.scales, axis=0)
+    errors = information.std_errors
+    rows = []
+    for index, name in enumerate(information.names):
+        parameter = model.parameter(name)
+        # A coefficient that is zero has no relative change; its scale stands in.
+        size = abs(parameter.value) or parameter.magnitude
+        changed = model.with_values({name: parameter.value + change * (parameter.value or size)})
+        new = [_signals(changed, play, wanted) for play in played]
+        total, peaks = _indices(base, new)
+        rows.append(
+            Sensitivity(
+                name=name,
+                unit=parameter.unit,
+                value=parameter.value,
+                output_change=total,
+                peak_change=peaks / abs(change),
+                error_alone=float(1 / alone[index] / size) if alone[index] > 0 else float("inf"),
+                error=float(errors[index] / size),
+            )
+        )
+    rows.sort(key=lambda row: row.error)
+    return SensitivityRanking(
+        tuple(rows), change, wanted, tuple(play.name for play in played), information
+    )
+
+
+def _signals(model: Model, play: Play, names: Sequence[str]) -> np.ndarray:
+    """Chosen outputs or states of one run, shape ``(n_times, n_names)``."""
+    runner = kernel(model)
+    values = model.value_vector
+    z, _ = runner.start(play.initial, play.inputs[0], values, float(play.times[0]))
+    run = runner.run(play.times, play.inputs, values, z)
+    states = state_names(model)
+    columns = []
+    for name in names:
+        if name in model.output_names:
+            columns.append(run.outputs[:, model.output_names.index(name)])
+        elif name in states:
+            columns.append(run.states[:, states.index(name)])
+        else:
+            raise DesignError(
+                f"Model {model.name!r} has no output or state {name!r}. It has "
+                f"{', '.join(dict.fromkeys((*model.output_names, *states)))}."
+            )
+    return np.column_stack(columns)
+
+
+def _indices(base: list[np.ndarray], new: list[np.ndarray]) -> tuple[float, float]:
+    """Output change summed over signals, and mean relative change of the peaks."""
+    change = sum(np.abs(b - a).sum(axis=0) for a, b in zip(base, new, strict=True))
+    size = sum(np.abs(a).sum(axis=0) for a in base)
+    peaks = np.mean(
+        [
+            np.abs(np.abs(b).max(axis=0) / np.maximum(np.abs(a).max(axis=0), 1e-300) - 1)
+            for a, b in zip(base, new, strict=True)
+        ]
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shares = np.where(np.asarray(size) > 0, np.asarray(change) / np.asarray(size), 0.0)
+    total = float(np.sum(shares))
+    # A diverging variant is a very large change, not a missing number.
+    return (total, float(peaks)) if np.isfinite(total) else (float("inf"), float("inf"))

@@ -1,0 +1,288 @@
+"""Information, rankings and reduced models, checked against closed forms and refits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+
+from oed_sysid import Dataset, Experiment, Input, Model, Output, Parameter, State
+from oed_sysid.errors import DesignError
+from oed_sysid.estimators import MultipleShooting
+from oed_sysid.information import Information
+from oed_sysid.manoeuvres import Constant, Doublet, ZigZag
+from oed_sysid.sensitivity import (
+    collinear_groups,
+    collinearity_index,
+    confirm_bound,
+    fitted_colour,
+    identifiable_subset,
+    information_of,
+    noise_of,
+    rank_parameters,
+    reduce_model,
+    structural_identifiability,
+)
+from oed_sysid.simulate import simulate
+
+GAIN, TIME, RUDDER, NOISE = 0.1, 10.0, 0.2, 1e-3
+
+
+def first_order(**changes: object) -> Model:
+    """Nomoto's first-order model with its yaw rate measured."""
+    model = Model(
+        "Nomoto",
+        (State("r", "rad/s"),),
+        (Input("rudder", "rad"),),
+        (Output("r", "rad/s", noise_std=NOISE),),
+        {"r": "(K*rudder - r)/T"},
+        parameters=(Parameter("K", GAIN, "1/s"), Parameter("T", TIME, "s")),
+        step=0.05,
+    )
+    return replace(model, **changes)  # type: ignore[arg-type]
+
+
+def step_test(duration: float = 40.0) -> Experiment:
+    """Rudder put over and held."""
+    return Experiment("step", Constant("rudder", RUDDER), duration=duration, sample_time=0.5)
+
+
+def closed_form(times: np.ndarray) -> np.ndarray:
+    """Derivatives of the step response by start, gain and time constant, ``(n_times, 3)``."""
+    decay = np.exp(-times / TIME)
+    return np.column_stack([decay, RUDDER * (1 - decay), -GAIN * RUDDER * times / TIME**2 * decay])
+
+
+def oscillator() -> Model:
+    """Second-order roll model with a weak cubic term and an unseen product."""
+    return Model(
+        "roll",
+        (State("phi", "rad"), State("p", "rad/s")),
+        (Input("moment", ""),),
+        (Output("phi", "rad", noise_std=2e-3), Output("p", "rad/s", noise_std=2e-3)),
+        {"phi": "p", "p": "b*moment - d*p - k*phi - c*phi**3"},
+        parameters=(
+            Parameter("b", 1.0),
+            Parameter("d", 0.3),
+            Parameter("k", 1.5),
+            Parameter("c", 0.02),
+        ),
+        step=0.05,
+    )
+
+
+def roll_test(name: str = "doublet", amplitude: float = 0.3) -> Experiment:
+    """Doublet of the roll moment."""
+    return Experiment(
+        name, Doublet("moment", amplitude, pulse_time=2.0), duration=20.0, sample_time=0.1
+    )
+
+
+def test_information_equals_the_closed_form_with_known_start() -> None:
+    """The Fisher information of a step response is the sum of squared exact derivatives."""
+    found = information_of(first_order(), step_test(), start="known")
+    rows = closed_form(step_test().times)[:, 1:] / NOISE
+    np.testing.assert_allclose(found.matrix, rows.T @ rows, rtol=1e-8)
+
+
+def test_unknown_start_states_are_eliminated() -> None:
+    """With an unknown start the bound is the block of the full inverse."""
+    found = information_of(first_order(), [step_test(), step_test(20.0)], start="unknown")
+    long, short = (closed_form(test.times) / NOISE for test in (step_test(), step_test(20.0)))
+    rows = np.block(
+        [
+            [long[:, :1], np.zeros((len(long), 1)), long[:, 1:]],
+            [np.zeros((len(short), 1)), short[:, :1], short[:, 1:]],
+        ]
+    )
+    full = np.linalg.inv(rows.T @ rows)
+    np.testing.assert_allclose(found.covariance, full[2:, 2:], rtol=1e-7)
+
+
+def test_start_deviations_lie_between_known_and_unknown() -> None:
+    """A start known to a standard deviation gives the information of that extra observation."""
+    rows = np.vstack([closed_form(step_test().times) / NOISE, [1 / 0.004, 0, 0]])
+    found = information_of(first_order(), step_test(), start={"r": 0.004})
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(rows.T @ rows)[1:, 1:], rtol=1e-7)
+
+
+def test_priors_add_their_inverse_variance() -> None:
+    """A prior standard deviation adds one over its square; earlier information adds itself."""
+    model = first_order()
+    plain = information_of(model, step_test(), priors=None)
+    known = information_of(model, step_test(), priors={"T": 0.5})
+    np.testing.assert_allclose(known.matrix - plain.matrix, np.diag([0.0, 4.0]), atol=1e-7)
+    twice = information_of(model, step_test(), priors=plain)
+    np.testing.assert_allclose(twice.matrix, 2 * plain.matrix, rtol=1e-9)
+
+
+@pytest.mark.parametrize("autoregression", [(0.8,), (1.1, -0.4), (0.5, 0.2, -0.3)])
+def test_coloured_noise_is_prewhitened_exactly(autoregression: tuple[float, ...]) -> None:
+    """Autoregressive prewhitening equals the inverse of the dense noise covariance."""
+    times = step_test().times
+    impulse = np.zeros(4000)
+    impulse[0] = 1.0
+    for k in range(1, len(impulse)):
+        for lag, a in enumerate(autoregression, start=1):
+            impulse[k] += a * impulse[k - lag] if k >= lag else 0.0
+    lags = np.array([impulse[: len(impulse) - k] @ impulse[k:] for k in range(len(times))])
+    covariance = NOISE**2 * toeplitz(lags / lags[0])
+    rows = closed_form(times)
+    matrix = rows.T @ np.linalg.solve(covariance, rows)
+    bound = np.linalg.inv(matrix)[1:, 1:]
+    found = information_of(first_order(), step_test(), coloured={"r": autoregression})
+    np.testing.assert_allclose(found.covariance, bound, rtol=1e-6)
+
+
+def test_missing_samples_carry_no_information() -> None:
+    """A record with NaN gives the information of the samples it has."""
+    model = first_order()
+    record = simulate(model, step_test(), noise=False)
+    outputs = record.outputs.copy()
+    outputs[10:30] = np.nan
+    found = information_of(
+        model, record.with_outputs(outputs), start="known", initial_states=[{"r": 0.0}]
+    )
+    rows = np.delete(closed_form(record.times)[:, 1:] / NOISE, np.s_[10:30], axis=0)
+    np.testing.assert_allclose(found.matrix, rows.T @ rows, rtol=1e-8)
+
+
+def test_colour_of_residuals_is_found() -> None:
+    """Yule-Walker finds the autoregression of a long series, and none in white noise."""
+    rng = np.random.default_rng(3)
+    white = rng.standard_normal((20000, 2))
+    coloured = white.copy()
+    for k in range(1, len(coloured)):
+        coloured[k, 0] += 0.7 * coloured[k - 1, 0]
+    found = fitted_colour([coloured], ("a", "b"), order=1)
+    assert set(found) == {"a"}
+    assert found["a"][0] == pytest.approx(0.7, abs=0.02)
+
+
+def test_noise_errors_say_what_to_do() -> None:
+    """Unknown noise and unstable colours are refused with advice."""
+    silent = first_order(outputs=(Output("r", "rad/s"),))
+    with pytest.raises(DesignError, match="noise_std"):
+        information_of(silent, step_test())
+    with pytest.raises(DesignError, match="not stationary"):
+        noise_of(first_order(), coloured={"r": 1.2})
+    with pytest.raises(DesignError, match="no output"):
+        noise_of(first_order(), coloured={"psi": 0.2})
+
+
+def test_collinearity_follows_its_definition() -> None:
+    """The index is one over the smallest singular value of the normalised sensitivities."""
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((50, 3))
+    rows[:, 2] = rows[:, 0] + 0.05 * rows[:, 2]
+    information = Information.from_jacobian(("a", "b", "c"), rows)
+    unit = rows / np.linalg.norm(rows, axis=0)
+    expected = 1 / np.sqrt(np.linalg.eigvalsh(unit.T @ unit)[0])
+    assert collinearity_index(information) == pytest.approx(expected, rel=1e-9)
+    assert collinearity_index(information, ["a", "b"]) < 2
+    assert [group for group, _ in collinear_groups(information)] == [("a", "c")]
+
+
+def test_best_subset_leaves_out_one_of_two_twins() -> None:
+    """Of two parameters with nearly the same effect only one is kept."""
+    rng = np.random.default_rng(1)
+    rows = rng.standard_normal((80, 4))
+    rows[:, 3] = 0.5 * rows[:, 1] + 0.01 * rows[:, 3]
+    names = ("a", "b", "c", "twin")
+    subset = identifiable_subset(Information.from_jacobian(names, rows), dict.fromkeys(names, 1.0))
+    assert set(subset.names) == {"a", "b", "c"}
+    assert subset.left_out == ("twin",)
+    assert "to fix: twin" in subset.report()
+
+
+def test_structural_check_finds_a_product() -> None:
+    """Only the product of two gains is seen; a second gain inside makes both visible."""
+    product = first_order(
+        kinematics={"r": "a*b*rudder - r/T"},
+        parameters=(Parameter("a", 0.5), Parameter("b", 0.1), Parameter("T", TIME)),
+    )
+    rng = np.random.default_rng(5)
+    found = structural_identifiability(product, inputs={"rudder": (-0.3, 0.3)}, rng=rng)
+    assert (found.rank, found.identifiable) == (2, False)
+    assert "a" in found.directions[0]
+    assert "b" in found.directions[0]
+    whole = structural_identifiability(first_order(), inputs={"rudder": (-0.3, 0.3)}, rng=rng)
+    assert whole.identifiable
+    assert whole.margin > 1e-3
+
+
+def test_ranking_shows_mimicry_that_the_index_hides() -> None:
+    """Two coefficients with one effect both move the output, yet neither is determined."""
+    twins = first_order(
+        kinematics={"r": "(K*rudder + L*rudder*(1 + 0.01*rudder) - r)/T"},
+        parameters=(Parameter("K", 0.1), Parameter("L", 0.1), Parameter("T", TIME)),
+    )
+    test = Experiment(
+        "doublet", Doublet("rudder", 0.2, pulse_time=60.0), duration=120.0, sample_time=0.5
+    )
+    ranking = rank_parameters(twins, test)
+    assert set(ranking.by_output_change[:2]) == {"K", "L"}
+    assert ranking.by_information[0] == "T"
+    assert any("K moves the outputs" in text for text in ranking.disagreements)
+    assert ranking.row("K").inflation > 50
+    assert ranking.to_dict()["by_information"][0] == "T"
+    assert "Disagreement" in ranking.report()
+
+
+def test_output_change_is_the_published_sum() -> None:
+    """The index of the gain of a linear model is the relative change itself."""
+    ranking = rank_parameters(first_order(), step_test(), change=0.2)
+    assert ranking.row("K").output_change == pytest.approx(0.2, rel=1e-6)
+    assert ranking.row("K").peak_change == pytest.approx(1.0, rel=1e-6)
+
+
+def test_dropping_costs_what_a_refit_finds() -> None:
+    """The predicted cost of dropping a term equals the misfit of a refit without it."""
+    model = oscillator()
+    reduction = reduce_model(model, [roll_test(), roll_test("small", 0.15)])
+    first = reduction.drops[0]
+    assert first.name == "c"
+    data = Dataset(
+        tuple(simulate(model, test, noise=False) for test in (roll_test(), roll_test("s", 0.15)))
+    )
+    without = model.with_values({"c": 0.0}).fix("c")
+    fit = MultipleShooting(noise="given", coloured="never").fit(without, data)
+    assert 2 * fit.cost == pytest.approx(first.cost, rel=0.03)
+    assert reduction.drops[-1].cost > 1e3 * first.cost
+    assert reduction.model.free_names == tuple(
+        name for name in model.free_names if name not in reduction.dropped
+    )
+
+
+def test_small_terms_are_dropped_and_needed_ones_kept() -> None:
+    """A negligible cubic goes, everything else stays; keep= is respected."""
+    model = oscillator().with_values({"c": 1e-4})
+    assert reduce_model(model, roll_test()).dropped == ("c",)
+    assert reduce_model(model, roll_test(), keep=["c"]).dropped == ()
+
+
+def test_bound_predicts_the_errors_found() -> None:
+    """Sixty simulated and fitted experiments scatter as the bound says."""
+    result = confirm_bound(
+        oscillator().fix("c"), roll_test(), rng=np.random.default_rng(11), n_runs=60
+    )
+    assert result.n_failed == 0
+    assert result.confirmed, result.report()
+    assert np.all(result.coverage > 0.8)
+
+
+def test_feedback_is_resolved_before_derivatives_are_taken() -> None:
+    """A zigzag's information is that of its commands as a given history."""
+    model = replace(
+        first_order(),
+        states=(State("psi", "rad"), State("r", "rad/s")),
+        outputs=(Output("psi", "rad", noise_std=2e-3),),
+        kinematics={"psi": "r", "r": "(K*rudder - r)/T"},
+    )
+    test = Experiment("zigzag", ZigZag("rudder", 0.2, 0.2), duration=60.0, sample_time=0.5)
+    logged = simulate(model, test, noise=False)
+    planned = information_of(model, test)
+    recorded = information_of(model, logged, initial_states=[{"psi": 0.0, "r": 0.0}])
+    np.testing.assert_allclose(planned.matrix, recorded.matrix, rtol=1e-12)
