@@ -1,0 +1,127 @@
+"""A page of words, tables and pictures, rendered as one self-contained HTML file."""
+
+from __future__ import annotations
+
+import base64
+import io
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import jinja2
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from oed_sysid import __version__
+from oed_sysid.errors import OedSysidError
+
+_RESOLUTION = 140
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure inside a page.
+
+    Parameters
+    ----------
+    source : str
+        Data URI of the picture.
+    caption : str
+        What it shows and how to read it; also its text for those who cannot see it.
+    """
+
+    source: str
+    caption: str
+
+    @classmethod
+    def of(cls, figure: Figure, caption: str) -> Picture:
+        """Embed a figure as SVG; dense point clouds in it may be rasterised."""
+        target = io.BytesIO()
+        # A fixed salt and no date: the same result gives the same bytes.
+        with mpl.rc_context({"svg.hashsalt": "oed_sysid"}):
+            figure.savefig(target, format="svg", dpi=_RESOLUTION, metadata={"Date": None})
+        coded = base64.b64encode(target.getvalue()).decode("ascii")
+        return cls(f"data:image/svg+xml;base64,{coded}", caption)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text; ``words`` are the columns to set flush left, ``marked`` rows to stress."""
+
+    headers: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    caption: str = ""
+    words: tuple[int, ...] = ()
+    marked: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Section:
+    """One part of a page with its own heading."""
+
+    title: str
+    paragraphs: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    listing: str = ""
+
+
+@dataclass(frozen=True)
+class Page:
+    """What a report says.
+
+    Parameters
+    ----------
+    title, subtitle : str
+        Heading, and what was done to what.
+    verdict : tuple of str
+        The outcome in sentences, before everything else.
+    numbers : tuple of (str, str)
+        The few numbers that matter most, by name.
+    sections : tuple of Section
+        The rest.
+
+    Examples
+    --------
+    >>> page = Page("Trial", "two runs", ("It fits.",), (("misfit", "1.01 x noise"),))
+    >>> "<dd>1.01 x noise</dd>" in page.html()
+    True
+    """
+
+    title: str
+    subtitle: str
+    verdict: tuple[str, ...]
+    numbers: tuple[tuple[str, str], ...] = ()
+    sections: tuple[Section, ...] = ()
+
+    def html(self) -> str:
+        """Return the page as HTML that refers to nothing outside itself."""
+        return _template().render(page=self, version=__version__)
+
+    def write(self, path: str | Path) -> Path:
+        """Write the page and return its path.
+
+        Raises
+        ------
+        OedSysidError
+            If the file cannot be written.
+        """
+        target = Path(path)
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(self.html(), encoding="utf-8")
+        except OSError as error:
+            raise OedSysidError(
+                f"{str(target)!r} cannot be written: {error.strerror}. Give another place."
+            ) from error
+        return target
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("oed_sysid.report", "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    return environment.get_template("page.html.j2")
