@@ -24,9 +24,8 @@ from oed_sysid.effects.base import (
     Memory,
     Sensor,
 )
-from oed_sysid.effects.derivatives import derivative, derivatives, hull_derivatives
+from oed_sysid.effects.derivatives import coupling, derivative, derivative_group, hull_derivatives
 from oed_sysid.effects.drag import (
-    coupling,
     crossed_drag,
     cubic_damping,
     deflection_drag,
@@ -93,7 +92,7 @@ __all__ = [
     "Sensor",
     "amplitude",
     "derivative",
-    "derivatives",
+    "derivative_group",
     "hull_derivatives",
     "linear_damping",
     "quadratic_drag",

@@ -12,6 +12,7 @@ import math
 
 from oed_sysid.effects.amplitudes import amplitude
 from oed_sysid.effects.base import Actuator, Memory
+from oed_sysid.effects.registers import delay_register
 
 AMERONGEN = "van Amerongen (1982), Adaptive steering of ships, TU Delft."
 TAO = "Tao & Kokotović (1996), Adaptive control of systems with actuator nonlinearities, Wiley."
@@ -94,41 +95,21 @@ def actuator_delay(
     scale: float = 0.2,
     value: float = 0.0,
 ) -> Actuator:
-    """Pure delay of ``E`` seconds.
+    """Pure delay of ``E`` seconds; ``step`` is the shortest integration step.
 
-    The delayed command is a mean of earlier ones, kept in a register; its
-    weights are exact for held commands. ``step`` is the shortest integration
-    step; the register holds ``max_delay/step`` commands.
+    See :func:`~oed_sysid.effects.registers.delay_register`.
     """
     size = amplitude(name, "s", scale=scale, value=value, positive=True, bound=max_delay)
-    past = [f"past_{i}" for i in range(1, math.ceil(max_delay / step) + 1)]
+    late, memory = delay_register(signal, size.name, max_delay=max_delay, step=step)
     return Actuator(
         name,
-        {signal: delayed(signal, past, size.name)},
+        {signal: late},
         (size,),
-        memory=tuple(
-            Memory(own, newer, signal)
-            for own, newer in zip(past, [signal, *past[:-1]], strict=True)
-        ),
+        memory=memory,
         description=f"{signal} follows its command after a dead time",
         source=FRANKLIN,
         needs="steps or reversals, sampled faster than the delay",
     )
-
-
-def delayed(signal: str, past: list[str], delay: str) -> str:
-    """Mean of present and past values that a delay hands on.
-
-    Hat functions of ``delay/h``; of the two slopes that meet at a corner the
-    right one is taken, so that the derivative at zero is that of more delay. A
-    delay longer than the register counts as the register's length.
-    """
-    pieces = [f"where({delay} < h, 1 - {delay}/h, 0)*{signal}"]
-    for i, name in enumerate(past, start=1):
-        rise = f"where({delay} < {i - 1}*h, 0, {delay}/h - {i - 1})" if i > 1 else f"{delay}/h"
-        fall = f"where({delay} < {i + 1}*h, {i + 1} - {delay}/h, 0)" if i < len(past) else "1"
-        pieces.append(f"where({delay} < {i}*h, {rise}, {fall})*{name}")
-    return " + ".join(pieces)
 
 
 def rate_limit(

@@ -80,7 +80,7 @@ def derivative(
     )
 
 
-def derivatives(
+def derivative_group(
     name: str,
     coefficients: Mapping[str, float],
     *,
@@ -102,7 +102,7 @@ def derivatives(
 
     Examples
     --------
-    >>> effect = derivatives(
+    >>> effect = derivative_group(
     ...     "turn", {"X_vr": 1e6, "X_vv": 1e4}, description="loss of speed", needs="turns"
     ... )
     >>> effect.terms
@@ -173,5 +173,29 @@ def hull_derivatives(
         tuple(complete),
         description="hull forces and moments",
         source=source,
-        needs="motion in every direction that has a derivative",
+        needs="motion in every direction",
+    )
+
+
+def coupling(
+    name: str,
+    axis: str,
+    velocity: str,
+    *,
+    speed: str = "u_r",
+    scale: float | None = None,
+    value: float = 0.0,
+    parameter: str | None = None,
+) -> Force:
+    r"""Lift-type coupling :math:`E\,u_r v` of one motion into another axis."""
+    factor = factor_of(velocity)
+    return derivative(
+        name,
+        f"{axis}_u{factor}",
+        symbols={"u": speed, factor: velocity},
+        scale=scale,
+        value=value,
+        parameter=parameter,
+        source=ABKOWITZ,
+        needs=f"{velocity} independent of the other motions",
     )

@@ -178,27 +178,3 @@ def hull_asymmetry(
         source=PRESTERO,
         needs="several speeds, to tell it from offsets that do not grow with speed",
     )
-
-
-def coupling(
-    name: str,
-    axis: str,
-    velocity: str,
-    *,
-    speed: str = "u_r",
-    scale: float | None = None,
-    value: float = 0.0,
-    parameter: str | None = None,
-) -> Force:
-    r"""Lift-type coupling :math:`E\,u_r v` of one motion into another axis."""
-    factor = factor_of(velocity)
-    return derivative(
-        name,
-        f"{axis}_u{factor}",
-        symbols={"u": speed, factor: velocity},
-        scale=scale,
-        value=value,
-        parameter=parameter,
-        source=FOSSEN,
-        needs=f"{velocity} independent of the other motions",
-    )

@@ -5,12 +5,11 @@ Every constructor takes the output or outputs that it changes.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-from oed_sysid.effects.actuators import delayed
 from oed_sysid.effects.amplitudes import amplitude
 from oed_sysid.effects.base import Memory, Sensor
+from oed_sysid.effects.registers import delay_register
 
 KINSEY = "Kinsey & Whitcomb (2007), In situ alignment calibration, IEEE Trans. Robotics 23."
 GROVES = "Groves (2013), Principles of GNSS, inertial and multisensor navigation, ch. 4."
@@ -126,15 +125,12 @@ def sensor_delay(
 ) -> Sensor:
     """Late measurement, interpolated between samples a regular ``interval`` apart."""
     size = amplitude(name, "s", scale=scale, value=value, positive=True, bound=max_delay)
-    past = [f"past_{i}" for i in range(1, math.ceil(max_delay / interval) + 1)]
+    late, memory = delay_register(output, size.name, max_delay=max_delay, step=interval)
     return Sensor(
         name,
-        {output: delayed(output, past, size.name)},
+        {output: late},
         (size,),
-        memory=tuple(
-            Memory(own, newer, output)
-            for own, newer in zip(past, [output, *past[:-1]], strict=True)
-        ),
+        memory=memory,
         description=f"{output} arrives late",
         source=GROVES,
         needs="quick changes, sampled faster than the delay",

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from oed_sysid.effects.actuators import actuator_offset
 from oed_sysid.effects.amplitudes import amplitude
 from oed_sysid.effects.base import Actuator, Force
-from oed_sysid.effects.derivatives import ABKOWITZ, THROUGH_WATER, derivative, derivatives
+from oed_sysid.effects.derivatives import ABKOWITZ, THROUGH_WATER, derivative, derivative_group
 
 NORRBIN = "Norrbin (1971), Theory and observations on the use of a mathematical model, SSPA 68."
 BECH = "Bech & Wagner Smith (1969), Analogue simulation of ship manoeuvres, HyA report Hy-14."
@@ -35,7 +35,7 @@ def speed_loss_in_turn(
 
     ``scales`` gives the typical size of any of ``X_vr X_vv X_rr X_deltadelta``.
     """
-    return derivatives(
+    return derivative_group(
         name,
         scales,
         symbols=symbols,
@@ -58,7 +58,7 @@ def nonlinear_yaw_damping(
     ``constant``, ``quadratic`` and ``cubic``; those left out are zero.
     """
     factors = {"constant": "0", "quadratic": rate * 2, "cubic": rate * 3}
-    return derivatives(
+    return derivative_group(
         name,
         {f"{axis}_{factors[kind]}": scale for kind, scale in scales.items()},
         symbols={},

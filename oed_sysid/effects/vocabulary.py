@@ -13,6 +13,7 @@ from oed_sysid.effects import inertia as mass_matrix
 from oed_sysid.effects import sensors as sense
 from oed_sysid.effects import steering as steer
 from oed_sysid.effects.base import Effect
+from oed_sysid.effects.derivatives import coupling
 
 SEA_WATER_DENSITY = 1025.0  # kg/m3, at 15 degrees Celsius and 3.5 per cent salinity
 
@@ -122,8 +123,8 @@ def surface_ship_effects(
         drag.crossed_drag("yaw_yaw_drift", "N", "r", "v_r", scale=prime("N_absrv", 2e-3)),
         steer.nonlinear_yaw_damping(scales={k: prime(*v) for k, v in swirl.items()}),
         steer.speed_loss_in_turn(scales={k: prime(k, v) for k, v in turning.items()}),
-        drag.coupling("sway_yaw_coupling", "Y", "r", scale=prime("Y_ur", 1e-3)),
-        drag.coupling("yaw_sway_coupling", "N", "v_r", scale=prime("N_uv", 5e-4)),
+        coupling("sway_yaw_coupling", "Y", "r", scale=prime("Y_ur", 1e-3)),
+        coupling("yaw_sway_coupling", "N", "v_r", scale=prime("N_uv", 5e-4)),
         drag.linear_damping("surge_linear_drag", "X", "u_r", scale=prime("X_u", 2e-4)),
         steer.rudder_stall("sway_rudder_stall", "Y", scale=prime("Y_uudeltadeltadelta", 2e-3)),
         steer.rudder_stall("yaw_rudder_stall", "N", scale=prime("N_uudeltadeltadelta", 1e-3)),
