@@ -137,12 +137,10 @@ def hull_derivatives(
         Name of the effect.
     parameters : iterable of Parameter
         Derivatives such as ``Z_uw``; a missing unit is filled in.
-    symbols : mapping
-        Signals for factors.
+    symbols, source
+        See :func:`derivative`.
     extra : mapping
         ``axis -> expression`` of further terms, such as ``{"X": "T - m*q*w"}``.
-    source : str
-        Citation.
 
     Raises
     ------
