@@ -177,3 +177,34 @@ def test_command_line_starts_quickly() -> None:
     seconds = time.perf_counter() - began
     assert done.stdout.strip().endswith("[]"), done.stdout + done.stderr
     assert seconds < 2.0  # 0.2 s on an idle machine; tests share theirs
+
+
+def test_several_experiments_after_one_option(ferry: Path, tmp_path: Path, capsys) -> None:
+    """--experiment takes one name or many, and all by default."""
+    stored = tmp_path / "rank.json"
+    arguments = ["rank", str(ferry), "--json", str(stored), "--experiment"]
+    assert main([*arguments, "zigzag_10", "zigzag_20"]) == DONE
+    both = json.loads(stored.read_text())["ranking"]
+    assert both["runs"] == ["zigzag_10", "zigzag_20"]
+    assert main(arguments[:-1]) == DONE
+    assert json.loads(stored.read_text())["ranking"] == both
+    assert main([*arguments, "zigzag_10"]) == DONE
+    one = json.loads(stored.read_text())["ranking"]
+    errors = [{row["name"]: row["error"] for row in r["parameters"]} for r in (one, both)]
+    # The second zigzag adds information on each parameter.
+    assert all(errors[0][name] > errors[1][name] for name in ("K", "T"))
+
+
+def test_rank_of_records_equals_rank_of_their_experiments(ferry: Path, tmp_path, capsys) -> None:
+    """A noise-free record tells as much as the experiment that gave it."""
+    file, stored = tmp_path / "zigzag_10.csv", tmp_path / "rank.json"
+    simulated = ["simulate", str(ferry), "--experiment", "zigzag_10", "--no-noise"]
+    assert main([*simulated, "--out", str(file)]) == DONE
+    errors = []
+    for runs in (["--records", str(file)], ["--experiment", "zigzag_10"]):
+        assert main(["rank", str(ferry), *runs, "--json", str(stored)]) == DONE
+        rows = json.loads(stored.read_text())["ranking"]["parameters"]
+        errors.append({row["name"]: row["error"] for row in rows})
+    assert errors[0] == pytest.approx(errors[1], rel=0.05)
+    arguments = ["rank", str(ferry), "--records", str(file), "--experiment", "zigzag_10"]
+    assert main(arguments) == BAD_INPUT

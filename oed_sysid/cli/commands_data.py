@@ -74,9 +74,12 @@ def new(
 def simulate(
     problem: ProblemName,
     experiment: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
-            "--experiment", metavar="NAME", help="Which experiment; by default all of them."
+            "--experiment",
+            metavar="NAME...",
+            help="Which experiments; by default all of them.",
+            show_default=False,
         ),
     ] = None,
     out: Annotated[
@@ -91,6 +94,9 @@ def simulate(
     model: Variant = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the measurement noise.")] = 0,
     no_noise: Annotated[bool, typer.Option("--no-noise", help="Without noise.")] = False,
+    truth: Annotated[
+        bool, typer.Option("--truth", help="Simulate the problem's truth, where it states one.")
+    ] = False,
 ) -> None:
     """Simulate experiments of a problem and write what would be logged as CSV.
 
@@ -103,21 +109,22 @@ def simulate(
     from oed_sysid.simulate import simulate as run
 
     chosen = load_problem(problem, variant=model)
-    wanted = _experiments(chosen, experiment)
+    simulated = chosen.true_model() if truth else chosen.model
+    wanted = _experiments(chosen, experiment or [])
     files = _files(wanted, out)
     rng = np.random.default_rng(seed)
     for one, file in zip(wanted, files, strict=True):
-        record = run(chosen.model, one, rng=rng, noise=not no_noise)
+        record = run(simulated, one, rng=rng, noise=not no_noise)
         file.parent.mkdir(parents=True, exist_ok=True)
         write_csv(record, file)
         say(f"{file}: {one.describe()}")
-    if chosen.truth:
-        note("Simulated with the model's own parameter values, not with the problem's truth.")
+    if chosen.truth and not truth:
+        note("Simulated with the believed values; --truth simulates the problem's truth.")
 
 
-def _experiments(problem: Problem, name: str | None) -> list[Experiment]:
-    if name is not None:
-        return [problem.experiment(name)]
+def _experiments(problem: Problem, names: list[str]) -> list[Experiment]:
+    if names:
+        return [problem.experiment(name) for name in names]
     if not problem.experiments:
         raise ProblemError(
             f"Problem {problem.name!r} has no experiments. Add one to its problem.py: "
