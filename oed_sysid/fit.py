@@ -13,7 +13,7 @@ from oed_sysid.dataset import Dataset
 from oed_sysid.information import Information, Whiteness, whiteness
 from oed_sysid.model import Model
 
-# Outputs whose residuals count fewer independent samples than this share are coloured.
+# Residuals that count fewer independent samples than this share are coloured.
 COLOUR_LIMIT = 0.8
 
 

@@ -12,13 +12,11 @@ import numpy as np
 
 from oed_sysid.gauss_newton import bounded_step
 from oed_sysid.shooting import Point, Shooting
-from oed_sysid.start_states import measured_columns
 
-# Start states may leave their guesses by this many state scales (soft).
+# Simulated start states may leave their guesses by this many state scales (soft).
+# Measured ones stay near the measurement: with start states held, even wild
+# parameters enter almost linearly.
 NODE_FREEDOM = 10.0
-# Measured ones stay near the smoothed measurement, in units of its noise: with
-# start states held, even wild parameters enter almost linearly.
-MEASURED_FREEDOM = 1.0
 # The way in only has to arrive nearby: stop when an iteration gains less than this share.
 ENOUGH = 1e-3
 
@@ -68,9 +66,8 @@ class _FreeNodes:
             stop = len(record.times) // n_samples * n_samples
             guess = shooting.state_guess(unknowns, index)
             self.guesses.append(guess[:stop:n_samples])
-        self.node_weight = (NODE_FREEDOM * shooting.state_scale) ** -2.0
-        for state, output in measured_columns(shooting.model).items():
-            self.node_weight[state] = (MEASURED_FREEDOM * shooting.sigma[output]) ** -2.0
+        std = np.where(np.isfinite(shooting.guess_std), shooting.guess_std, np.inf)
+        self.node_weights = np.minimum(std, NODE_FREEDOM * shooting.state_scale) ** -2.0
 
     def evaluate(
         self, unknowns: np.ndarray, nodes: list[np.ndarray]
@@ -97,20 +94,21 @@ class _FreeNodes:
                 return None
             residual = record.outputs[:stop] - run.outputs
             scaled, weights = s.scaled(residual)
-            away = nodes[index] - self.guesses[index]
-            cost += 0.5 * float(np.vdot(scaled, scaled) + np.sum(self.node_weight * away**2))
+            away, node_weight = nodes[index] - self.guesses[index], self.node_weights[index]
+            cost += 0.5 * float(np.vdot(scaled, scaled) + np.sum(node_weight * away**2))
             jacobian = dy * (weights / s.sigma)[:, :, None]
             jacobian = jacobian.reshape(n_segments, -1, dy.shape[2])
-            gram = jacobian.transpose(0, 2, 1) @ jacobian
-            right = (scaled.reshape(n_segments, 1, -1) @ jacobian)[:, 0]
+            with np.errstate(over="ignore", invalid="ignore"):
+                gram = jacobian.transpose(0, 2, 1) @ jacobian
+                right = (scaled.reshape(n_segments, 1, -1) @ jacobian)[:, 0]
             if not np.isfinite(gram).all():
                 return None
-            gram[:, range(n_full), range(n_full)] += self.node_weight
+            gram[:, range(n_full), range(n_full)] += node_weight
             blocks.append(
                 (
                     gram[:, :n_full, :n_full],
                     gram[:, :n_full, n_full:],
-                    right[:, :n_full] - self.node_weight * away,
+                    right[:, :n_full] - node_weight * away,
                     gram[:, n_full:, n_full:].sum(axis=0),
                     right[:, n_full:].sum(axis=0),
                 )

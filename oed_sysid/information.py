@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.fft import next_fast_len
 from scipy.special import gammaincc
 
 # Directions whose information falls below this share of the best are null.
@@ -60,8 +61,12 @@ class Information:
         """Build from an information matrix ``(n_unknowns, n_unknowns)``."""
         scales = np.ones(len(names)) if scales is None else np.asarray(scales, dtype=float)
         scaled = np.asarray(matrix) * scales[:, None] * scales
-        values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-        return cls(tuple(names), np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, scales)
+        # Equilibrated first: the scales may be far from what the data say.
+        size = np.sqrt(np.maximum(np.diag(scaled), 0.0))
+        size = np.where(size > 0, size, 1.0)
+        values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T) / size[:, None] / size)
+        factor = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * size
+        return cls(tuple(names), factor, scales)
 
     @property
     def matrix(self) -> np.ndarray:
@@ -231,33 +236,44 @@ def coloured_score_covariance(
     """Covariance of ``J' r`` when the residuals ``r`` are stationary but coloured.
 
     The autocovariances of all pairs of outputs are estimated from the
-    residuals themselves, tapered where they fade into estimation noise, and
-    carried through the Jacobian. This is the middle of a sandwich covariance;
-    it needs far fewer samples than a heteroscedasticity-consistent one,
-    because the noise does not depend on the manoeuvre.
+    residuals themselves, tapered by a trapezoid where they fade into
+    estimation noise (Politis & Romano 1995), and carried through the Jacobian.
+    This is the middle of a sandwich covariance; it needs far fewer samples
+    than a heteroscedasticity-consistent one, because the noise does not depend
+    on the manoeuvre.
 
     Parameters
     ----------
     jacobians : sequence of ndarray (n_times, n_outputs, n_unknowns)
         In units of the noise, zero rows where nothing was measured.
     residuals : sequence of ndarray (n_times, n_outputs)
-        In units of the noise, NaN where nothing was measured.
+        In units of the noise, NaN where nothing was measured; sampled alike.
 
     Returns
     -------
     ndarray (n_unknowns, n_unknowns)
+        Positive semidefinite.
     """
     n_unknowns = jacobians[0].shape[2]
     total = np.zeros((n_unknowns, n_unknowns))
     lags = _taper_length(residuals)
-    covariance = _lagged_covariance(residuals, lags)
-    taper = 1.0 - np.arange(lags + 1) / (lags + 1.0)
+    taper = np.minimum(1.0, 2.0 * (1.0 - np.arange(lags + 1) / (lags + 1.0)))
+    covariance = _lagged_covariance(residuals, lags) * taper[:, None, None]
     for jacobian in jacobians:
-        for lag in range(min(lags, len(jacobian) - 1) + 1):
-            mixed = jacobian[: len(jacobian) - lag].transpose(0, 2, 1)
-            later = np.einsum("ij,kjm->kim", covariance[lag] * taper[lag], jacobian[lag:])
-            part = np.einsum("kmi,kin->mn", mixed, later)
-            total += part if lag == 0 else part + part.T
+        size = next_fast_len(len(jacobian) + lags + 1, real=True)
+        # A convolution in time is a product in frequency.
+        one_sided = np.fft.rfft(covariance, size, axis=0).conj()
+        spectrum = one_sided + one_sided.conj().transpose(0, 2, 1) - covariance[0]
+        values, vectors = np.linalg.eigh(spectrum)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        rows = root.conj().transpose(0, 2, 1) @ np.fft.rfft(jacobian, size, axis=0)
+        # All frequencies but zero (and the last, if the size is even) occur twice.
+        twice = np.full(len(rows), 2.0)
+        twice[0] = 1.0
+        if size % 2 == 0:
+            twice[-1] = 1.0
+        rows = (rows * np.sqrt(twice / size)[:, None, None]).reshape(-1, n_unknowns)
+        total += (rows.conj().T @ rows).real
     return total
 
 

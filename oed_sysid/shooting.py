@@ -13,13 +13,21 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from oed_sysid.dataset import Dataset, Record
 from oed_sysid.kernels import Kernel, kernel
+from oed_sysid.kinematic_guess import kinematic_states
 from oed_sysid.model import Model
-from oed_sysid.start_states import check_channels, cut, measured_states, state_series
+from oed_sysid.start_states import (
+    check_channels,
+    cut,
+    measured_columns,
+    measured_states,
+    state_series,
+)
 from oed_sysid.unknowns import Layout, Limits
 
 Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -84,7 +92,7 @@ class Shooting:
     loss : callable or None
         Robust loss ``scaled residuals -> (loss, weights)``; ``None`` is the square.
     initial_states : sequence of mapping, optional
-        Start guesses of unmeasured states, per record.
+        Start guesses of states, per record; by default from the measurements.
     """
 
     def __init__(
@@ -112,9 +120,25 @@ class Shooting:
         self._starts = tuple(cut(record, interval) for record in self.records)
         self._guesses = tuple(initial_states or ({},) * len(self.records))
         self._columns = tuple(self.layout.record_columns(i) for i in range(len(self.records)))
-        self._measured = tuple(measured_states(model, record) for record in self.records)
         extra = self.kernel.n_full - self.kernel.n_own
         self.state_scale = np.array([*(state.scale for state in model.states), *np.ones(extra)])
+        self._guess_states()
+
+    def _guess_states(self) -> None:
+        """Series of states from measurements, and how far to trust them."""
+        series, stds = [], np.full((len(self.records), self.kernel.n_full), np.nan)
+        columns = measured_columns(self.model)
+        for index, record in enumerate(self.records):
+            measured = measured_states(self.model, record)
+            stds[index, list(measured)] = [self.sigma[columns[state]] for state in measured]
+            if len(measured) < self.layout.n_own:
+                guesses = kinematic_states(self.model, record, measured)
+                stds[index, list(guesses)] = [guess.std for guess in guesses.values()]
+                measured |= {state: guess.series for state, guess in guesses.items()}
+            series.append(measured)
+        self._series = tuple(series)
+        # Standard deviation of the guesses ``(n_records, n_full)``, NaN where simulated.
+        self.guess_std = stds
 
     # -- points --------------------------------------------------------------------
 
@@ -140,18 +164,17 @@ class Shooting:
         names = self.model.state_names
         for index, columns in enumerate(self._columns):
             own = np.zeros(self.layout.n_own)
-            for position, series in self._measured[index].items():
+            for position, series in self._series[index].items():
                 own[position] = series[0]
             for name, value in self._guesses[index].items():
-                if names.index(name) not in self._measured[index]:
-                    own[names.index(name)] = value
+                own[names.index(name)] = value
             unknowns[columns] = [*own, *self._base_values[self._free_index]]
         return unknowns
 
     def state_guess(self, unknowns: np.ndarray, record: int) -> np.ndarray:
         """Full state at every sample, measured where possible, ``(n_times, n_full)``."""
         values, (z0, _) = self.values(unknowns, record), self.full_start(unknowns, record)
-        measured, data = self._measured[record], self.records[record]
+        measured, data = self._series[record], self.records[record]
         return state_series(self.kernel, data, values, z0, self.state_scale, measured)
 
     def start_point(self, unknowns: np.ndarray | None = None) -> Point:
@@ -226,7 +249,7 @@ class Shooting:
         flat = condensed.reshape(-1, maps.shape[2])
         rows = dy.reshape(-1, dy.shape[2])
         edges = np.append(starts, len(record.times)) * n_outputs
-        for i, (first, stop) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        for i, (first, stop) in enumerate(pairwise(edges)):
             np.matmul(rows[first:stop], maps[i], out=flat[first:stop])
         if not np.isfinite(condensed).all():
             return None
