@@ -65,7 +65,8 @@ def deviations(model: Model, dataset: Dataset, initial: Sequence[np.ndarray]) ->
             carry=True,
             sensitivities=True,
         )
-        assert run.end_sensitivities is not None and run.output_sensitivities is not None
+        assert run.end_sensitivities is not None
+        assert run.output_sensitivities is not None
         result.append(
             Deviations(
                 transition=np.ascontiguousarray(run.end_sensitivities[:, :, :n]),

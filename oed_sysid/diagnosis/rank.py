@@ -1,0 +1,169 @@
+"""Which effect is missing: scores for all candidates, refits for the few that deserve one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
+from oed_sysid.diagnosis.score import Score, scores
+from oed_sysid.effects import Effect
+
+# Candidates refitted in each round.
+N_REFITS = 7
+# A rival whose refit is this close, in twice the log-likelihood, cannot be told apart.
+GROUP_WIDTH = 6.0
+# Share of false claims over all candidates, before the untouched record is asked.
+FALSE_CLAIMS = 0.01
+
+
+def threshold(n_candidates: int, freedom: int, share: float = FALSE_CLAIMS) -> float:
+    """Gain in twice the log-likelihood that chance exceeds rarely, however many candidates.
+
+    Examples
+    --------
+    >>> round(threshold(40, 1), 1)
+    13.4
+    """
+    return float(chdtri(freedom, share / max(n_candidates, 1)))
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A candidate added and all parameters estimated again.
+
+    Attributes
+    ----------
+    score : Score
+        What the score test had said.
+    fit : GreyBox
+        The new fit, noise levels included.
+    gain : float
+        Gain in twice the log-likelihood.
+    """
+
+    score: Score
+    fit: GreyBox
+    gain: float
+
+    @property
+    def name(self) -> str:
+        """Identifier of the effect."""
+        return self.score.effect.name
+
+    @property
+    def evidence(self) -> float:
+        """Gain less what freedom costs (two per parameter, as in Akaike's criterion)."""
+        return self.gain - 2.0 * self.score.freedom
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """All candidates, best first.
+
+    Attributes
+    ----------
+    scores : tuple of Score
+        By score statistic.
+    refits : tuple of Refit
+        By evidence.
+    residual : ndarray (n_rows,)
+        Whitened residual, existing unknowns projected out.
+    """
+
+    scores: tuple[Score, ...]
+    refits: tuple[Refit, ...]
+    residual: np.ndarray
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Identifiers, refitted ones first by evidence, then the others by score."""
+        refitted = [refit.name for refit in self.refits]
+        return (*refitted, *(s.effect.name for s in self.scores if s.effect.name not in refitted))
+
+    def needed(self, refit: Refit) -> float:
+        """Gain that a claim needs."""
+        return threshold(len(self.scores), refit.score.freedom)
+
+    def group(self, width: float = GROUP_WIDTH) -> tuple[Refit, ...]:
+        """The best refit and all that these data cannot tell from it."""
+        if not self.refits:
+            return ()
+        best = self.refits[0].evidence
+        return tuple(refit for refit in self.refits if best - refit.evidence < width)
+
+    def similarity(self, first: Refit, second: Refit) -> float:
+        """Largest canonical correlation of two effects' signatures."""
+        bases = []
+        for refit in (first, second):
+            if not np.any(refit.score.signature):
+                return 0.0
+            bases.append(np.linalg.qr(refit.score.signature)[0])
+        return float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0])
+
+    def undetectable(self) -> dict[str, dict[str, float]]:
+        """Effects whose typical size these data would not show, with the size they would."""
+        found = {}
+        for score in self.scores:
+            needed = threshold(len(self.scores), score.freedom) ** 0.5
+            sizes = {p.name: p.magnitude for p in score.effect.parameters}
+            limits = {name: needed * error for name, error in score.std_errors.items()}
+            if score.absorbed or any(limit > sizes[name] for name, limit in limits.items()):
+                found[score.effect.name] = limits
+        return found
+
+
+def rank(
+    task: Task,
+    fit: GreyBox,
+    candidates: Sequence[Effect],
+    *,
+    n_refits: int = N_REFITS,
+    also: Sequence[str] = (),
+) -> Ranking:
+    """Score all candidates, refit the most promising.
+
+    Parameters
+    ----------
+    task, fit
+        The present model.
+    candidates : sequence of Effect
+        Absent effects, all held by the task's super-model.
+    n_refits : int
+        How many to refit.
+    also : sequence of str
+        Identifiers that are refitted whatever their score.
+    """
+    scored, residual = scores(task, fit, candidates)
+    chosen = [s for s in scored if not s.absorbed and s.statistic > 2.0][:n_refits]
+    chosen += [s for s in scored if s.effect.name in also and s not in chosen]
+    refits = [r for r in (refit(task, fit, score) for score in chosen) if r is not None]
+    refits.sort(key=lambda r: -r.evidence)
+    return Ranking(tuple(scored), tuple(refits), residual)
+
+
+def refit(task: Task, fit: GreyBox, score: Score) -> Refit | None:
+    """Estimate everything again with one candidate added.
+
+    Two starts: the one-step estimate, and a fifth of it where the first leads
+    nowhere (the effect is far from linear).
+    """
+    effect = score.effect
+    names = (*fit.names, *effect.amplitude_names, *effect.shape_names)
+    best: GreyBox | None = None
+    for share in (1.0, 0.2):
+        start = dict(fit.values)
+        for name, value in score.estimate.items():
+            amplitude = name in effect.amplitude_names
+            start[name] = share * value if amplitude else value
+        found = estimate(task, names, start, fit.initial, fit.noise)
+        if found is not None and (best is None or found.objective < best.objective):
+            best = found
+        if best is not None and fit.objective - best.objective > 0.3 * score.statistic:
+            break
+    if best is None:
+        return None
+    return Refit(score, best, fit.objective - best.objective)
