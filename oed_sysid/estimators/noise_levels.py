@@ -8,6 +8,8 @@ import numpy as np
 
 from oed_sysid.channels import Output
 from oed_sysid.dataset import Dataset
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.model import Model
 
 # A residual this much smaller than the signal's own spread is numerically exact.
 SMALLEST_SHARE = 1e-9
@@ -53,6 +55,67 @@ def _first(outputs: np.ndarray) -> np.ndarray:
 def given_levels(outputs: Sequence[Output]) -> np.ndarray:
     """Declared noise levels, NaN where unknown."""
     return np.array([np.nan if o.noise_std is None else o.noise_std for o in outputs], dtype=float)
+
+
+def start_levels(
+    model: Model, dataset: Dataset, noise: str | Sequence[float], earlier: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Noise levels to begin with, and which of them to estimate.
+
+    Parameters
+    ----------
+    model : Model
+        Its outputs may declare levels.
+    dataset : Dataset
+        Measured records.
+    noise : str or sequence of float
+        As :class:`~oed_sysid.estimators.MultipleShooting` takes it.
+    earlier : ndarray (n_outputs,) or None
+        Levels of an earlier fit.
+
+    Returns
+    -------
+    levels : ndarray (n_outputs,)
+        An output without any sample counts as one unit; it weighs nothing.
+    estimated : ndarray of bool (n_outputs,)
+    """
+    names = model.output_names
+    measured = np.isfinite(np.vstack([record.outputs for record in dataset])).any(axis=0)
+    if not isinstance(noise, str):
+        levels = np.asarray(noise, dtype=float)
+        if levels.shape != (len(names),):
+            raise ModelError(
+                f"noise gives {levels.size} levels, expected {len(names)}, for {', '.join(names)}."
+            )
+        _check_positive(names, levels)
+        return levels, np.zeros(len(levels), dtype=bool)
+    declared = given_levels(model.outputs)
+    unknown = np.isnan(declared)
+    if noise == "given" and np.any(unknown & measured):
+        missing = [name for name, is_unknown in zip(names, unknown, strict=True) if is_unknown]
+        raise DataError(
+            f"The noise level of {', '.join(missing)} is not declared. Set noise_std on these "
+            "outputs, or use noise='auto' to estimate it."
+        )
+    estimated = measured & (unknown if noise != "estimate" else True)
+    if noise != "estimate":
+        _check_positive(names, np.where(unknown, 1.0, declared))
+    if earlier is not None and earlier.shape == declared.shape:
+        floor = earlier
+    else:
+        # Model errors dominate at first; a floor far below them would stiffen the start.
+        floor = np.maximum(noise_floor(dataset), 0.02 * signal_spread(dataset))
+    levels = np.where(estimated, floor, declared)
+    return np.where(measured, levels, 1.0), estimated
+
+
+def _check_positive(names: Sequence[str], levels: np.ndarray) -> None:
+    for name, level in zip(names, levels, strict=True):
+        if not (level > 0 and np.isfinite(level)):
+            raise DataError(
+                f"The noise level of output {name!r} is {level}; residuals are divided by it. "
+                "Give a positive standard deviation, or noise='estimate'."
+            )
 
 
 def residual_levels(residuals: Sequence[np.ndarray], n_unknowns: int) -> np.ndarray:

@@ -19,6 +19,10 @@ _ADVICE = {
         "check bounds and not identifiable parameters, or shorten the shooting interval."
     ),
     "iterations": "the limit of iterations was reached. Raise max_iterations or start closer.",
+    "interrupted": "stopped by the user. Values are the best so far; fit(..., warm=fit) goes on.",
+    "infeasible": (
+        "no trajectory satisfies the constraints. Loosen them, or start from values that do."
+    ),
     "diverged": (
         "the model leaves the numbers from every start that was tried. Check signs and units of "
         "the start values, reduce model.step, or bound the parameters."

@@ -1,0 +1,123 @@
+"""Where an estimation begins: checks, an earlier fit, and the wide way in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from oed_sysid.dataset import Dataset
+from oed_sysid.errors import DataError
+from oed_sysid.fit import Fit
+from oed_sysid.free_nodes import climb
+from oed_sysid.model import Model
+from oed_sysid.shooting import Point, Shooting
+
+# Lengths, in samples, of the free-node intervals on the wide way in; beyond the
+# last one they triple until they reach the length of a shooting interval.
+LADDER = (2, 4, 10, 30)
+# A start trajectory further off than this (in noise units, per sample) is far.
+FAR = 1e3
+
+InitialStates = Sequence[Mapping[str, float]]
+
+
+def check_enough_samples(shooting: Shooting) -> None:
+    """Raise :class:`DataError` where there are fewer samples than unknowns."""
+    layout = shooting.layout
+    n_samples = sum(int(np.isfinite(record.outputs).sum()) for record in shooting.records)
+    n_priors = int(np.count_nonzero(shooting.limits.prior_weight))
+    if n_samples + n_priors < layout.n_unknowns:
+        raise DataError(
+            f"{n_samples} measured samples and {n_priors} priors cannot determine "
+            f"{layout.n_unknowns} unknowns ({len(layout.shared)} parameters and, for each of "
+            f"{layout.n_records} records, {layout.n_own} initial states and {len(layout.local)} "
+            "parameters of its own). Add records, fix parameters, or give them a prior_std."
+        )
+
+
+def check_initial_states(
+    model: Model, dataset: Dataset, initial_states: InitialStates | None
+) -> None:
+    """Raise :class:`DataError` where start guesses do not belong to model and records."""
+    if initial_states is None:
+        return
+    if isinstance(initial_states, Mapping) or len(initial_states) != len(dataset):
+        raise DataError(
+            f"initial_states gives {len(initial_states)} guesses for {len(dataset)} records. Give "
+            "a list with one mapping for each record; an empty one leaves it to the data."
+        )
+    for record, guess in zip(dataset, initial_states, strict=True):
+        for name, value in guess.items():
+            if name not in model.state_names:
+                raise DataError(
+                    f"The initial guess of record {record.name!r} names {name!r}, which is no "
+                    f"state of {model.name!r}: {', '.join(model.state_names)}."
+                )
+            if not np.isfinite(value):
+                raise DataError(
+                    f"The initial guess of {name!r} of record {record.name!r} is {value}. Give a "
+                    "number, or leave it out."
+                )
+
+
+def warm_model(model: Model, warm: Fit) -> Model:
+    """Return the model with its free parameters at an earlier fit's values, within bounds."""
+    free = {parameter.name: parameter for parameter in model.free_parameters}
+    earlier = warm.model.values | warm.values
+    return model.with_values(
+        {
+            name: float(np.clip(earlier[name], parameter.lower, parameter.upper))
+            for name, parameter in free.items()
+            if name in earlier and np.isfinite(earlier[name])
+        }
+    )
+
+
+def warm_unknowns(shooting: Shooting, warm: Fit) -> np.ndarray:
+    """Start values with the initial states and local parameters of an earlier fit.
+
+    They are taken where the earlier fit saw a record of the same name.
+    """
+    unknowns, layout = shooting.start_unknowns(), shooting.layout
+    positions = {name: i for i, name in enumerate(shooting.model.state_names)}
+    for index, record in enumerate(shooting.records):
+        if record.name not in warm.dataset.names:
+            continue
+        earlier = warm.dataset.names.index(record.name)
+        if warm.dataset[earlier].times[0] != record.times[0]:
+            continue
+        columns = layout.record_columns(index)
+        states = zip(warm.model.state_names, warm.initial_states[earlier], strict=True)
+        for name, value in states:
+            if name in positions and np.isfinite(value):
+                unknowns[columns[positions[name]]] = value
+        for position in layout.local:
+            value = warm.local_values[earlier].get(layout.free_names[position], np.nan)
+            if np.isfinite(value):
+                unknowns[columns[layout.n_own + position]] = value
+    return np.clip(unknowns, shooting.limits.lower, shooting.limits.upper)
+
+
+def wide_start(shooting: Shooting, point: Point) -> Point:
+    """Climb the ladder of free-node intervals from a far start."""
+    shortest = min(len(record.times) for record in shooting.records)
+    rungs = list(LADDER)
+    while 3 * rungs[-1] <= shooting.interval_samples < shortest:
+        rungs.append(3 * rungs[-1])
+    plain = shooting.with_loss(None)
+    unknowns = point.unknowns
+    for n_samples in rungs:
+        if 2 * n_samples <= shortest:
+            unknowns = climb(plain, unknowns, n_samples)
+    return shooting.start_point(unknowns)
+
+
+def is_far(shooting: Shooting, point: Point) -> bool:
+    """Whether a start is too far off for the whole records to be of use."""
+    lin = shooting.linearise(point)
+    if lin is None:
+        return True
+    count = sum(int(np.isfinite(residual).sum()) for residual in lin.residuals)
+    plain = shooting.with_loss(None)
+    return plain.cost(lin, point.unknowns) > 0.5 * FAR * count

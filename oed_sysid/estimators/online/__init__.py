@@ -1,0 +1,23 @@
+"""Estimation on board: one sample at a time, at a known cost per sample.
+
+============================  ========================================================
+:class:`IncrementalLSSVM`     LS-SVM grown by one sample by the bordering recursion
+:class:`RecursiveLSSVM`       the same solution in the size of the features, flat cost
+:class:`RecursiveLeastSquares`  with exponential forgetting
+:class:`EquationStream`       from a model and samples to features and targets
+:class:`OnlineRegression`     all of this behind the interface of the estimators
+============================  ========================================================
+"""
+
+from oed_sysid.estimators.online.incremental import IncrementalLSSVM
+from oed_sysid.estimators.online.recursive import RecursiveLeastSquares, RecursiveLSSVM
+from oed_sysid.estimators.online.regression import OnlineRegression
+from oed_sysid.estimators.online.stream import EquationStream
+
+__all__ = [
+    "EquationStream",
+    "IncrementalLSSVM",
+    "OnlineRegression",
+    "RecursiveLSSVM",
+    "RecursiveLeastSquares",
+]
