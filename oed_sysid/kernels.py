@@ -212,6 +212,27 @@ class Kernel:
         return Run(y, z, dy, ends, dends, failed)
 
 
+@dataclass(frozen=True, eq=False)
+class SelectedRun:
+    """One continuous trajectory with chosen sensitivities.
+
+    Attributes
+    ----------
+    outputs : ndarray (n_times, n_outputs)
+    states : ndarray (n_times, n_own)
+        The model's own states.
+    jacobian : ndarray (n_times, n_outputs, n_own + n_chosen) or None
+        Derivatives of the outputs by initial states, then by chosen parameters.
+    ok : bool
+        Whether the whole trajectory is finite.
+    """
+
+    outputs: np.ndarray
+    states: np.ndarray
+    jacobian: np.ndarray | None
+    ok: bool
+
+
 class SelectableKernel:
     """Continuous trajectories with sensitivities by parameters chosen at run time.
 
@@ -240,7 +261,7 @@ class SelectableKernel:
         names: Sequence[str] = (),
         *,
         sensitivities: bool = True,
-    ) -> tuple[np.ndarray, np.ndarray | None, bool]:
+    ) -> SelectedRun:
         """Simulate one record.
 
         Parameters
@@ -255,13 +276,6 @@ class SelectableKernel:
         sensitivities : bool
             Whether to return derivatives.
 
-        Returns
-        -------
-        outputs : ndarray (n_times, n_outputs)
-        jacobian : ndarray (n_times, n_outputs, n_own + len(names)) or None
-            Derivatives by initial states, then by the named parameters.
-        ok : bool
-            Whether the whole trajectory is finite.
         """
         plain = self.plain
         times = np.ascontiguousarray(times, dtype=float)
@@ -269,19 +283,18 @@ class SelectableKernel:
         values = np.ascontiguousarray(values, dtype=float)
         chosen = np.array([self._names[name] for name in names], dtype=int)
         z0, dz0 = self._start(own, inputs[0], values, times[0])
-        first = np.ascontiguousarray(
-            np.hstack([dz0[:, : self.n_own], dz0[:, self.n_own + chosen]])
-        )
+        first = np.ascontiguousarray(np.hstack([dz0[:, : self.n_own], dz0[:, self.n_own + chosen]]))
         n_columns = first.shape[1]
         if self._library is None:
             run = plain.run(times, inputs, values, z0, sensitivities=sensitivities)
             dy = run.output_sensitivities
             if dy is None:
-                return run.outputs, None, run.ok
+                return SelectedRun(run.outputs, run.states[:, : self.n_own], None, run.ok)
             jacobian = dy[:, :, : plain.n_full] @ first
             jacobian[:, :, self.n_own :] += dy[:, :, plain.n_full + chosen]
-            return run.outputs, jacobian, run.ok
+            return SelectedRun(run.outputs, run.states[:, : self.n_own], jacobian, run.ok)
         y = np.full((len(times), plain.n_outputs), np.nan)
+        z = np.full((len(times), plain.n_full), np.nan)
         dy = np.empty((*y.shape, n_columns)) if sensitivities else None
         columns = np.full(max(plain.n_free, 1), -1, dtype=np.intc)
         columns[chosen] = self.n_own + np.arange(len(chosen))
@@ -295,11 +308,11 @@ class SelectableKernel:
             n_columns,
             columns.ctypes.data_as(ctypes.c_void_p),
             _pointer(first),
-            None,
+            _pointer(z),
             _pointer(y),
             _pointer(dy),
         )
-        return y, dy, failed < 0
+        return SelectedRun(y, z[:, : self.n_own], dy, failed < 0)
 
     def _start(
         self, own: np.ndarray, inputs: np.ndarray, values: np.ndarray, time: float

@@ -17,6 +17,7 @@ from oed_sysid.diagnosis.innovations import Deviations, NoiseModel, whiten
 from oed_sysid.diagnosis.linearise import SuperModel
 from oed_sysid.diagnosis.noise import estimate_noise
 from oed_sysid.gauss_newton import bounded_step
+from oed_sysid.kernels import SelectedRun
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +59,8 @@ class GreyBox:
         Estimated noise model.
     objective : float
         Minus twice the log-likelihood, priors included, up to a constant.
-    outputs, jacobians : list of ndarray
-        Model outputs and their derivatives by initial states and parameters.
+    runs : list of SelectedRun
+        Trajectories with derivatives by initial states and parameters.
     """
 
     names: tuple[str, ...]
@@ -67,8 +68,12 @@ class GreyBox:
     initial: tuple[np.ndarray, ...]
     noise: NoiseModel
     objective: float
-    outputs: list[np.ndarray]
-    jacobians: list[np.ndarray]
+    runs: list[SelectedRun]
+
+    @property
+    def outputs(self) -> list[np.ndarray]:
+        """Model outputs, per record."""
+        return [run.outputs for run in self.runs]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +101,7 @@ def whitened(task: Task, fit: GreyBox, extra: Sequence[np.ndarray] | None = None
     n_extra = extra[0].shape[2] if extra is not None else 0
     blocks = []
     for index, (residual, jacobian) in enumerate(
-        zip(residuals(task.dataset, fit.outputs), fit.jacobians, strict=True)
+        zip(residuals(task.dataset, fit.outputs), _jacobians(fit), strict=True)
     ):
         parts = [jacobian[:, :, n_own:], jacobian[:, :, :n_own], residual[:, :, None]]
         if extra is not None:
@@ -196,6 +201,10 @@ def estimate(
     return fit
 
 
+def _jacobians(fit: GreyBox) -> list[np.ndarray]:
+    return [run.jacobian for run in fit.runs if run.jacobian is not None]
+
+
 def _noise(task: Task, fit: GreyBox) -> NoiseModel:
     return estimate_noise(
         fit.noise,
@@ -213,10 +222,10 @@ def _evaluate(
     initial: tuple[np.ndarray, ...],
     noise: NoiseModel,
 ) -> GreyBox | None:
-    found = task.super_model.outputs(task.dataset, initial, values, names)
-    if found is None:
+    runs = task.super_model.run(task.dataset, initial, values, names)
+    if runs is None:
         return None
-    fit = GreyBox(names, values, initial, noise, np.inf, *found)
+    fit = GreyBox(names, values, initial, noise, np.inf, runs)
     return _with_noise(task, fit, noise)
 
 

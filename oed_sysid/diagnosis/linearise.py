@@ -11,7 +11,8 @@ from oed_sysid import expressions
 from oed_sysid.dataset import Dataset
 from oed_sysid.diagnosis.innovations import Deviations
 from oed_sysid.effects import Effect, Force
-from oed_sysid.kernels import SelectableKernel, kernel, selectable_kernel
+from oed_sysid.errors import ModelError, SimulationError
+from oed_sysid.kernels import SelectableKernel, SelectedRun, kernel, selectable_kernel
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
 
@@ -28,8 +29,8 @@ def disturbed_equations(model: Model) -> tuple[str, ...]:
     )
 
 
-def deviations(model: Model, dataset: Dataset, initial: Sequence[np.ndarray]) -> list[Deviations]:
-    """Linearise a model along its own trajectories.
+def deviations(model: Model, dataset: Dataset, states: Sequence[np.ndarray]) -> list[Deviations]:
+    """Linearise a model along given trajectories.
 
     Parameters
     ----------
@@ -37,8 +38,10 @@ def deviations(model: Model, dataset: Dataset, initial: Sequence[np.ndarray]) ->
         At the values to linearise at.
     dataset : Dataset
         Gives times and inputs.
-    initial : sequence of ndarray (n_own,)
-        Initial states, per record.
+    states : sequence of ndarray (n_times, n_own)
+        The model's own states, per record. Where effects of the model add
+        states or memory, only the first row is used and the model's own
+        trajectory is followed.
     """
     equations = disturbed_equations(model)
     held = model.fix(*model.free_names)
@@ -53,20 +56,26 @@ def deviations(model: Model, dataset: Dataset, initial: Sequence[np.ndarray]) ->
     compiled = kernel(held)
     values = held.value_vector
     n = compiled.n_full
+    follow = n > compiled.n_own
     result = []
-    for record, own in zip(dataset, initial, strict=True):
-        z0, _ = compiled.start(own, record.inputs[0], values, record.times[0])
+    for record, own in zip(dataset, states, strict=True):
+        nodes = own
+        if follow:
+            nodes, _ = compiled.start(own[0], record.inputs[0], values, record.times[0])
         run = compiled.run(
             record.times,
             record.inputs,
             values,
-            z0,
+            nodes,
             starts=np.arange(len(record.times), dtype=np.intc),
-            carry=True,
+            carry=follow,
             sensitivities=True,
         )
-        assert run.end_sensitivities is not None
-        assert run.output_sensitivities is not None
+        if run.end_sensitivities is None or run.output_sensitivities is None or not run.ok:
+            raise SimulationError(
+                f"Model {model.name!r} diverges along record {record.name!r} at sample "
+                f"{run.failed_at}. Start from other values, or bound the parameters."
+            )
         result.append(
             Deviations(
                 transition=np.ascontiguousarray(run.end_sensitivities[:, :, :n]),
@@ -93,21 +102,32 @@ class SuperModel:
         Both together.
     kernel : SelectableKernel
         Its compiled form.
+    skipped : tuple of str
+        Candidates that do not fit the base.
     """
 
     base: Model
     candidates: tuple[Effect, ...]
     model: Model
     kernel: SelectableKernel
+    skipped: tuple[str, ...] = ()
 
     @classmethod
     def build(cls, base: Model, candidates: Sequence[Effect]) -> SuperModel:
-        """Join a base model and candidate effects."""
-        joined = base
-        known = set(base.effect_names)
-        left = tuple(e.absent() for e in candidates if e.name not in known)
-        joined = base + left
-        return cls(base, left, joined, selectable_kernel(joined))
+        """Join a base model and every candidate effect that fits it.
+
+        A candidate that acts on signals the model does not have, or that the
+        base already holds, is left out and listed in ``skipped``.
+        """
+        joined, left, skipped = base, [], []
+        for effect in candidates:
+            try:
+                joined = joined + effect.absent()
+            except ModelError:
+                skipped.append(effect.name)
+            else:
+                left.append(effect.absent())
+        return cls(base, tuple(left), joined, selectable_kernel(joined), tuple(skipped))
 
     def values(self, changes: Mapping[str, float]) -> np.ndarray:
         """Values of all parameters with some replaced, shape ``(n_parameters,)``."""
@@ -118,7 +138,7 @@ class SuperModel:
                 vector[names.index(name)] = value
         return vector
 
-    def outputs(
+    def run(
         self,
         dataset: Dataset,
         initial: Sequence[np.ndarray],
@@ -126,23 +146,28 @@ class SuperModel:
         names: Sequence[str] = (),
         *,
         sensitivities: bool = True,
-    ) -> tuple[list[np.ndarray], list[np.ndarray]] | None:
-        """Outputs and their derivatives along every record, or None where one diverges.
+    ) -> list[SelectedRun] | None:
+        """Run along every record; None where one diverges.
 
-        Returns
-        -------
-        outputs : list of ndarray (n_times, n_outputs)
-        jacobians : list of ndarray (n_times, n_outputs, n_own + len(names))
+        Parameters
+        ----------
+        dataset : Dataset
+        initial : sequence of ndarray (n_own,)
+            Initial states, per record.
+        changes : mapping
+            Values of parameters that differ from the super-model's.
+        names : sequence of str
+            Parameters that get a sensitivity.
+        sensitivities : bool
+            Whether to return derivatives at all.
         """
         values = self.values(changes)
-        outputs, jacobians = [], []
+        runs = []
         for record, own in zip(dataset, initial, strict=True):
-            y, dy, ok = self.kernel.run(
+            run = self.kernel.run(
                 record.times, record.inputs, values, own, names, sensitivities=sensitivities
             )
-            if not ok:
+            if not run.ok:
                 return None
-            outputs.append(y)
-            if dy is not None:
-                jacobians.append(dy)
-        return outputs, jacobians
+            runs.append(run)
+        return runs

@@ -162,23 +162,23 @@ def _variants(task: Task, fit: GreyBox, candidates: Sequence[Effect]) -> list[_V
         for name in effect.amplitude_names
         if not _one_sided(effect, name)
     ]
-    found = task.super_model.outputs(task.dataset, fit.initial, fit.values, smooth)
+    found = task.super_model.run(task.dataset, fit.initial, fit.values, smooth)
     n_own = len(fit.initial[0])
     variants = []
     for effect in candidates:
         amplitudes = effect.amplitude_names
         if effect.shape_names:
             for shape in _shapes(effect):
-                run = task.super_model.outputs(
+                runs = task.super_model.run(
                     task.dataset, fit.initial, dict(fit.values) | shape, amplitudes
                 )
-                if run is not None:
-                    parts = [jacobian[:, :, n_own:] for jacobian in run[1]]
+                if runs is not None:
+                    parts = [r.jacobian[:, :, n_own:] for r in runs if r.jacobian is not None]
                     variants.append(_Variant(effect, amplitudes, shape, parts))
         elif all(name in smooth for name in amplitudes):
             if found is not None:
                 where = [n_own + smooth.index(name) for name in amplitudes]
-                parts = [jacobian[:, :, where] for jacobian in found[1]]
+                parts = [r.jacobian[:, :, where] for r in found if r.jacobian is not None]
                 variants.append(_Variant(effect, amplitudes, {}, parts))
         else:
             secant = _secant(task, fit, effect)
@@ -195,15 +195,15 @@ def _one_sided(effect: Effect, name: str) -> bool:
 def _secant(task: Task, fit: GreyBox, effect: Effect) -> list[np.ndarray] | None:
     """Change of the outputs from nothing to the typical amplitude, per unit of it."""
     sizes = {name: _parameter(effect, name).magnitude for name in effect.amplitude_names}
-    run = task.super_model.outputs(
+    runs = task.super_model.run(
         task.dataset, fit.initial, dict(fit.values) | sizes, sensitivities=False
     )
-    if run is None:
+    if runs is None:
         return None
     total = sum(sizes.values())
     return [
-        ((moved - still) / total)[:, :, None]
-        for moved, still in zip(run[0], fit.outputs, strict=True)
+        ((moved.outputs - still) / total)[:, :, None]
+        for moved, still in zip(runs, fit.outputs, strict=True)
     ]
 
 
