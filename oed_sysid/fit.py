@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.archive import decode, encode
+from oed_sysid.channels import Channels, Input, Output, State
+from oed_sysid.dataset import Dataset, Record
+from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
+from oed_sysid.errors import DataError
 from oed_sysid.information import Information, Whiteness, whiteness
 from oed_sysid.model import Model
+from oed_sysid.parameters import Parameter
+from oed_sysid.prediction import Initial, Prediction, predict
 
 # Residuals that count fewer independent samples than this share are coloured.
 COLOUR_LIMIT = 0.8
@@ -21,7 +29,8 @@ COLOUR_LIMIT = 0.8
 class Status:
     """How an estimation ended, and what to do about it.
 
-    ``code`` is one of ``converged``, ``stalled``, ``iterations``, ``diverged``.
+    ``code`` is one of ``converged``, ``stalled``, ``iterations``,
+    ``interrupted``, ``infeasible``, ``diverged``.
     """
 
     code: str
@@ -139,18 +148,36 @@ class Fit:
         return total
 
     @property
+    def n_unknowns(self) -> int:
+        """Number of estimated values: parameters, initial states, noise levels."""
+        local = sum(len(values) for values in self.local_values)
+        states = sum(len(own) for own in self.initial_states)
+        return len(self.names) + states + local + int(np.sum(self.sigma_estimated))
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion; takes residuals as independent."""
+        return 2.0 * self.n_unknowns - 2.0 * self.log_likelihood
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's information criterion; takes residuals as independent."""
+        return self.n_unknowns * float(np.log(self.n_observations)) - 2.0 * self.log_likelihood
+
+    @property
     def rms(self) -> dict[str, float]:
         """Root mean square residual of each output over all records, in its unit."""
         stacked = np.vstack(self.residuals)
-        with np.errstate(invalid="ignore"):
-            squares = np.nanmean(stacked**2, axis=0) if len(stacked) else np.zeros(0)
+        count = np.isfinite(stacked).sum(axis=0)
+        squares = np.where(count > 0, np.nansum(stacked**2, axis=0) / np.maximum(count, 1), np.nan)
         return dict(zip(self.model.output_names, map(float, np.sqrt(squares)), strict=True))
 
     @property
     def normalised_rms(self) -> float:
         """Root mean square residual over all outputs, in units of the noise."""
         stacked = np.vstack(self.residuals) / self.sigma
-        return float(np.sqrt(np.nanmean(stacked**2)))
+        present = np.isfinite(stacked)
+        return float(np.sqrt(np.mean(stacked[present] ** 2))) if present.any() else np.nan
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of one parameter from its standard error."""
@@ -178,6 +205,46 @@ class Fit:
             for name, tests in self.whiteness().items()
         }
 
+    def predict(self, dataset: Dataset, *, initial: Initial = "fit") -> Prediction:
+        """Predict other records; see :func:`oed_sysid.prediction.predict`.
+
+        Parameters
+        ----------
+        dataset : Dataset
+            Records with the model's channels.
+        initial : str or mapping
+            ``"fit"`` estimates the initial states on each record with all
+            shared parameters held, ``"first"`` takes the first measurements,
+            a mapping gives the states.
+        """
+        shared = [p.name for p in self.model.free_parameters if not p.per_record]
+        covariance = np.zeros((len(shared), len(shared)))
+        known = [i for i, name in enumerate(shared) if name in self.names]
+        columns = [self.names.index(shared[i]) for i in known]
+        covariance[np.ix_(known, known)] = self.covariance[np.ix_(columns, columns)]
+        return predict(self.model, dataset, covariance, self.sigma, initial=initial)
+
+    def save(self, path: str | Path) -> None:
+        """Write the fit, its model and its data to a JSON file; :meth:`load` reads it."""
+        Path(path).write_text(json.dumps({"format": 1, "fit": encode(self)}), encoding="utf-8")
+
+    @staticmethod
+    def load(path: str | Path) -> Fit:
+        """Read a fit from a file that :meth:`save` wrote."""
+        try:
+            content = json.loads(Path(path).read_text(encoding="utf-8"))
+            data = content["fit"]
+        except OSError as error:
+            raise DataError(f"The fit {path} cannot be read: {error.strerror}.") from None
+        except (ValueError, KeyError, TypeError):
+            raise DataError(
+                f"{path} does not hold a saved fit. Write it with fit.save()."
+            ) from None
+        fit = decode(data, ARCHIVED)
+        if not isinstance(fit, Fit):
+            raise DataError(f"{path} holds a {type(fit).__name__}, expected a fit.")
+        return fit
+
     # -- words ---------------------------------------------------------------------
 
     def report(self) -> str:
@@ -197,6 +264,8 @@ class Fit:
         return "\n".join(lines)
 
     def _parameter_table(self) -> list[str]:
+        if not self.names:
+            return ["  no free parameter: initial states only"]
         rows = [("parameter", "value", "std. error", "rel. %", "unit", "")]
         errors = self.std_errors
         for name, value in self.values.items():
@@ -232,7 +301,7 @@ class Fit:
                     output.name,
                     f"{rms[output.name]:.3g}",
                     f"{sigma:.3g}",
-                    "estimated" if estimated else "given",
+                    ("estimated" if estimated else "given") if total else "not measured",
                     f"{count:.0f}",
                     f"{total}",
                     output.unit,
@@ -242,6 +311,13 @@ class Fit:
 
     def _warnings(self) -> list[str]:
         lines = []
+        commands = np.vstack([record.inputs for record in self.dataset])
+        for channel, series in zip(self.model.inputs, commands.T, strict=True):
+            if np.ptp(series) == 0.0:
+                lines.append(
+                    f"  Input {channel.name} never moves in any record: what it does cannot be "
+                    "told from what else is constant."
+                )
         if self.coloured:
             lines.append(
                 "  Residuals are correlated in time (see eff. samples): standard errors are from "
@@ -297,3 +373,10 @@ def align(rows: Sequence[Sequence[str]]) -> list[str]:
         ).rstrip()
         for row in rows
     ]
+
+
+# Everything that a saved fit is made of.
+ARCHIVED: tuple[type, ...] = (
+    *(Fit, Status, Information, Model, Parameter, Dataset, Record, Channels),
+    *(State, Input, Output, Actuator, Environment, Force, Inertia, Sensor, ExtraState, Memory),
+)

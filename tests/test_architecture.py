@@ -45,6 +45,8 @@ LAYERS = (
     "shooting",
     "gauss_newton",
     "free_nodes",
+    "archive",
+    "prediction",
     "fit",
     "estimators",
     "sensitivity",

@@ -16,8 +16,9 @@ from oed_sysid.shooting import Point, Shooting
 # Lengths, in samples, of the free-node intervals on the wide way in; beyond the
 # last one they triple until they reach the length of a shooting interval.
 LADDER = (2, 4, 10, 30)
-# A start trajectory further off than this (in noise units, per sample) is far.
-FAR = 1e3
+# Mean square misfit, in noise units, from which a start is far; from which it is
+# doubtful; and which a good fit stays below.
+FAR, DOUBTFUL, GOOD = 500.0, 30.0, 4.0
 
 InitialStates = Sequence[Mapping[str, float]]
 
@@ -113,11 +114,11 @@ def wide_start(shooting: Shooting, point: Point) -> Point:
     return shooting.start_point(unknowns)
 
 
-def is_far(shooting: Shooting, point: Point) -> bool:
-    """Whether a start is too far off for the whole records to be of use."""
+def misfit(shooting: Shooting, point: Point) -> float:
+    """Mean square residual in units of noise; infinite where the model diverges."""
     lin = shooting.linearise(point)
     if lin is None:
-        return True
+        return np.inf
     count = sum(int(np.isfinite(residual).sum()) for residual in lin.residuals)
-    plain = shooting.with_loss(None)
-    return plain.cost(lin, point.unknowns) > 0.5 * FAR * count
+    cost = shooting.with_loss(None).cost(lin, point.unknowns)
+    return 2.0 * cost / max(count, 1)

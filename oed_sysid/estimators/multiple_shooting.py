@@ -11,9 +11,12 @@ import numpy as np
 from oed_sysid.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators.beginning import (
+    DOUBTFUL,
+    FAR,
+    GOOD,
     check_enough_samples,
     check_initial_states,
-    is_far,
+    misfit,
     warm_model,
     warm_unknowns,
     wide_start,
@@ -180,12 +183,21 @@ class MultipleShooting:
         return solve(shooting, point, **options)  # type: ignore[arg-type]
 
     def _solve(self, shooting: Shooting, point: Point) -> tuple[Solution | None, int]:
-        far = self.start == "wide" or (self.start == "auto" and is_far(shooting, point))
+        begin = 0.0 if self.start == "near" else misfit(shooting, point)
+        far = self.start == "wide" or (self.start == "auto" and begin > FAR)
         first = None if far else self._minimise(shooting, point)
-        enough = first is not None and first.reason in ("converged", "interrupted")
-        if self.start == "near" or enough:
+        if self.start == "near" or (first is not None and first.reason == "interrupted"):
             return first, first.iterations if first else 0
-        second = self._minimise(shooting, wide_start(shooting, point))
+        # A local minimum is worth a second attempt only if the start was doubtful.
+        trusted = begin < DOUBTFUL or (first is not None and misfit(shooting, first.point) < GOOD)
+        if first is not None and first.reason == "converged" and trusted:
+            return first, first.iterations
+        try:
+            second = self._minimise(shooting, wide_start(shooting, point))
+        except KeyboardInterrupt:
+            if first is None:
+                raise
+            return replace(first, reason="interrupted"), first.iterations
         found = [s for s in (first, second) if s is not None]
         if not found:
             return None, 0
