@@ -17,6 +17,8 @@ from oed_sysid.report.style import new_figure
 # A misfit within this share of the noise level counts as explained by it.
 _EXPLAINED = 1.05
 _MAX_RECORDS = 8
+# Prior standard deviations beyond which an estimate contradicts what was believed.
+_SURPRISING = 3.0
 
 
 def fit_page(fit: Fit, *, style: int = 0) -> Page:
@@ -44,7 +46,6 @@ def fit_page(fit: Fit, *, style: int = 0) -> Page:
             ("samples", f"{fit.n_observations:,}".replace(",", " ")),
             ("independent samples", f"{_effective(fit):.0f}"),
             ("status", fit.status.code),
-            ("time", f"{fit.seconds:.2g} s"),
         ),
         sections=(
             _estimates(fit),
@@ -81,6 +82,12 @@ def fit_verdict(fit: Fit) -> tuple[str, ...]:
         says.append(
             f"The residuals are correlated in time ({_effective(fit):.0f} independent samples of "
             f"{fit.n_observations}). Standard errors take this into account."
+        )
+    far = [name for name in fit.names if _surprise(fit, name) > _SURPRISING]
+    if far:
+        says.append(
+            f"Further than {_SURPRISING:g} standard deviations from what was believed before: "
+            f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
         )
     null = fit.information.null_directions()
     says += [f"Not identifiable from these records: {words}." for words in null]
@@ -177,6 +184,14 @@ def residual_section(fit: Fit, *, style: int = 0) -> Section:
         "grey band; slow curves are physics or sensor dynamics that the model lacks.",
     )
     return Section("Residuals", tables=(Table(headers, tuple(rows)),), pictures=(picture,))
+
+
+def _surprise(fit: Fit, name: str) -> float:
+    """Distance of an estimate from its prior mean, in standard deviations of the prior."""
+    parameter = fit.model.parameter(name)
+    if parameter.prior_std is None or parameter.prior_mean is None:
+        return 0.0
+    return abs(fit.values[name] - parameter.prior_mean) / parameter.prior_std
 
 
 def _effective(fit: Fit) -> float:

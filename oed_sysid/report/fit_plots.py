@@ -129,7 +129,7 @@ def plot_autocorrelation(
         n_lags = min(present // 4, 60 if max_lag is None else max(1, int(max_lag / step)))
         rho = autocorrelation(series, n_lags)
         ax.plot(
-            np.arange(1, n_lags + 1) * step, rho[1:], marker=".", ms=4, lw=0.9, alpha=0.85,
+            np.arange(1, n_lags + 1) * step, rho[1:], lw=1.3, alpha=0.85,
             color=model_style(style).colour, label="records",
         )  # fmt: skip
         samples = max(samples, present)

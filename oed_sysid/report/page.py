@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from oed_sysid import __version__
 from oed_sysid.errors import OedSysidError
 
-_RESOLUTION = 140
+_RESOLUTION = 110
 
 
 @dataclass(frozen=True)
