@@ -160,10 +160,8 @@ class _FreeNodes:
             both = np.concatenate([cross, node_right[:, :, None]], axis=2)
             solved = np.linalg.solve(damped, both)
             eliminated.append((columns, solved))
-            n_full = cross.shape[1]
-            reduction = cross.reshape(-1, cross.shape[2]).T @ solved.reshape(
-                len(solved) * n_full, -1
-            )
+            # By axes: reshaping cannot infer sizes where no parameter is free.
+            reduction = np.tensordot(cross, solved, axes=([0, 1], [0, 1]))
             matrix[np.ix_(columns, columns)] += free_matrix - reduction[:, :-1]
             right[columns] += free_right - reduction[:, -1]
         lower, upper = limits.lower - unknowns, limits.upper - unknowns

@@ -50,7 +50,8 @@ class Information:
         """Build from a whitened Jacobian ``(n_rows, n_unknowns)``."""
         n = len(names)
         scales = np.ones(n) if scales is None else np.asarray(scales, dtype=float)
-        rows = np.asarray(jacobian, dtype=float).reshape(-1, n) * scales
+        rows = np.asarray(jacobian, dtype=float)
+        rows = rows.reshape(rows.size // n if n else 0, n) * scales
         factor = np.asarray(np.linalg.qr(rows, mode="r")) if len(rows) >= n else rows
         return cls(tuple(names), factor, scales)
 

@@ -71,7 +71,7 @@ class ReducedProblem:
         """Information of the shared parameters, as if residuals were white."""
         n_shared = len(self.shooting.layout.shared)
         scales = self.shooting.limits.scale[:n_shared]
-        stacked = [rows.reshape(-1, n_shared) for rows in self.rows]
+        stacked = [rows.reshape(rows.shape[0] * rows.shape[1], n_shared) for rows in self.rows]
         jacobian = np.vstack([*stacked, *self.prior_rows])
         return Information.from_jacobian(self.shooting.layout.shared_names, jacobian, scales)
 
@@ -96,6 +96,8 @@ class ReducedProblem:
         ndarray (n_shared, n_shared)
         """
         jacobians = [rows / np.sqrt(self.gain)[:, None] for rows in self.rows]
+        if white.size == 0:  # every parameter is known; initial states alone were estimated
+            return white
         middle = np.zeros_like(white)
         if coloured:
             for group in _sampled_alike(self.shooting):
