@@ -14,6 +14,9 @@ from oed_sysid.effects import Effect
 
 # Candidates refitted in each round.
 N_REFITS = 7
+# Of these, how many again with the noise levels free, and which share of the best gain
+# makes one worth it.
+N_FULL, SHARE = 4, 0.1
 # A rival whose refit is this close, in twice the log-likelihood, cannot be told apart.
 GROUP_WIDTH = 6.0
 # Share of false claims over all candidates, before the untouched record is asked.
@@ -140,13 +143,19 @@ def rank(
     scored, residual = scores(task, fit, candidates)
     chosen = [s for s in scored if not s.absorbed and s.statistic > 2.0][:n_refits]
     chosen += [s for s in scored if s.effect.name in also and s not in chosen]
-    refits = [r for r in (refit(task, fit, score) for score in chosen) if r is not None]
+    quick = [r for r in (refit(task, fit, score) for score in chosen) if r is not None]
+    quick.sort(key=lambda r: -r.evidence)
+    best = quick[0].gain if quick else 0.0
+    refits = [
+        deepen(task, fit, r) if n < N_FULL and r.gain > SHARE * best else r
+        for n, r in enumerate(quick)
+    ]
     refits.sort(key=lambda r: -r.evidence)
     return Ranking(tuple(scored), tuple(refits), residual)
 
 
 def refit(task: Task, fit: GreyBox, score: Score) -> Refit | None:
-    """Estimate everything again with one candidate added.
+    """Estimate parameters again with one candidate added, noise levels held.
 
     Two starts: the one-step estimate, and a fifth of it where the first leads
     nowhere (the effect is far from linear).
@@ -157,9 +166,10 @@ def refit(task: Task, fit: GreyBox, score: Score) -> Refit | None:
     for share in (1.0, 0.2):
         start = dict(fit.values)
         for name, value in score.estimate.items():
-            amplitude = name in effect.amplitude_names
-            start[name] = share * value if amplitude else value
-        found = estimate(task, names, start, fit.initial, fit.noise)
+            start[name] = share * value if name in effect.amplitude_names else value
+        found = estimate(
+            task, names, start, fit.initial, fit.noise, update_noise=False, max_iterations=5
+        )
         if found is not None and (best is None or found.objective < best.objective):
             best = found
         if best is not None and fit.objective - best.objective > 0.3 * score.statistic:
@@ -167,3 +177,11 @@ def refit(task: Task, fit: GreyBox, score: Score) -> Refit | None:
     if best is None:
         return None
     return Refit(score, best, fit.objective - best.objective)
+
+
+def deepen(task: Task, fit: GreyBox, quick: Refit) -> Refit:
+    """Continue a refit with the noise levels free: what the effect explains is no noise."""
+    found = estimate(task, quick.fit.names, quick.fit.values, quick.fit.initial, quick.fit.noise)
+    if found is None or found.objective > quick.fit.objective:
+        return quick
+    return Refit(quick.score, found, fit.objective - found.objective)
