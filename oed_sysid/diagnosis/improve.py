@@ -1,0 +1,327 @@
+"""The loop: fit, locate, rank, add, refit, until what remains is noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.dataset import Dataset
+from oed_sysid.diagnosis.greybox import GreyBox, estimate
+from oed_sysid.diagnosis.rank import Ranking, Refit, rank, threshold
+from oed_sysid.diagnosis.workbench import Workbench
+from oed_sysid.effects import Effect
+from oed_sysid.errors import DataError
+from oed_sysid.model import Model
+
+# A rival must be this much more likely to take an earlier effect's place.
+SWAP_MARGIN = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One effect added.
+
+    Attributes
+    ----------
+    added : str
+        Identifier of the effect.
+    group : tuple of str
+        Identifiers that these data cannot tell from it, itself first.
+    evidence : float
+        Gain in twice the log-likelihood on the training records.
+    needed : float
+        Gain that chance exceeds once in a hundred searches.
+    test_gain : float
+        The same gain on the untouched records; NaN without any.
+    train_error, test_error : float
+        Prediction errors after the step, in units of the noise.
+    fit : GreyBox
+        The fit after the step.
+    """
+
+    added: str
+    group: tuple[str, ...]
+    evidence: float
+    needed: float
+    test_gain: float
+    train_error: float
+    test_error: float
+    fit: GreyBox
+
+
+@dataclass(frozen=True, eq=False)
+class Improvement:
+    """What is missing, step by step, with the errors before and after.
+
+    Attributes
+    ----------
+    model : Model
+        The improved model at its estimates.
+    base : Model
+        The believed model at its estimates.
+    steps : tuple of Step
+    ranking : Ranking
+        Of the first round.
+    base_fit : GreyBox
+    base_error, final_error : dict
+        ``train`` and ``test`` errors in units of the noise.
+    remainder : float
+        Twice the log-likelihood that disturbances still explain after the last
+        step beyond white noise.
+    rejected : tuple of str
+        Best candidates that the untouched records refused.
+    """
+
+    model: Model
+    base: Model
+    steps: tuple[Step, ...]
+    ranking: Ranking
+    base_fit: GreyBox
+    base_error: Mapping[str, float]
+    final_error: Mapping[str, float]
+    remainder: float
+    parameters: tuple[Mapping[str, Any], ...]
+    rejected: tuple[str, ...] = ()
+    extras: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def verdict(self) -> str:
+        """``"missing"`` or ``"nothing_missing"``."""
+        return "missing" if self.steps else "nothing_missing"
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Where the loop stands: effects in the model, and the fit with them."""
+
+    added: tuple[Effect, ...]
+    fit: GreyBox
+    bench: Workbench
+
+
+def improve(
+    model: Model,
+    train: Dataset,
+    test: Dataset | None = None,
+    *,
+    candidates: Sequence[Effect],
+    known_noise: bool = False,
+    max_effects: int = 4,
+    progress: Callable[[str], None] | None = None,
+) -> Improvement:
+    """Find the effects that a model lacks.
+
+    Choices are made on the training records; an effect is claimed only where
+    it also makes the untouched records more likely.
+
+    Parameters
+    ----------
+    model : Model
+        What is believed.
+    train, test : Dataset
+        Records to learn from, and untouched ones to judge by.
+    candidates : sequence of Effect
+        What may be missing.
+    known_noise : bool
+        Whether the declared noise levels are right and sensors have no other
+        noise; otherwise levels and colour are estimated.
+    max_effects : int
+        Most effects to add.
+    progress : callable, optional
+        Told in words what is being done.
+    """
+    tell = progress or (lambda text: None)
+    if not candidates:
+        raise DataError(
+            "There is no candidate effect. Give problem.effects, or effects of your own."
+        )
+    tell("fitting the model as it is believed")
+    bench, base_fit = Workbench.build(model, train, test, candidates, known_noise=known_noise)
+    state = _State((), base_fit, bench)
+    first: Ranking | None = None
+    steps: list[tuple[Refit, Ranking, float]] = []
+    fits: list[GreyBox] = []
+    rejected: list[str] = []
+    while len(state.added) < max_effects:
+        tell(f"ranking candidates, round {len(state.added) + 1}")
+        ranking = rank(state.bench.train, state.fit, _left(state))
+        first = first or ranking
+        chosen, test_gain, refused = _choose(state, ranking)
+        rejected += refused
+        if chosen is None:
+            break
+        tell(f"adding {chosen.name}")
+        state = _settle(state, chosen)
+        steps.append((chosen, ranking, test_gain))
+        fits.append(state.fit)
+        if len(state.added) > 1:
+            tell("reconsidering the effects added before")
+            state, steps, fits = _review(state, steps, fits, base_fit)
+    assert first is not None
+    sigma = _sigma(model, state.fit)
+    return _result(state, model, base_fit, first, steps, fits, rejected, sigma)
+
+
+def _left(state: _State) -> list[Effect]:
+    present = {effect.name for effect in state.added}
+    return [e for e in state.bench.train.super_model.candidates if e.name not in present]
+
+
+def _choose(state: _State, ranking: Ranking) -> tuple[Refit | None, float, list[str]]:
+    """Best candidate whose gain chance does not explain and the test records confirm."""
+    refused: list[str] = []
+    before = state.bench.test_objective(state.fit) if state.bench.test else np.nan
+    for refit in ranking.refits[:3]:
+        if refit.gain < ranking.needed(refit):
+            continue
+        if state.bench.test is None:
+            return refit, np.nan, refused
+        gain = before - state.bench.test_objective(refit.fit)
+        if gain > 0:
+            return refit, gain, refused
+        refused.append(refit.name)
+    return None, np.nan, refused
+
+
+def _settle(state: _State, chosen: Refit) -> _State:
+    """Linearise anew with the effect in the model, and estimate once more."""
+    bench = state.bench.at(chosen.fit)
+    found = estimate(
+        bench.train, chosen.fit.names, chosen.fit.values, chosen.fit.initial, chosen.fit.noise
+    )
+    return _State((*state.added, chosen.score.effect), found or chosen.fit, bench)
+
+
+def _review(
+    state: _State,
+    steps: list[tuple[Refit, Ranking, float]],
+    fits: list[GreyBox],
+    base_fit: GreyBox,
+) -> tuple[_State, list[tuple[Refit, Ranking, float]], list[GreyBox]]:
+    """Drop or replace earlier effects that the later ones have made doubtful."""
+    for position in range(len(state.added) - 1):
+        old = state.added[position]
+        others = tuple(e for i, e in enumerate(state.added) if i != position)
+        names = tuple(n for n in state.fit.names if n not in {p.name for p in old.parameters})
+        values = dict(state.fit.values)
+        values.update(dict.fromkeys(old.amplitude_names, 0.0))
+        noise = _loosened(state.fit.noise, state.bench.train.units)
+        without = estimate(state.bench.train, names, values, state.fit.initial, noise)
+        if without is None:
+            continue
+        needed = threshold(len(_left(state)) + 1, len(old.parameters))
+        if without.objective - state.fit.objective < needed:
+            kept = [i for i in range(len(steps)) if i != position]
+            state = _State(others, without, state.bench.at(without))
+            return state, [steps[i] for i in kept], [fits[i] for i in kept[:-1]] + [without]
+        reduced = _State(others, without, state.bench)
+        ranking = rank(reduced.bench.train, without, _left(reduced), also=(old.name,), n_refits=5)
+        present = next((r for r in ranking.refits if r.name == old.name), None)
+        best = ranking.refits[0] if ranking.refits else None
+        if best is None:
+            continue
+        chosen = best
+        if present is not None and best.evidence < present.evidence + SWAP_MARGIN:
+            chosen = present
+        if chosen.name != old.name:
+            if state.bench.test is not None and state.bench.test_objective(
+                chosen.fit
+            ) > state.bench.test_objective(state.fit):
+                continue
+            state = _settle(reduced, chosen)
+            steps = [
+                *steps[:position],
+                *steps[position + 1 :],
+                (chosen, ranking, steps[position][2]),
+            ]
+            fits = [*fits[:position], *fits[position + 1 :], state.fit]
+        else:
+            steps = [
+                (step[0], ranking, step[2]) if i == position else step
+                for i, step in enumerate(steps)
+            ]
+    return state, steps, fits
+
+
+def _loosened(noise: Any, units: Any) -> Any:
+    """Noise model in which an absent disturbance can come back."""
+    return replace(noise, force=np.maximum(noise.force, 0.3 * units.force))
+
+
+def _sigma(model: Model, fit: GreyBox) -> np.ndarray:
+    """Noise level of every output: declared, else as the final fit estimates it."""
+    return np.array(
+        [
+            estimated if output.noise_std is None else output.noise_std
+            for output, estimated in zip(model.outputs, fit.noise.white, strict=True)
+        ]
+    )
+
+
+def _group(ranking: Ranking, added: str) -> tuple[str, ...]:
+    names = [refit.name for refit in ranking.group()]
+    return (added, *(name for name in names if name != added))
+
+
+def _result(
+    state: _State,
+    model: Model,
+    base_fit: GreyBox,
+    first: Ranking,
+    steps: list[tuple[Refit, Ranking, float]],
+    fits: list[GreyBox],
+    rejected: list[str],
+    sigma: np.ndarray,
+) -> Improvement:
+    from oed_sysid.diagnosis.conclusion import parameter_table, remainder
+
+    bench = state.bench
+
+    def errors(fit: GreyBox) -> dict[str, float]:
+        return {
+            "train": bench.error(fit, sigma, test=False),
+            "test": bench.error(fit, sigma, test=True),
+        }
+
+    done = []
+    for (refit, ranking, test_gain), fit in zip(steps, fits, strict=True):
+        error = errors(fit)
+        done.append(
+            Step(
+                refit.name,
+                _group(ranking, refit.name),
+                refit.gain,
+                ranking.needed(refit),
+                test_gain,
+                error["train"],
+                error["test"],
+                fit,
+            )
+        )
+    known = set(model.parameter_names)
+    base = model.with_values({k: v for k, v in base_fit.values.items() if k in known})
+    final = (model + state.added).with_values(
+        {
+            k: v
+            for k, v in state.fit.values.items()
+            if k in known or k in {p.name for e in state.added for p in e.parameters}
+        }
+    )
+    base_error = errors(base_fit)
+    return Improvement(
+        model=final,
+        base=base,
+        steps=tuple(done),
+        ranking=first,
+        base_fit=base_fit,
+        base_error=base_error,
+        final_error={"train": done[-1].train_error, "test": done[-1].test_error}
+        if done
+        else base_error,
+        remainder=remainder(bench.train, state.fit),
+        parameters=parameter_table(bench.train, state.fit),
+        rejected=tuple(rejected),
+    )

@@ -1,0 +1,273 @@
+"""What is left of one output after a model has been subtracted, in numbers and words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.channels import Output
+from oed_sysid.diagnosis.regimes import Concentration, Regime, Signal, concentrations
+from oed_sysid.information import Whiteness, autocorrelation, whiteness
+
+# Lags up to which residuals are compared with inputs and states, s.
+LONGEST_LAG = 5.0
+# A correlation is named if it is this many standard errors from zero, over all lags looked at.
+CLEAR_CORRELATION = 4.5
+# Misfit that is called noise: up to this many times the noise, and white at this level.
+NOISE_LIMIT, WHITE_LEVEL = 1.05, 1e-4
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Largest correlation of a residual with a signal.
+
+    Attributes
+    ----------
+    signal : str
+    value : float
+        Correlation coefficient.
+    lag : float
+        Time by which the residual follows the signal, s.
+    score : float
+        The coefficient in standard errors, both series' own colour considered.
+    """
+
+    signal: str
+    value: float
+    lag: float
+    score: float
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether chance is excluded."""
+        return abs(self.score) > CLEAR_CORRELATION
+
+
+@dataclass(frozen=True, eq=False)
+class OutputMisfit:
+    """Residual of one output over all records.
+
+    Attributes
+    ----------
+    output : Output
+    rmse, sigma, bias : float
+        Root mean square residual, noise level and mean residual, in its unit.
+    record_rmse : tuple of float
+        Root mean square residual of each record.
+    n_samples : int
+    coverage : float
+        Share of the measurements within the 95 % prediction band.
+    tests : tuple of Whiteness
+        Of each record.
+    correlations : tuple of Correlation
+        With every input and state, the clearest first.
+    regimes : tuple of Concentration
+        Where the misfit sits, the clearest first.
+    windows : tuple of ndarray (n_windows,)
+        Root mean square residual in consecutive windows, in noise, per record.
+    worst : tuple
+        Record, start and end of the worst window, s, and its misfit in noise.
+    """
+
+    output: Output
+    rmse: float
+    sigma: float
+    bias: float
+    record_rmse: tuple[float, ...]
+    n_samples: int
+    coverage: float
+    tests: tuple[Whiteness, ...]
+    correlations: tuple[Correlation, ...]
+    regimes: tuple[Concentration, ...]
+    windows: tuple[np.ndarray, ...]
+    worst: tuple[str, float, float, float]
+
+    @property
+    def relative(self) -> float:
+        """Root mean square residual in units of the noise."""
+        return self.rmse / self.sigma
+
+    @property
+    def effective_samples(self) -> float:
+        """Number of independent residuals."""
+        return float(sum(test.effective_samples for test in self.tests))
+
+    @property
+    def is_white(self) -> bool:
+        """Whether no record's residual is correlated in time."""
+        return all(test.p_value > WHITE_LEVEL for test in self.tests)
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether the misfit is as small and as shapeless as noise."""
+        limit = max(NOISE_LIMIT, 1.0 + 3.0 / np.sqrt(2.0 * max(self.n_samples, 1)))
+        return self.n_samples == 0 or (self.relative < limit and self.is_white)
+
+    @property
+    def verdict(self) -> str:
+        """The misfit in words."""
+        name = self.output.label or self.output.name
+        if self.n_samples == 0:
+            return f"{name}: not measured"
+        if not np.isfinite(self.rmse):
+            return f"{name}: the prediction leaves the numbers"
+        if self.is_noise:
+            return f"{name}: the misfit is noise"
+        if self.relative < NOISE_LIMIT:
+            text = f"{name} is off by no more than the noise, but correlated in time"
+        else:
+            text = f"{name} deviates by {self.relative:.2g} x noise"
+        details = []
+        clear = [regime for regime in self.regimes if regime.is_clear]
+        if clear:
+            details.append(f"mostly {clear[0].words}")
+        related = [c for c in self.correlations if c.is_clear]
+        if related:
+            details.append(f"correlated with {related[0].signal}")
+        return ", ".join([text, *details])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "output": self.output.name,
+            "unit": self.output.unit,
+            "rmse": self.rmse,
+            "noise": self.sigma,
+            "relative": self.relative,
+            "bias": self.bias,
+            "record_rmse": list(self.record_rmse),
+            "n_samples": self.n_samples,
+            "effective_samples": self.effective_samples,
+            "coverage_95": self.coverage,
+            "white": self.is_white,
+            "correlations": [vars(c) for c in self.correlations],
+            "regimes": [vars(r) for r in self.regimes if r.is_clear],
+            "windows": [part.tolist() for part in self.windows],
+            "worst": list(self.worst),
+            "verdict": self.verdict,
+        }
+
+
+def output_misfit(
+    output: Output,
+    residuals: Sequence[np.ndarray],
+    sigma: float,
+    inside_band: Sequence[np.ndarray],
+    times: Sequence[np.ndarray],
+    names: Sequence[str],
+    signals: Sequence[Signal],
+    parts: Sequence[Regime],
+    window: float,
+) -> OutputMisfit:
+    """Describe the residual of one output.
+
+    Parameters
+    ----------
+    output : Output
+    residuals : sequence of ndarray (n_times,)
+        Measured minus model, per record; NaN where nothing was measured.
+    sigma : float
+        Noise level.
+    inside_band : sequence of ndarray of bool (n_times,)
+        Whether each measurement is within the 95 % band.
+    times : sequence of ndarray (n_times,)
+    names : sequence of str
+        Of the records.
+    signals : sequence of Signal
+        Inputs and states to compare with.
+    parts : sequence of Regime
+        Parts of the manoeuvre to compare.
+    window : float
+        Length of the windows, s.
+    """
+    pooled = np.concatenate(residuals)
+    seen = np.isfinite(pooled)
+    scaled = [residual / sigma for residual in residuals]
+    windows = tuple(_windows(t, r, window) for t, r in zip(times, scaled, strict=True))
+    return OutputMisfit(
+        output=output,
+        rmse=_rms(pooled),
+        sigma=sigma,
+        bias=float(np.mean(pooled[seen])) if seen.any() else np.nan,
+        record_rmse=tuple(_rms(residual) for residual in residuals),
+        n_samples=int(seen.sum()),
+        coverage=float(np.mean(np.concatenate(inside_band)[seen])) if seen.any() else np.nan,
+        tests=tuple(whiteness(r) for r in residuals if np.isfinite(r).sum() > 10),
+        correlations=tuple(
+            sorted(
+                (c for c in (correlate(residuals, s, times) for s in signals) if c),
+                key=lambda c: -abs(c.score),
+            )
+        ),
+        regimes=tuple(concentrations(scaled, parts)),
+        windows=windows,
+        worst=_worst(windows, times, names, window),
+    )
+
+
+def correlate(
+    residuals: Sequence[np.ndarray], signal: Signal, times: Sequence[np.ndarray]
+) -> Correlation | None:
+    """Largest cross-correlation of a residual with a signal that precedes it.
+
+    The standard error takes both autocorrelations into account (Bartlett 1946).
+    """
+    step = float(np.median(np.diff(times[0])))
+    longest = min(round(LONGEST_LAG / step), min(len(t) for t in times) // 3)
+    lags = np.arange(0, longest + 1)
+    covariance, pairs = np.zeros(len(lags)), np.zeros(len(lags))
+    square_r = square_s = 0.0
+    colour = 0.0
+    for residual, series in zip(residuals, signal.series, strict=True):
+        seen = np.isfinite(residual)
+        if seen.sum() < 20 or not np.ptp(series) > 0:
+            continue
+        r = np.where(seen, residual - np.nanmean(residual), 0.0)
+        s = series - np.mean(series)
+        square_r += float(r @ r)
+        square_s += float(np.sum(s[seen] ** 2))
+        for i, lag in enumerate(lags):
+            covariance[i] += r[lag:] @ s[: len(s) - lag]
+            pairs[i] += seen[lag:].sum()
+        n_lags = min(len(s) // 3, 300)
+        product = autocorrelation(residual, n_lags) * autocorrelation(series, n_lags)
+        taper = 1.0 - np.arange(n_lags + 1) / (n_lags + 1.0)
+        colour += seen.sum() * max(1.0 + 2.0 * float(product[1:] @ taper[1:]), 0.1)
+    if not (square_r > 0 and square_s > 0):
+        return None
+    values = covariance / np.sqrt(square_r * square_s)
+    best = int(np.argmax(np.abs(values)))
+    error = np.sqrt(colour) / pairs[0]
+    return Correlation(
+        signal.words, float(values[best]), float(lags[best] * step), float(values[best] / error)
+    )
+
+
+def _rms(values: np.ndarray) -> float:
+    seen = values[~np.isnan(values)]
+    return float(np.sqrt(np.mean(seen**2))) if len(seen) else np.nan
+
+
+def _windows(times: np.ndarray, residual: np.ndarray, window: float) -> np.ndarray:
+    """Root mean square in windows of equal length; NaN where nothing was measured."""
+    index = ((times - times[0]) / window).astype(int)
+    return np.array([_rms(residual[index == i]) for i in range(index[-1] + 1)])
+
+
+def _worst(
+    windows: Sequence[np.ndarray],
+    times: Sequence[np.ndarray],
+    names: Sequence[str],
+    window: float,
+) -> tuple[str, float, float, float]:
+    best = ("", np.nan, np.nan, np.nan)
+    for part, t, name in zip(windows, times, names, strict=True):
+        filled = np.where(np.isfinite(part), part, -1.0)
+        i = int(np.argmax(filled))
+        if filled[i] > 0 and not filled[i] <= best[3]:
+            begin = float(t[0] + i * window)
+            best = (name, begin, min(begin + window, float(t[-1])), float(filled[i]))
+    return best

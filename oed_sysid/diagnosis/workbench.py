@@ -1,0 +1,227 @@
+"""The bench on which models are compared: records, noise units, first fit, errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oed_sysid.dataset import Dataset
+from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
+from oed_sysid.diagnosis.innovations import Deviations, NoiseModel
+from oed_sysid.diagnosis.linearise import SuperModel, deviations, disturbed_equations
+from oed_sysid.effects import Effect
+from oed_sysid.errors import DataError, ModelError, SimulationError
+from oed_sysid.estimators.multiple_shooting import MultipleShooting
+from oed_sysid.estimators.noise_levels import given_levels, noise_floor
+from oed_sysid.model import Model
+
+FORCE_TIME, COLOUR_TIME = 1.0, 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class Workbench:
+    """Training and test records with the super-model of all candidates.
+
+    Attributes
+    ----------
+    train : Task
+        At the linearisation of the present model.
+    test : Task or None
+        The same on the untouched records.
+    """
+
+    train: Task
+    test: Task | None
+
+    @classmethod
+    def build(
+        cls,
+        model: Model,
+        train: Dataset,
+        test: Dataset | None,
+        candidates: Sequence[Effect],
+        *,
+        known_noise: bool,
+    ) -> tuple[Workbench, GreyBox]:
+        """Join model and candidates, and fit the model as it is believed."""
+        levels = given_levels(model.outputs)
+        if known_noise and not np.all(np.isfinite(levels)):
+            unknown = [o.name for o in model.outputs if o.noise_std is None]
+            raise DataError(
+                f"The noise of {', '.join(unknown)} is not declared, so it cannot be taken as "
+                "known. Set noise_std on these outputs, or let the noise be estimated."
+            )
+        white = np.where(np.isfinite(levels), levels, noise_floor(train))
+        super_model = SuperModel.build(model, candidates)
+        n_forces = len(disturbed_equations(model))
+        if n_forces == 0:
+            raise ModelError(
+                f"Model {model.name!r} has no equation with a parameter in which physics could be "
+                "missing."
+            )
+        units = NoiseModel(
+            white, white, np.ones(n_forces), colour_time=COLOUR_TIME, force_time=FORCE_TIME
+        )
+        fit, task = _first_fit(super_model, train, units, known_noise)
+        bench = cls(task, None)
+        if test is not None:
+            bench = replace(bench, test=replace(task, dataset=test, deviations=()))
+        return bench.at(fit), fit
+
+    def at(self, fit: GreyBox) -> Workbench:
+        """Return the bench linearised along the trajectories of a fit."""
+        train = replace(self.train, deviations=_linearise(self.train, fit))
+        test = self.test
+        if test is not None:
+            states = self.test_states(fit)
+            base = self._base_at(fit)
+            test = replace(test, deviations=deviations(base, test.dataset, states))
+        return Workbench(train, test)
+
+    def test_states(self, fit: GreyBox) -> list[np.ndarray]:
+        """Trajectories of a fit on the test records, initial states fitted to them."""
+        assert self.test is not None
+        found = on_records(self.test, fit)
+        if found is None:
+            raise SimulationError(
+                "The fitted model diverges on a test record. Leave the record out, or bound the "
+                "parameters."
+            )
+        return [run.states for run in found.runs]
+
+    def _base_at(self, fit: GreyBox) -> Model:
+        base = self.train.super_model.base
+        known = set(base.parameter_names)
+        return base.with_values({k: v for k, v in fit.values.items() if k in known})
+
+    def test_objective(self, fit: GreyBox) -> float:
+        """Minus twice the log-likelihood on the test records, nothing fitted but their starts."""
+        assert self.test is not None
+        task = self.test
+        start = on_records(task, fit)
+        if start is None:
+            return np.inf
+        found = estimate(
+            task, (), fit.values, start.initial, fit.noise, update_noise=False, max_iterations=6
+        )
+        return np.inf if found is None else found.objective
+
+    def error(self, fit: GreyBox, sigma: np.ndarray, *, test: bool) -> float:
+        """Root mean square prediction error over all outputs, in units of the noise.
+
+        Over whole records, with nothing but the initial states fitted to them.
+        """
+        task = self.test if test else self.train
+        if task is None:
+            return np.nan
+        found = on_records(task, fit)
+        if found is None:
+            return np.inf
+        total = count = 0.0
+        for record, outputs in zip(task.dataset, found.outputs, strict=True):
+            scaled = (record.outputs - outputs) / sigma
+            total += float(np.nansum(scaled**2))
+            count += int(np.isfinite(scaled).sum())
+        return float(np.sqrt(total / count))
+
+
+def on_records(task: Task, fit: GreyBox) -> GreyBox | None:
+    """Fit only the initial states of a task's records, by plain least squares."""
+    white = replace(task.units, force=0 * task.units.force, colour=0 * task.units.colour)
+    idle = replace(task, deviations=[_idle(record.outputs) for record in task.dataset])
+    return estimate(
+        idle,
+        (),
+        fit.values,
+        starting_states(task.super_model.base, task.dataset),
+        white,
+        update_noise=False,
+        max_iterations=15,
+    )
+
+
+def _idle(outputs: np.ndarray) -> Deviations:
+    """Deviations of a record whose noise is white: the dynamics do not enter."""
+    present = np.isfinite(outputs).astype(float)
+    nothing = np.zeros((0, 0, 0))
+    return Deviations(nothing, nothing, nothing, present, 1.0)
+
+
+def starting_states(model: Model, dataset: Dataset) -> list[np.ndarray]:
+    """Initial states that the first samples suggest, zero where not measured."""
+    from oed_sysid.start_states import measured_states
+
+    starts = []
+    for record in dataset:
+        own = np.zeros(len(model.states))
+        for position, series in measured_states(model, record).items():
+            own[position] = series[0]
+        starts.append(own)
+    return starts
+
+
+def _linearise(task: Task, fit: GreyBox) -> list[Deviations]:
+    base = task.super_model.base
+    known = set(base.parameter_names)
+    model = base.with_values({k: v for k, v in fit.values.items() if k in known})
+    return deviations(model, task.dataset, [run.states for run in fit.runs])
+
+
+def _first_fit(
+    super_model: SuperModel, train: Dataset, units: NoiseModel, known_noise: bool
+) -> tuple[GreyBox, Task]:
+    """Fit the believed model, from its own values and from a least-squares fit.
+
+    A least-squares fit of a model that lacks physics may bend its parameters
+    far; from there, or from the believed values, whichever is more likely.
+    """
+    base = super_model.base
+    plain = MultipleShooting(max_iterations=40, coloured="never").fit(base, train)
+    starts: list[tuple[Mapping[str, float], Sequence[np.ndarray]]] = [
+        (base.values, starting_states(base, train))
+    ]
+    if np.isfinite(plain.cost):
+        starts.append((plain.model.values, plain.initial_states))
+    free = base.free_names
+    best: tuple[GreyBox, Task] | None = None
+    for values, initial in starts:
+        runs = super_model.run(train, initial, values, sensitivities=False)
+        if runs is None:
+            continue
+        try:
+            lines = deviations(base.with_values(values), train, [run.states for run in runs])
+        except SimulationError:
+            continue
+        scaled = replace(units, force=_force_units(lines, units))
+        task = Task(super_model, train, lines, scaled, known_noise)
+        fit: GreyBox | None = None
+        for _ in range(2):
+            noise = fit.noise if fit else replace(scaled, colour=0 * scaled.colour)
+            fit = estimate(task, free, values, initial, noise)
+            if fit is None:
+                break
+            values, initial = fit.values, fit.initial
+            task = replace(task, deviations=_linearise(task, fit))
+        if fit is not None and (best is None or fit.objective < best[0].objective - 1.0):
+            best = fit, task
+    if best is None:
+        raise SimulationError(
+            f"Model {base.name!r} diverges on the training records from every start that was "
+            "tried. Check signs and units of its values, or bound its parameters."
+        )
+    return best
+
+
+def _force_units(lines: Sequence[Deviations], units: NoiseModel) -> np.ndarray:
+    """Force on each axis that moves some output by its noise within a correlation time."""
+    sizes = []
+    for line in lines:
+        held = units.force_time / line.sample_time
+        response = np.abs(line.output[:-1] @ line.force_gain[:-1]) * held
+        typical = np.median(response, axis=0) / units.white[:, None]
+        # A force whose rate passes through kinematics first shows after a while only.
+        sizes.append(typical.max(axis=0))
+    largest = np.mean(sizes, axis=0)
+    return 1.0 / np.where(largest > 0, largest, 1.0)
