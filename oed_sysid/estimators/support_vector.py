@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -50,7 +51,7 @@ class SupportVectorRegression:
     Statistics and Computing 14; solver: Fan et al. (2008), LIBLINEAR.
     """
 
-    C: float = 1e3
+    C: float = 100.0
     epsilon: float = 1e-3
     scale: str | Mapping[str, float] = "unit"
     rule: str = "simpson"
@@ -89,11 +90,13 @@ class SupportVectorRegression:
                 kernel="linear",
                 C=self.C,
                 epsilon=self.epsilon,
-                tol=1e-8,
+                tol=1e-6,
                 max_iter=self.max_iterations,
             )
             centre = targets.mean() if bias else 0.0
-            machine.fit(features, targets - centre)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # reported in the status
+                machine.fit(features, targets - centre)
             if machine.fit_status_ or machine.n_iter_ >= self.max_iterations:
                 unfinished.append(int(machine.n_iter_))
             return SeparateSolution(

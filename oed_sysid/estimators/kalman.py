@@ -1,0 +1,351 @@
+"""Kalman filters on states and parameters together, sample by sample."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from oed_sysid.dataset import Dataset, Record
+from oed_sysid.errors import ModelError
+from oed_sysid.estimators.noise_levels import given_levels, noise_floor
+from oed_sysid.estimators.regression_summary import fit_from_values
+from oed_sysid.fit import Fit, Status
+from oed_sysid.kernels import Kernel, kernel
+from oed_sysid.model import Model
+from oed_sysid.start_states import check_channels, measured_states
+
+KINDS = ("extended", "unscented")
+# A measured start state is known this many noise levels well before its first measurement.
+START_SPREAD = 10.0
+DIVERGED = Status(
+    "diverged",
+    "the filter left the numbers. Start closer, give smaller parameter_std, add process_std, or "
+    "use MultipleShooting, whose result does not depend on the order of the samples.",
+)
+
+
+@dataclass(frozen=True)
+class JointKalmanFilter:
+    r"""Kalman filter whose state is the vehicle's state and the free parameters.
+
+    The extended filter linearises one step with the exact derivatives of the
+    compiled kernel; the unscented one sends ``2n`` points through it. Without
+    process noise the extended filter is a recursive, approximate output-error
+    method: one pass over the data, each sample linearised once. Samples that
+    were linearised far from the truth are not looked at again, so the stated
+    errors are too small in strongly nonlinear cases.
+
+    Parameters
+    ----------
+    kind : str
+        ``"extended"`` or ``"unscented"``.
+    process_std : mapping of str to float
+        Intensity of the noise on each state's rate, in its unit per
+        :math:`\sqrt{s}`; zero where nothing is said.
+    drift_std : mapping of str to float
+        The same for parameters that change in time.
+    parameter_std : mapping of str to float
+        Uncertainty of the start values; by default the prior's, else half the
+        parameter's magnitude.
+    state_std : mapping of str to float
+        Uncertainty of start states that are not measured; by default their scale.
+    initial : mapping of str to float
+        Start of states that are not measured.
+    passes : int
+        How often the data is gone through; each pass starts with the values
+        of the one before and the first uncertainty, so that errors stay those
+        of a single pass.
+
+    References
+    ----------
+    Ljung (1979), Asymptotic behavior of the extended Kalman filter as a parameter
+    estimator for linear systems, IEEE Trans. Automatic Control 24; Arasaratnam &
+    Haykin (2009), Cubature Kalman filters, same journal 54 (the points used here).
+    """
+
+    kind: str = "extended"
+    process_std: Mapping[str, float] = field(default_factory=dict)
+    drift_std: Mapping[str, float] = field(default_factory=dict)
+    parameter_std: Mapping[str, float] = field(default_factory=dict)
+    state_std: Mapping[str, float] = field(default_factory=dict)
+    initial: Mapping[str, float] = field(default_factory=dict)
+    passes: int = 1
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ModelError(f"kind is {self.kind!r}. Choose one of {', '.join(KINDS)}.")
+        if self.passes < 1:
+            raise ModelError(f"passes is {self.passes}. Go through the data at least once.")
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        passes = "" if self.passes == 1 else f", {self.passes} passes"
+        return f"{self.kind} Kalman filter of states and parameters{passes}"
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Filter all records in turn; parameters are carried over.
+
+        Returns
+        -------
+        Fit
+            Values and covariance after the last sample. ``extras``: ``history``
+            and ``history_std`` by parameter, one number per sample of the last
+            pass, and ``innovation`` (root mean square innovation in units of
+            its stated standard deviation, one where the filter is honest).
+
+        Raises
+        ------
+        ModelError
+            If the settings name unknown states or parameters.
+        """
+        began = time.perf_counter()
+        check_channels(model, dataset)
+        self._check_names(model)
+        levels = given_levels(model.outputs)
+        sigma = np.where(np.isfinite(levels), levels, noise_floor(dataset))
+        filter_ = _Filter(self, model, sigma)
+        values, covariance = filter_.first_values()
+        prior = covariance
+        for index in range(self.passes):
+            covariance = prior
+            filter_.restart()
+            for record in dataset:
+                values, covariance = filter_.run(record, values, covariance)
+                if not np.isfinite(values).all():
+                    break
+            if index + 1 < self.passes and not np.isfinite(values).all():
+                break
+        ok = bool(np.isfinite(values).all())
+        last = values if ok else np.array([p.value for p in model.free_parameters])
+        tracks, spreads = np.array(filter_.track), np.array(filter_.spread)
+        return fit_from_values(
+            model,
+            dataset,
+            estimator=self.name,
+            estimates=last,
+            covariance=covariance if ok else np.diag(np.full(len(last), np.inf)),
+            began=began,
+            status=Status("converged", "") if ok else DIVERGED,
+            iterations=len(tracks),
+            initial_states=[self.initial] * len(dataset),
+            extras={
+                "history": dict(zip(model.free_names, tracks.T, strict=True)),
+                "history_std": dict(zip(model.free_names, spreads.T, strict=True)),
+                "innovation": filter_.innovation,
+            },
+        )
+
+    def _check_names(self, model: Model) -> None:
+        for setting, known in (
+            ("process_std", model.state_names),
+            ("state_std", model.state_names),
+            ("initial", model.state_names),
+            ("drift_std", model.free_names),
+            ("parameter_std", model.free_names),
+        ):
+            unknown = [name for name in getattr(self, setting) if name not in known]
+            if unknown:
+                raise ModelError(
+                    f"{setting} names {unknown[0]!r}; model {model.name!r} has {', '.join(known)}."
+                )
+        if not model.free_names:
+            raise ModelError(f"Model {model.name!r} has no free parameter to estimate.")
+        if local := [p.name for p in model.free_parameters if p.per_record]:
+            raise ModelError(
+                f"{', '.join(local)} differ from record to record, which a filter does not know. "
+                "Use MultipleShooting."
+            )
+
+
+class _Filter:
+    """Mean and covariance of ``[full state, free parameters]``, in scaled units."""
+
+    def __init__(self, settings: JointKalmanFilter, model: Model, sigma: np.ndarray) -> None:
+        self.settings, self.model, self.sigma = settings, model, sigma
+        self.kernel: Kernel = kernel(model)
+        n_extra = self.kernel.n_full - self.kernel.n_own
+        free = model.free_parameters
+        self.n_z = self.kernel.n_full
+        self.scale = np.array(
+            [*(s.scale for s in model.states), *np.ones(n_extra), *(p.magnitude for p in free)]
+        )
+        self.columns = [model.parameter_names.index(name) for name in model.free_names]
+        self.lower = np.array([p.lower for p in free])
+        self.upper = np.array([p.upper for p in free])
+        rates = [settings.process_std.get(s.name, 0.0) for s in model.states]
+        drifts = [settings.drift_std.get(p.name, 0.0) for p in free]
+        self.intensity = (np.array([*rates, *np.zeros(n_extra), *drifts]) / self.scale) ** 2
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the track of an earlier pass."""
+        self.track: list[np.ndarray] = []
+        self.spread: list[np.ndarray] = []
+        self._squares, self._count = 0.0, 0
+
+    @property
+    def innovation(self) -> float:
+        """Root mean square innovation in units of its stated deviation."""
+        return float(np.sqrt(self._squares / max(self._count, 1)))
+
+    def first_values(self) -> tuple[np.ndarray, np.ndarray]:
+        """Start values of the parameters and their covariance."""
+        free = self.model.free_parameters
+        stds = [
+            self.settings.parameter_std.get(p.name, p.prior_std or 0.5 * p.magnitude) for p in free
+        ]
+        values = [p.value if p.prior_mean is None else p.prior_mean for p in free]
+        return np.array(values, dtype=float), np.diag(np.square(stds))
+
+    def run(
+        self, record: Record, values: np.ndarray, covariance: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Filter one record; return the parameters and their covariance after it."""
+        mean, spread = self._start(record, values, covariance)
+        times, inputs = record.times, record.inputs
+        step = self._extended if self.settings.kind == "extended" else self._unscented
+        with np.errstate(all="ignore"):
+            for k in range(len(times)):
+                window = slice(max(k - 1, 0), max(k - 1, 0) + 2)
+                moved = step(mean, spread, times[window], inputs[window], first=k == 0)
+                mean, spread, predicted, cross, innovation_covariance = moved
+                mean, spread = self._correct(
+                    mean, spread, record.outputs[k] - predicted, cross, innovation_covariance
+                )
+                if not np.isfinite(mean).all():
+                    break
+                self.track.append((mean * self.scale)[self.n_z :])
+                variance = np.diag(spread)[self.n_z :]
+                self.spread.append(np.sqrt(np.maximum(variance, 0.0)) * self.scale[self.n_z :])
+        unit = self.scale[self.n_z :]
+        block = spread[self.n_z :, self.n_z :] * unit[:, None] * unit
+        return (mean * self.scale)[self.n_z :], block
+
+    def _start(
+        self, record: Record, values: np.ndarray, covariance: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Scaled mean and covariance before the first measurement."""
+        model, n_own = self.model, self.kernel.n_own
+        own = np.array([self.settings.initial.get(name, 0.0) for name in model.state_names])
+        std = np.array([self.settings.state_std.get(s.name, s.scale) for s in model.states])
+        sources = {output.source: i for i, output in enumerate(model.outputs)}
+        for position, series in measured_states(model, record).items():
+            own[position] = series[0]
+            std[position] = START_SPREAD * self.sigma[sources[model.state_names[position]]]
+        z, dz = self.kernel.start(own, record.inputs[0], self._all(values), record.times[0])
+        n_free = len(values)
+        shape = np.zeros((self.n_z + n_free, n_own + n_free))
+        shape[: self.n_z] = dz
+        shape[self.n_z :, n_own:] = np.eye(n_free)
+        before = np.zeros((n_own + n_free, n_own + n_free))
+        before[:n_own, :n_own] = np.diag(std**2)
+        before[n_own:, n_own:] = covariance
+        spread = shape @ before @ shape.T
+        return np.concatenate([z, values]) / self.scale, spread / self.scale[:, None] / self.scale
+
+    def _all(self, values: np.ndarray) -> np.ndarray:
+        """All parameter values, the free ones within their bounds."""
+        complete = self.model.value_vector
+        complete[self.columns] = np.clip(values, self.lower, self.upper)
+        return complete
+
+    def _extended(
+        self,
+        mean: np.ndarray,
+        spread: np.ndarray,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        *,
+        first: bool,
+    ) -> tuple[np.ndarray, ...]:
+        """Prediction over one step with exact derivatives, and the expected measurement."""
+        n_z = self.n_z
+        full = mean * self.scale
+        run = self.kernel.run(
+            times,
+            inputs,
+            self._all(full[n_z:]),
+            full[:n_z],
+            starts=np.array([0, 1]),
+            carry=True,
+            sensitivities=True,
+        )
+        assert run.output_sensitivities is not None
+        assert run.end_sensitivities is not None
+        if first:
+            row = 0
+        else:
+            row = 1
+            transition = np.eye(len(full))
+            transition[:n_z] = run.end_sensitivities[0]
+            transition = transition * self.scale / self.scale[:, None]
+            mean = np.concatenate([run.states[1], full[n_z:]]) / self.scale
+            spread = transition @ spread @ transition.T
+            spread = spread + np.diag(self.intensity * (times[1] - times[0]))
+        slope = run.output_sensitivities[row] * self.scale
+        cross = spread @ slope.T
+        return mean, spread, run.outputs[row], cross, slope @ cross
+
+    def _unscented(
+        self,
+        mean: np.ndarray,
+        spread: np.ndarray,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        *,
+        first: bool,
+    ) -> tuple[np.ndarray, ...]:
+        """Prediction over one step with ``2n`` equally weighted points."""
+        n, n_z = len(mean), self.n_z
+        values, vectors = np.linalg.eigh(0.5 * (spread + spread.T))
+        offsets = vectors * np.sqrt(n * np.maximum(values, 0.0))
+        points = np.vstack([mean + offsets.T, mean - offsets.T])
+        outputs = np.empty((2 * n, len(self.sigma)))
+        row = 0 if first else 1
+        for i, point in enumerate(points):
+            full = point * self.scale
+            run = self.kernel.run(times, inputs, self._all(full[n_z:]), full[:n_z])
+            outputs[i] = run.outputs[row]
+            if not first:
+                points[i, :n_z] = run.states[1] / self.scale[:n_z]
+        mean = points.mean(axis=0)
+        centred = points - mean
+        spread = centred.T @ centred / (2 * n)
+        if not first:
+            spread = spread + np.diag(self.intensity * (times[1] - times[0]))
+        expected = outputs.mean(axis=0)
+        change = outputs - expected
+        return mean, spread, expected, centred.T @ change / (2 * n), change.T @ change / (2 * n)
+
+    def _correct(
+        self,
+        mean: np.ndarray,
+        spread: np.ndarray,
+        innovation: np.ndarray,
+        cross: np.ndarray,
+        expected: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and covariance after one measurement; missing outputs are passed over."""
+        seen = np.flatnonzero(np.isfinite(innovation))
+        if not len(seen):
+            return mean, spread
+        total = expected[np.ix_(seen, seen)] + np.diag(self.sigma[seen] ** 2)
+        unit = np.sqrt(np.diag(total))
+        scaled = total / unit[:, None] / unit
+        if not np.isfinite(scaled).all():
+            return np.full_like(mean, np.nan), spread
+        gain = np.linalg.solve(scaled, (cross[:, seen] / unit).T).T / unit
+        mean = mean + gain @ innovation[seen]
+        spread = spread - gain @ cross[:, seen].T
+        spread = 0.5 * (spread + spread.T)
+        free = slice(self.n_z, None)
+        mean[free] = np.clip(
+            mean[free], self.lower / self.scale[free], self.upper / self.scale[free]
+        )
+        self._squares += float(innovation[seen] @ np.linalg.solve(total, innovation[seen]))
+        self._count += len(seen)
+        return mean, spread
