@@ -182,7 +182,7 @@ class Fit:
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of one parameter from its standard error."""
         half = ndtri(0.5 + level / 2) * self.std_errors[name]
-        return self.values[name] - half, self.values[name] + half
+        return float(self.values[name] - half), float(self.values[name] + half)
 
     def whiteness(self) -> dict[str, tuple[Whiteness, ...]]:
         """Whiteness of the residuals, by output, one entry per record that measured it."""

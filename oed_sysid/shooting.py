@@ -345,6 +345,11 @@ class Shooting:
         return self._with(limits=replace(self.limits, lower=lower, upper=upper))
 
     @property
+    def interval_counts(self) -> tuple[int, ...]:
+        """Number of intervals of each record."""
+        return tuple(len(starts) for starts in self._starts)
+
+    @property
     def interval_samples(self) -> int:
         """Longest interval, in samples."""
         return max(

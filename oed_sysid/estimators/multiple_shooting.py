@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from oed_sysid.estimators.beginning import (
 )
 from oed_sysid.estimators.losses import loss_by_name
 from oed_sysid.estimators.noise_levels import residual_levels, signal_spread, start_levels
+from oed_sysid.estimators.nonlinear_program import NonlinearProgram
 from oed_sysid.estimators.summary import summarise
 from oed_sysid.fit import Fit
 from oed_sysid.gauss_newton import Progress, Solution, solve
@@ -32,6 +34,8 @@ from oed_sysid.start_states import check_channels
 
 # Most alternations between noise levels and parameters; three or four suffice as a rule.
 NOISE_ROUNDS = 12
+
+Minimiser = Callable[[Shooting, Point], Solution | None]
 
 
 @dataclass(frozen=True)
@@ -57,12 +61,20 @@ class MultipleShooting:
     start : str
         ``"auto"``, ``"near"`` (trust the start values) or ``"wide"``.
     max_iterations, tolerance
-        See :func:`oed_sysid.shooting.solve`.
+        See :func:`oed_sysid.gauss_newton.solve`.
     coloured : str
         ``"auto"`` reports the sandwich covariance where residuals are
         correlated; ``"never"`` and ``"always"`` force it.
     progress : callable or None
-        Called with a :class:`~oed_sysid.shooting.Progress` after every iteration.
+        Called with a :class:`~oed_sysid.gauss_newton.Progress` after every iteration.
+    solver : str
+        ``"gauss-newton"``, condensed and fast; or ``"ipopt"``, which holds
+        every node as an unknown and takes constraints.
+    hessian : str
+        For IPOPT: ``"exact"`` or ``"gauss-newton"``.
+    constraints : sequence of str
+        For IPOPT: comparisons among parameters, such as ``"M_uq < 0"`` or
+        ``"Y_v*N_r > N_v*Y_r"``. Standard errors ignore them.
     """
 
     interval: float | None = None
@@ -73,6 +85,9 @@ class MultipleShooting:
     tolerance: float = 1e-6
     coloured: str = "auto"
     progress: Callable[[Progress], None] | None = None
+    solver: str = "gauss-newton"
+    hessian: str = "exact"
+    constraints: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         if self.start not in ("auto", "near", "wide"):
@@ -83,6 +98,15 @@ class MultipleShooting:
             raise ModelError(
                 f"noise is {self.noise!r}. Choose auto, given, estimate or a list of levels."
             )
+        if self.solver not in ("gauss-newton", "ipopt"):
+            raise ModelError(f"solver is {self.solver!r}. Choose gauss-newton or ipopt.")
+        if self.hessian not in ("exact", "gauss-newton"):
+            raise ModelError(f"hessian is {self.hessian!r}. Choose exact or gauss-newton.")
+        if self.constraints and self.solver != "ipopt":
+            raise ModelError(
+                "Constraints among parameters need solver='ipopt'; bounds of single parameters "
+                "do not: give them as Parameter(lower=..., upper=...)."
+            )
         loss_by_name(self.loss)
 
     @property
@@ -90,7 +114,8 @@ class MultipleShooting:
         """Name and settings, for reports."""
         interval = "" if self.interval is None else f", interval {self.interval:g} s"
         loss = "" if self.loss == "square" else f", {self.loss} loss"
-        return f"multiple shooting{interval}{loss}"
+        solver = f", IPOPT with {self.hessian} Hessian" if self.solver == "ipopt" else ""
+        return f"multiple shooting{interval}{loss}{solver}"
 
     def fit(
         self,
@@ -145,16 +170,23 @@ class MultipleShooting:
         unknowns = None
         if warm is not None and initial_states is None:
             unknowns = warm_unknowns(shooting, warm)
-        solution, iterations = self._solve(shooting, shooting.start_point(unknowns))
+        if self.solver == "ipopt":
+            shooting = shooting.with_intervals(shooting.interval_samples)
+        minimise = self._minimiser(shooting)
+        solution, iterations = self._solve(shooting, shooting.start_point(unknowns), minimise)
         if solution is not None and estimated.any():
-            shooting, solution, more = self._estimate_noise(shooting, solution, estimated)
+            shooting, solution, more = self._estimate_noise(shooting, solution, estimated, minimise)
             iterations += more
         return summarise(
             shooting, solution, estimated, self.name, iterations, began, coloured=self.coloured
         )
 
     def _estimate_noise(
-        self, shooting: Shooting, solution: Solution, estimated: np.ndarray
+        self,
+        shooting: Shooting,
+        solution: Solution,
+        estimated: np.ndarray,
+        minimise: Minimiser,
     ) -> tuple[Shooting, Solution, int]:
         """Alternate between noise levels and everything else until the levels stay."""
         iterations = 0
@@ -167,25 +199,33 @@ class MultipleShooting:
             shooting = shooting.with_sigma(sigma)
             if change < 1e-3 or solution.reason == "interrupted":
                 break
-            again = self._minimise(shooting, solution.point)
+            again = minimise(shooting, solution.point)
             if again is None:
                 break
             solution, iterations = again, iterations + again.iterations
         cost = shooting.cost(solution.linearisation, solution.point.unknowns)
         return shooting, replace(solution, cost=cost), iterations
 
-    def _minimise(self, shooting: Shooting, point: Point) -> Solution | None:
-        options = {
-            "max_iterations": self.max_iterations,
-            "tolerance": self.tolerance,
-            "callback": self.progress,
-        }
-        return solve(shooting, point, **options)  # type: ignore[arg-type]
+    def _minimiser(self, shooting: Shooting) -> Minimiser:
+        """What turns a problem and a point into a solution."""
+        minimise: Callable[..., Solution | None] = solve
+        if self.solver == "ipopt":
+            minimise = NonlinearProgram(
+                shooting, hessian=self.hessian, constraints=self.constraints
+            ).solve
+        return partial(
+            minimise,
+            max_iterations=self.max_iterations,
+            tolerance=self.tolerance,
+            callback=self.progress,
+        )
 
-    def _solve(self, shooting: Shooting, point: Point) -> tuple[Solution | None, int]:
+    def _solve(
+        self, shooting: Shooting, point: Point, minimise: Minimiser
+    ) -> tuple[Solution | None, int]:
         begin = 0.0 if self.start == "near" else misfit(shooting, point)
         far = self.start == "wide" or (self.start == "auto" and begin > FAR)
-        first = None if far else self._minimise(shooting, point)
+        first = None if far else minimise(shooting, point)
         if self.start == "near" or (first is not None and first.reason == "interrupted"):
             return first, first.iterations if first else 0
         # A local minimum is worth a second attempt only if the start was doubtful.
@@ -193,7 +233,7 @@ class MultipleShooting:
         if first is not None and first.reason == "converged" and trusted:
             return first, first.iterations
         try:
-            second = self._minimise(shooting, wide_start(shooting, point))
+            second = minimise(shooting, wide_start(shooting, point))
         except KeyboardInterrupt:
             if first is None:
                 raise
