@@ -351,7 +351,7 @@ def _labels(models: Sequence[Model]) -> tuple[str, ...]:
 
 
 def _table(part: ModelMisfit) -> list[tuple[str, ...]]:
-    rows = [
+    rows: list[tuple[str, ...]] = [
         ("output", "rmse", "unit", "x noise", "in band", "eff. samples", "of", "ahead", "worst")
     ]
     for output, ahead in zip(part.outputs, part.forecasts.relative, strict=True):

@@ -168,7 +168,8 @@ def output_misfit(
     ----------
     output : Output
     residuals : sequence of ndarray (n_times,)
-        Measured minus model, per record; NaN where nothing was measured.
+        Measured minus model, per record; NaN where nothing was measured,
+        infinite where the prediction left the numbers.
     sigma : float
         Noise level.
     inside_band : sequence of ndarray of bool (n_times,)
@@ -184,9 +185,12 @@ def output_misfit(
         Length of the windows, s.
     """
     pooled = np.concatenate(residuals)
-    seen = np.isfinite(pooled)
+    seen = ~np.isnan(pooled)
     scaled = [residual / sigma for residual in residuals]
     windows = tuple(_windows(t, r, window) for t, r in zip(times, scaled, strict=True))
+    # Records on which the prediction left the numbers have no pattern to look at.
+    whole = [i for i, residual in enumerate(residuals) if not np.isinf(residual).any()]
+    usable = [residuals[i] for i in whole]
     return OutputMisfit(
         output=output,
         rmse=_rms(pooled),
@@ -195,17 +199,19 @@ def output_misfit(
         record_rmse=tuple(_rms(residual) for residual in residuals),
         n_samples=int(seen.sum()),
         coverage=float(np.mean(np.concatenate(inside_band)[seen])) if seen.any() else np.nan,
-        tests=tuple(whiteness(r) for r in residuals if np.isfinite(r).sum() > 10),
-        correlations=tuple(
-            sorted(
-                (c for c in (correlate(residuals, s, times) for s in signals) if c),
-                key=lambda c: -abs(c.score),
-            )
-        ),
-        regimes=tuple(concentrations(scaled, parts)),
+        tests=tuple(whiteness(r) for r in usable if np.isfinite(r).sum() > 10),
+        correlations=_correlations(usable, signals, times) if len(whole) == len(times) else (),
+        regimes=tuple(concentrations(scaled, parts)) if len(whole) == len(times) else (),
         windows=windows,
-        worst=_worst(windows, times, names, window),
+        worst=_worst(windows, times, names),
     )
+
+
+def _correlations(
+    residuals: Sequence[np.ndarray], signals: Sequence[Signal], times: Sequence[np.ndarray]
+) -> tuple[Correlation, ...]:
+    found = [correlate(residuals, signal, times) for signal in signals]
+    return tuple(sorted((c for c in found if c is not None), key=lambda c: -abs(c.score)))
 
 
 def correlate(
@@ -252,22 +258,32 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _windows(times: np.ndarray, residual: np.ndarray, window: float) -> np.ndarray:
-    """Root mean square in windows of equal length; NaN where nothing was measured."""
-    index = ((times - times[0]) / window).astype(int)
+    """Root mean square in equal windows of about this length; NaN where nothing was measured."""
+    index = _window_index(times, window)
     return np.array([_rms(residual[index == i]) for i in range(index[-1] + 1)])
+
+
+def _window_index(times: np.ndarray, window: float) -> np.ndarray:
+    duration = times[-1] - times[0]
+    count = max(1, round(float(duration / window)))
+    return np.minimum(((times - times[0]) / duration * count).astype(int), count - 1)
 
 
 def _worst(
     windows: Sequence[np.ndarray],
     times: Sequence[np.ndarray],
     names: Sequence[str],
-    window: float,
 ) -> tuple[str, float, float, float]:
     best = ("", np.nan, np.nan, np.nan)
     for part, t, name in zip(windows, times, names, strict=True):
         filled = np.where(np.isfinite(part), part, -1.0)
         i = int(np.argmax(filled))
         if filled[i] > 0 and not filled[i] <= best[3]:
-            begin = float(t[0] + i * window)
-            best = (name, begin, min(begin + window, float(t[-1])), float(filled[i]))
+            length = float(t[-1] - t[0]) / len(part)
+            best = (
+                name,
+                float(t[0]) + i * length,
+                float(t[0]) + (i + 1) * length,
+                float(filled[i]),
+            )
     return best
