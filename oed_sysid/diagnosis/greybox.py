@@ -171,7 +171,7 @@ def estimate(
     if fit is None:
         return None
     if update_noise:
-        fit = _with_noise(task, fit, _noise(task, fit))
+        fit = with_noise(task, fit, _noise(task, fit))
     lower, upper = _bounds(task, fit)
     updates, damping = 0, 0.0
     for iteration in range(max_iterations):
@@ -193,7 +193,7 @@ def estimate(
         settled = gained < tolerance
         if update_noise and (settled or iteration in (1, 4)) and updates < 5:
             updates += 1
-            again = _with_noise(task, fit, _noise(task, fit))
+            again = with_noise(task, fit, _noise(task, fit))
             settled = settled and fit.objective - again.objective < 5 * tolerance
             fit = again if again.objective < fit.objective else fit
         if settled:
@@ -226,10 +226,11 @@ def _evaluate(
     if runs is None:
         return None
     fit = GreyBox(names, values, initial, noise, np.inf, runs)
-    return _with_noise(task, fit, noise)
+    return with_noise(task, fit, noise)
 
 
-def _with_noise(task: Task, fit: GreyBox, noise: NoiseModel) -> GreyBox:
+def with_noise(task: Task, fit: GreyBox, noise: NoiseModel) -> GreyBox:
+    """Return the same fit judged under another noise model."""
     series = [r[:, :, None] for r in residuals(task.dataset, fit.outputs)]
     white, log_det = whiten(noise, task.deviations, series)
     objective = log_det + sum(float(np.sum(w**2)) for w in white)

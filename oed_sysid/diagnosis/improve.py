@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from oed_sysid.dataset import Dataset
+from oed_sysid.diagnosis.conclusion import evidence_of_disturbances, parameter_table, remainder
 from oed_sysid.diagnosis.greybox import GreyBox, estimate
+from oed_sysid.diagnosis.improvement import Improvement, Step
+from oed_sysid.diagnosis.innovations import NoiseModel
 from oed_sysid.diagnosis.rank import Ranking, Refit, rank, threshold
 from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.effects import Effect
@@ -18,79 +20,6 @@ from oed_sysid.model import Model
 
 # A rival must be this much more likely to take an earlier effect's place.
 SWAP_MARGIN = 6.0
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One effect added.
-
-    Attributes
-    ----------
-    added : str
-        Identifier of the effect.
-    group : tuple of str
-        Identifiers that these data cannot tell from it, itself first.
-    evidence : float
-        Gain in twice the log-likelihood on the training records.
-    needed : float
-        Gain that chance exceeds once in a hundred searches.
-    test_gain : float
-        The same gain on the untouched records; NaN without any.
-    train_error, test_error : float
-        Prediction errors after the step, in units of the noise.
-    fit : GreyBox
-        The fit after the step.
-    """
-
-    added: str
-    group: tuple[str, ...]
-    evidence: float
-    needed: float
-    test_gain: float
-    train_error: float
-    test_error: float
-    fit: GreyBox
-
-
-@dataclass(frozen=True, eq=False)
-class Improvement:
-    """What is missing, step by step, with the errors before and after.
-
-    Attributes
-    ----------
-    model : Model
-        The improved model at its estimates.
-    base : Model
-        The believed model at its estimates.
-    steps : tuple of Step
-    ranking : Ranking
-        Of the first round.
-    base_fit : GreyBox
-    base_error, final_error : dict
-        ``train`` and ``test`` errors in units of the noise.
-    remainder : float
-        Twice the log-likelihood that disturbances still explain after the last
-        step beyond white noise.
-    rejected : tuple of str
-        Best candidates that the untouched records refused.
-    """
-
-    model: Model
-    base: Model
-    steps: tuple[Step, ...]
-    ranking: Ranking
-    base_fit: GreyBox
-    base_error: Mapping[str, float]
-    final_error: Mapping[str, float]
-    remainder: float
-    parameters: tuple[Mapping[str, Any], ...]
-    rejected: tuple[str, ...] = ()
-    extras: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def verdict(self) -> str:
-        """``"missing"`` or ``"nothing_missing"``."""
-        return "missing" if self.steps else "nothing_missing"
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +175,7 @@ def _review(
     return state, steps, fits
 
 
-def _loosened(noise: Any, units: Any) -> Any:
+def _loosened(noise: NoiseModel, units: NoiseModel) -> NoiseModel:
     """Noise model in which an absent disturbance can come back."""
     return replace(noise, force=np.maximum(noise.force, 0.3 * units.force))
 
@@ -276,8 +205,6 @@ def _result(
     rejected: list[str],
     sigma: np.ndarray,
 ) -> Improvement:
-    from oed_sysid.diagnosis.conclusion import parameter_table, remainder
-
     bench = state.bench
 
     def errors(fit: GreyBox) -> dict[str, float]:
@@ -321,6 +248,7 @@ def _result(
         final_error={"train": done[-1].train_error, "test": done[-1].test_error}
         if done
         else base_error,
+        located=evidence_of_disturbances(bench.train, base_fit),
         remainder=remainder(bench.train, state.fit),
         parameters=parameter_table(bench.train, state.fit),
         rejected=tuple(rejected),

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
-from oed_sysid.diagnosis.score import Score, scores
+from oed_sysid.diagnosis.score import Score, scores, two_sided
 from oed_sysid.effects import Effect
 
 # Candidates refitted in each round.
@@ -157,18 +157,21 @@ def rank(
 def refit(task: Task, fit: GreyBox, score: Score) -> Refit | None:
     """Estimate parameters again with one candidate added, noise levels held.
 
-    Two starts: the one-step estimate, and a fifth of it where the first leads
-    nowhere (the effect is far from linear).
+    An effect that may have either sign starts from nothing, where the first
+    step is the score test's own; one that cannot be negative, and often has a
+    kink there, starts from its one-step estimate. Further starts follow where
+    the first leads nowhere.
     """
     effect = score.effect
     names = (*fit.names, *effect.amplitude_names, *effect.shape_names)
     best: GreyBox | None = None
-    for share in (1.0, 0.2):
+    shares = (0.0, 1.0, 0.2) if two_sided(effect) else (1.0, 0.2, 0.0)
+    for share in shares:
         start = dict(fit.values)
         for name, value in score.estimate.items():
             start[name] = share * value if name in effect.amplitude_names else value
         found = estimate(
-            task, names, start, fit.initial, fit.noise, update_noise=False, max_iterations=5
+            task, names, start, fit.initial, fit.noise, update_noise=False, max_iterations=6
         )
         if found is not None and (best is None or found.objective < best.objective):
             best = found

@@ -159,8 +159,8 @@ def _variants(task: Task, fit: GreyBox, candidates: Sequence[Effect]) -> list[_V
         name
         for effect in candidates
         if not effect.shape_names
+        if two_sided(effect)
         for name in effect.amplitude_names
-        if not _one_sided(effect, name)
     ]
     found = task.super_model.run(task.dataset, fit.initial, fit.values, smooth)
     n_own = len(fit.initial[0])
@@ -187,9 +187,9 @@ def _variants(task: Task, fit: GreyBox, candidates: Sequence[Effect]) -> list[_V
     return variants
 
 
-def _one_sided(effect: Effect, name: str) -> bool:
-    """Whether an amplitude cannot be negative; such effects often have a kink at zero."""
-    return _parameter(effect, name).lower >= 0
+def two_sided(effect: Effect) -> bool:
+    """Whether amplitudes may have either sign; other effects often have a kink at zero."""
+    return all(_parameter(effect, name).lower < 0 for name in effect.amplitude_names)
 
 
 def _secant(task: Task, fit: GreyBox, effect: Effect) -> list[np.ndarray] | None:

@@ -1,0 +1,225 @@
+"""The result of an improvement: every step kept, printable, and plain data on request."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.diagnosis.greybox import GreyBox
+from oed_sysid.diagnosis.rank import Ranking, threshold
+from oed_sysid.fit import align
+from oed_sysid.model import Model
+
+# Twice the log-likelihood that disturbances may gain before they count as real.
+REMAINDER_LIMIT = 14.0
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One effect added.
+
+    Attributes
+    ----------
+    added : str
+        Identifier of the effect.
+    group : tuple of str
+        Identifiers that these data cannot tell from it, itself first.
+    evidence : float
+        Gain in twice the log-likelihood on the training records.
+    needed : float
+        Gain that chance exceeds once in a hundred searches.
+    test_gain : float
+        The same gain on the untouched records; NaN without any.
+    train_error, test_error : float
+        Prediction errors after the step, in units of the noise.
+    fit : GreyBox
+        The fit after the step.
+    """
+
+    added: str
+    group: tuple[str, ...]
+    evidence: float
+    needed: float
+    test_gain: float
+    train_error: float
+    test_error: float
+    fit: GreyBox
+
+
+@dataclass(frozen=True, eq=False)
+class Improvement:
+    """What is missing, step by step, with the errors before and after.
+
+    Attributes
+    ----------
+    model : Model
+        The improved model at its estimates.
+    base : Model
+        The believed model at its estimates.
+    steps : tuple of Step
+    ranking : Ranking
+        Of the first round.
+    base_fit : GreyBox
+    base_error, final_error : dict
+        ``train`` and ``test`` errors in units of the noise.
+    located : dict
+        Evidence for a disturbance in each equation and sensor of the believed
+        model, in twice the log-likelihood.
+    remainder : float
+        Twice the log-likelihood that disturbances still explain after the last
+        step beyond white noise.
+    rejected : tuple of str
+        Best candidates that the untouched records refused.
+    """
+
+    model: Model
+    base: Model
+    steps: tuple[Step, ...]
+    ranking: Ranking
+    base_fit: GreyBox
+    base_error: Mapping[str, float]
+    final_error: Mapping[str, float]
+    located: Mapping[str, float]
+    remainder: float
+    parameters: tuple[Mapping[str, Any], ...]
+    rejected: tuple[str, ...] = ()
+    proposed: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """``"missing"`` or ``"nothing_missing"``."""
+        return "missing" if self.steps else "nothing_missing"
+
+    @property
+    def explained(self) -> bool:
+        """Whether what remains is noise: no disturbance is needed any more."""
+        return self.remainder < REMAINDER_LIMIT
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the improvement as plain data for JSON."""
+        return {
+            "verdict": self.verdict,
+            "steps": [
+                {
+                    "added": step.added,
+                    "group": list(step.group),
+                    "evidence": step.evidence,
+                    "train_error": step.train_error,
+                    "test_error": step.test_error,
+                }
+                for step in self.steps
+            ],
+            "ranking": [
+                {"effect": name, "statistic": statistic}
+                for name, statistic in self._first_statistics()
+            ],
+            "located": dict(self.located),
+            "base_error": dict(self.base_error),
+            "final_error": dict(self.final_error),
+            "proposed_terms": [dict(term) for term in self.proposed],
+            "parameters": [dict(parameter) for parameter in self.parameters],
+        }
+
+    def _first_statistics(self) -> list[tuple[str, float]]:
+        """Gain after refitting where refitted, score statistic elsewhere; best first."""
+        gains = {refit.name: refit.gain for refit in self.ranking.refits}
+        scores = {score.effect.name: score.statistic for score in self.ranking.scores}
+        return [(name, gains.get(name, scores[name])) for name in self.ranking.order]
+
+    def report(self) -> str:
+        """Return the improvement as a story with numbers."""
+        return "\n".join(
+            [
+                *self._opening(),
+                "",
+                *self._where(),
+                "",
+                *self._candidates(),
+                "",
+                *self._story(),
+                "",
+                *self._closing(),
+            ]
+        )
+
+    def _opening(self) -> list[str]:
+        error = self.base_error
+        return [
+            f"{self.base.name}",
+            f"  as believed, it misses the training records by {error['train']:.2f} x noise"
+            + ("" if np.isnan(error["test"]) else f", the untouched ones by {error['test']:.2f}"),
+        ]
+
+    def _where(self) -> list[str]:
+        found = {name: value for name, value in self.located.items() if value > REMAINDER_LIMIT}
+        if not found:
+            return ["No equation and no sensor needs a disturbance to explain the records."]
+        rows = [("where the model fails", "evidence")]
+        rows += [
+            (name, f"{value:.0f}") for name, value in sorted(found.items(), key=lambda x: -x[1])
+        ]
+        return align(rows)
+
+    def _candidates(self) -> list[str]:
+        rows = [("candidate effect", "score", "gain", "needed", "distinct")]
+        refits = {refit.name: refit for refit in self.ranking.refits}
+        scores = {score.effect.name: score for score in self.ranking.scores}
+        for name in self.ranking.order[:8]:
+            score = scores[name]
+            gain = f"{refits[name].gain:.1f}" if name in refits else "-"
+            needed = f"{threshold(len(scores), score.freedom):.1f}"
+            rows.append((name, f"{score.statistic:.1f}", gain, needed, f"{score.distinct:.2f}"))
+        hidden = self.ranking.undetectable()
+        lines = align(rows)
+        if hidden:
+            lines += [
+                "",
+                "These records would not show the typical size of: " + ", ".join(sorted(hidden)),
+            ]
+        return lines
+
+    def _story(self) -> list[str]:
+        if not self.steps:
+            lines = ["Nothing is missing that these records could show."]
+            if self.rejected:
+                lines.append(
+                    "The untouched records refused "
+                    + ", ".join(dict.fromkeys(self.rejected))
+                    + ": what looked like it on the training records did not repeat."
+                )
+            return lines
+        rows = [("effect added", "gain", "needed", "test gain", "train error", "test error")]
+        rows.append(("(as believed)", "", "", "", *self._pair(self.base_error)))
+        for step in self.steps:
+            rows.append(
+                (
+                    step.added,
+                    f"{step.evidence:.1f}",
+                    f"{step.needed:.1f}",
+                    "-" if np.isnan(step.test_gain) else f"{step.test_gain:.1f}",
+                    *self._pair({"train": step.train_error, "test": step.test_error}),
+                )
+            )
+        lines = align(rows)
+        for step in self.steps:
+            if len(step.group) > 1:
+                lines.append(
+                    f"These records cannot tell {step.added} from {', '.join(step.group[1:])}."
+                )
+        return lines
+
+    @staticmethod
+    def _pair(error: Mapping[str, float]) -> tuple[str, str]:
+        test = "-" if np.isnan(error["test"]) else f"{error['test']:.3f}"
+        return f"{error['train']:.3f}", test
+
+    def _closing(self) -> list[str]:
+        if self.explained:
+            return ["Verdict: the remaining misfit is noise at this level."]
+        return [
+            "Verdict: no known effect explains what remains "
+            f"(disturbances still gain {self.remainder:.0f} in twice the log-likelihood)."
+        ]
