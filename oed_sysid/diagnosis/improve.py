@@ -117,11 +117,8 @@ def _choose(state: _State, ranking: Ranking) -> tuple[Refit | None, float, list[
 
 def _settle(state: _State, chosen: Refit) -> _State:
     """Linearise anew with the effect in the model, and estimate once more."""
-    bench = state.bench.at(chosen.fit)
-    found = estimate(
-        bench.train, chosen.fit.names, chosen.fit.values, chosen.fit.initial, chosen.fit.noise
-    )
-    return _State((*state.added, chosen.score.effect), found or chosen.fit, bench)
+    bench, fit = state.bench.settle(chosen.fit)
+    return _State((*state.added, chosen.score.effect), fit, bench)
 
 
 def _review(
@@ -144,8 +141,9 @@ def _review(
         needed = threshold(len(_left(state)) + 1, len(old.parameters))
         if without.objective - state.fit.objective < needed:
             kept = [i for i in range(len(steps)) if i != position]
-            state = _State(others, without, state.bench.at(without))
-            return state, [steps[i] for i in kept], [fits[i] for i in kept[:-1]] + [without]
+            bench, settled = state.bench.settle(without)
+            state = _State(others, settled, bench)
+            return state, [steps[i] for i in kept], [fits[i] for i in kept[:-1]] + [state.fit]
         reduced = _State(others, without, state.bench)
         ranking = rank(reduced.bench.train, without, _left(reduced), also=(old.name,), n_refits=5)
         present = next((r for r in ranking.refits if r.name == old.name), None)

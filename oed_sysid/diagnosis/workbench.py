@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.dataset import Dataset
-from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
+from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate, with_noise
 from oed_sysid.diagnosis.innovations import Deviations, NoiseModel
 from oed_sysid.diagnosis.linearise import SuperModel, deviations, disturbed_equations
 from oed_sysid.effects import Effect
@@ -68,7 +68,7 @@ class Workbench:
         bench = cls(task, None)
         if test is not None:
             bench = replace(bench, test=replace(task, dataset=test, deviations=()))
-        return bench.at(fit), fit
+        return bench.settle(fit)
 
     def at(self, fit: GreyBox) -> Workbench:
         """Return the bench linearised along the trajectories of a fit."""
@@ -79,6 +79,12 @@ class Workbench:
             base = self._base_at(fit)
             test = replace(test, deviations=deviations(base, test.dataset, states))
         return Workbench(train, test)
+
+    def settle(self, fit: GreyBox) -> tuple[Workbench, GreyBox]:
+        """Linearise along a fit and estimate once more in the new linearisation."""
+        bench = self.at(fit)
+        again = estimate(bench.train, fit.names, fit.values, fit.initial, fit.noise)
+        return bench, again if again is not None else with_noise(bench.train, fit, fit.noise)
 
     def test_states(self, fit: GreyBox) -> list[np.ndarray]:
         """Trajectories of a fit on the test records, initial states fitted to them."""
@@ -196,14 +202,7 @@ def _first_fit(
             continue
         scaled = replace(units, force=_force_units(lines, units))
         task = Task(super_model, train, lines, scaled, known_noise)
-        fit: GreyBox | None = None
-        for _ in range(2):
-            noise = fit.noise if fit else replace(scaled, colour=0 * scaled.colour)
-            fit = estimate(task, free, values, initial, noise)
-            if fit is None:
-                break
-            values, initial = fit.values, fit.initial
-            task = replace(task, deviations=_linearise(task, fit))
+        fit = estimate(task, free, values, initial, replace(scaled, colour=0 * scaled.colour))
         if fit is not None and (best is None or fit.objective < best[0].objective - 1.0):
             best = fit, task
     if best is None:
