@@ -38,6 +38,21 @@ _HOME = {
     "list_problems": "problem",
     "load_problem": "problem",
     "new_problem": "problem",
+    "AOptimal": "design",
+    "DOptimal": "design",
+    "DsOptimal": "design",
+    "EOptimal": "design",
+    "GOptimal": "design",
+    "ModifiedE": "design",
+    "VOptimal": "design",
+    "Discriminate": "design",
+    "Robust": "design",
+    "design_experiment": "design",
+    "design_series": "design",
+    "information_of": "sensitivity",
+    "rank_parameters": "sensitivity",
+    "reduce_model": "sensitivity",
+    "structural_identifiability": "sensitivity",
 }
 
 __all__ = ["__version__", *_HOME]
@@ -64,3 +79,22 @@ if TYPE_CHECKING:
     from oed_sysid.model import Model
     from oed_sysid.parameters import Parameter
     from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
+    from oed_sysid.design import (
+        AOptimal,
+        Discriminate,
+        DOptimal,
+        DsOptimal,
+        EOptimal,
+        GOptimal,
+        ModifiedE,
+        Robust,
+        VOptimal,
+        design_experiment,
+        design_series,
+    )
+    from oed_sysid.sensitivity import (
+        information_of,
+        rank_parameters,
+        reduce_model,
+        structural_identifiability,
+    )

@@ -1,0 +1,46 @@
+"""Experiments that tell most: criteria, families of commands, limits, search."""
+
+from oed_sysid.design.criteria import (
+    AOptimal,
+    Criterion,
+    DOptimal,
+    DsOptimal,
+    EOptimal,
+    GOptimal,
+    ModifiedE,
+    Setting,
+    VOptimal,
+)
+from oed_sysid.design.discrimination import Discriminate
+from oed_sysid.design.experiment_design import design_experiment, design_series
+from oed_sysid.design.parametrisation import Grid, Levels, Multisines, Parametrisation, Pulses
+from oed_sysid.design.reference import Reference
+from oed_sysid.design.result import Design
+from oed_sysid.design.robust import Robust
+from oed_sysid.design.search import Progress
+from oed_sysid.design.zigzags import ZigZags
+
+__all__ = [
+    "design_experiment",
+    "design_series",
+    "Design",
+    "Reference",
+    "Criterion",
+    "Setting",
+    "DOptimal",
+    "AOptimal",
+    "EOptimal",
+    "ModifiedE",
+    "DsOptimal",
+    "VOptimal",
+    "GOptimal",
+    "Discriminate",
+    "Robust",
+    "Parametrisation",
+    "Grid",
+    "Levels",
+    "Multisines",
+    "Pulses",
+    "ZigZags",
+    "Progress",
+]

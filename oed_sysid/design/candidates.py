@@ -1,0 +1,112 @@
+"""Rough manoeuvres from which a search begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed_sysid.design.objective import Objective, Score
+from oed_sysid.design.parametrisation import Grid
+
+# Amplitudes tried, as shares of the actuator range, until the limits are kept.
+_SHARES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.1, 0.05, 0.02)
+
+
+def rough_commands(grid: Grid, rng: np.random.Generator) -> np.ndarray:
+    """Return one random manoeuvre ``(n_times, n_inputs)`` between -1 and 1.
+
+    Random telegraph, square wave, random levels, multisine or 3-2-1-1 blocks,
+    each at a random pace between two samples and a quarter of the duration.
+    """
+    n_times, n_inputs = len(grid.times), len(grid.inputs)
+    columns = []
+    for _ in range(n_inputs):
+        pace = float(np.exp(rng.uniform(np.log(2.0), np.log(max(n_times / 4, 3.0)))))
+        kind = rng.integers(5)
+        index = np.arange(n_times)
+        if kind == 0:
+            switches = rng.random(n_times) < 1.0 / pace
+            column = np.where(np.cumsum(switches) % 2, 1.0, -1.0)
+        elif kind == 1:
+            column = np.sign(np.sin(np.pi * (index / pace + rng.random())) + 1e-12)
+        elif kind == 2:
+            column = rng.uniform(-1, 1, n_times)[(index // max(int(pace), 1))]
+        elif kind == 3:
+            lines = np.exp(rng.uniform(np.log(0.2), np.log(2.0), 6)) * np.pi / pace
+            column = np.cos(np.outer(index, lines) + rng.uniform(0, 2 * np.pi, 6)).sum(axis=1)
+            column /= np.abs(column).max()
+        else:
+            unit = max(int(pace / 2), 1)
+            block = np.repeat([1.0, -1.0, 1.0, -1.0], np.array([3, 2, 1, 1]) * unit)
+            pause = np.zeros(int(rng.uniform(0, 4) * unit))
+            pattern = np.concatenate([block, pause, -block, pause])
+            column = np.resize(pattern, n_times)
+        columns.append(column * rng.choice([-1.0, 1.0]))
+    return np.column_stack(columns)
+
+
+def starts(
+    objective: Objective,
+    grid: Grid,
+    rng: np.random.Generator,
+    *,
+    n_candidates: int,
+    n_starts: int,
+    given: Sequence[np.ndarray] = (),
+) -> list[Score]:
+    """Evaluate rough manoeuvres and return the best, different ones.
+
+    Parameters
+    ----------
+    objective : Objective
+        Criterion and limits.
+    grid : Grid
+        Where commands have to fit.
+    rng : numpy.random.Generator
+    n_candidates, n_starts : int
+        Manoeuvres tried, and kept.
+    given : sequence of ndarray (n_times, n_inputs)
+        Manoeuvres of the designed inputs that are tried first, at full size.
+    """
+    found: list[Score] = []
+    for commands in given:
+        numbers = objective.shape.start(commands)
+        if numbers is not None:
+            found += _largest(objective, grid, numbers)
+    for _ in range(n_candidates):
+        unit = rough_commands(grid, rng)
+        numbers = None
+        orders = np.where(unit > 0, grid.upper - grid.neutral, grid.neutral - grid.lower) * unit
+        numbers = objective.shape.start(grid.limited((grid.neutral + orders)[None])[0])
+        if numbers is None:
+            numbers = rng.random(objective.shape.size)
+        found += _largest(objective, grid, numbers)
+    found.sort(key=lambda score: (not score.feasible, -score.value))
+    kept: list[Score] = []
+    for score in found:
+        if np.isfinite(score.value) and all(
+            np.sqrt(np.mean((score.numbers - other.numbers) ** 2)) > 0.05 for other in kept
+        ):
+            kept.append(score)
+        if len(kept) == n_starts:
+            break
+    return kept
+
+
+def _largest(objective: Objective, grid: Grid, numbers: np.ndarray) -> list[Score]:
+    """Shrink a manoeuvre towards the neutral command until all limits are kept."""
+    still = objective.shape.start(
+        np.broadcast_to(grid.neutral, (len(grid.times), len(grid.inputs)))
+    )
+    if still is None:
+        score = objective.score(numbers)
+        return [score] if np.isfinite(score.value) else []
+    last: list[Score] = []
+    for share in _SHARES:
+        score = objective.score(still + share * (numbers - still))
+        if score.feasible:
+            return [score]
+        if np.isfinite(score.value):
+            last = [score]
+    return last

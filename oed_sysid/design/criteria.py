@@ -1,0 +1,242 @@
+"""What a good experiment is: a number, larger is better, of the information matrix.
+
+All criteria see the information on the parameters in units of their values
+(or scales), start states eliminated, so that a relative error counts the same
+for every coefficient. A criterion of one's own is a frozen dataclass with
+``name`` and ``bind``; :func:`oed_sysid.testing.check_criterion`-like tests in
+``tests/test_design.py`` compare its gradient with differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from oed_sysid.design.elimination import eliminate, inverse, log_determinant
+from oed_sysid.errors import DesignError
+from oed_sysid.experiment import Experiment
+from oed_sysid.model import Model
+from oed_sysid.sensitivity import plays, respond
+from oed_sysid.sensitivity.noise import Noise
+
+# Value and derivative (symmetric) of a criterion at a scaled information matrix.
+Measure = Callable[[np.ndarray], tuple[float, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What a criterion is bound to.
+
+    Attributes
+    ----------
+    model : Model
+        At the values in question.
+    names : tuple of str
+        Parameters that the information matrix is about, in order.
+    scales : ndarray (n_names,)
+        Their units in that matrix.
+    noise : Noise
+        Of the outputs.
+    """
+
+    model: Model
+    names: tuple[str, ...]
+    scales: np.ndarray
+    noise: Noise
+
+
+@runtime_checkable
+class Criterion(Protocol):
+    """Contract of criteria."""
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        ...
+
+    def bind(self, setting: Setting) -> Measure:
+        """Return the function to maximise."""
+        ...
+
+
+@dataclass(frozen=True)
+class DOptimal:
+    """Smallest volume of the confidence ellipsoid: log det of the information."""
+
+    name: str = "D"
+
+    def bind(self, setting: Setting) -> Measure:
+        """Return ``log det F`` and its derivative ``F**-1``."""
+        return lambda matrix: (log_determinant(matrix), inverse(matrix))
+
+
+@dataclass(frozen=True)
+class AOptimal:
+    """Smallest mean squared relative error: minus log of the mean of the bound's diagonal."""
+
+    name: str = "A"
+
+    def bind(self, setting: Setting) -> Measure:
+        """Return ``-log(trace(C)/n)`` and its derivative."""
+
+        def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
+            bound = inverse(matrix)
+            trace = float(np.trace(bound))
+            return -np.log(trace / len(bound)), bound @ bound / trace
+
+        return measure
+
+
+@dataclass(frozen=True)
+class EOptimal:
+    """Shortest longest axis of the ellipsoid: log of the smallest eigenvalue."""
+
+    name: str = "E"
+
+    def bind(self, setting: Setting) -> Measure:
+        """Return ``log(lambda_min)`` and its derivative."""
+
+        def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
+            values, vectors = np.linalg.eigh(matrix)
+            smallest = max(float(values[0]), 1e-10)
+            return float(np.log(smallest)), np.outer(vectors[:, 0], vectors[:, 0]) / smallest
+
+        return measure
+
+
+@dataclass(frozen=True)
+class ModifiedE:
+    """Roundest ellipsoid: minus log of the condition number.
+
+    Says nothing about size; combine the result with a look at the errors.
+    """
+
+    name: str = "modified E"
+
+    def bind(self, setting: Setting) -> Measure:
+        """Return ``-log(lambda_max / lambda_min)`` and its derivative."""
+
+        def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
+            values, vectors = np.linalg.eigh(matrix)
+            small, large = max(float(values[0]), 1e-10), max(float(values[-1]), 1e-10)
+            gradient = np.outer(vectors[:, 0], vectors[:, 0]) / small
+            gradient -= np.outer(vectors[:, -1], vectors[:, -1]) / large
+            return float(np.log(small / large)), gradient
+
+        return measure
+
+
+@dataclass(frozen=True)
+class DsOptimal:
+    """D-criterion of some parameters, the others estimated but not of interest.
+
+    Parameters
+    ----------
+    interest : sequence of str
+        Parameters of interest.
+    """
+
+    interest: Sequence[str]
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        return f"Ds ({', '.join(self.interest)})"
+
+    def bind(self, setting: Setting) -> Measure:
+        """Return ``log det`` of the Schur complement and its derivative."""
+        for wanted in self.interest:
+            if wanted not in setting.names:
+                raise DesignError(
+                    f"The parameter of interest {wanted!r} is not estimated. Estimated are "
+                    f"{', '.join(setting.names)}."
+                )
+        last = [setting.names.index(name) for name in self.interest]
+        order = np.array([i for i in range(len(setting.names)) if i not in last] + last)
+        n_drop = len(order) - len(last)
+
+        def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
+            reduced, mapping = eliminate(matrix[np.ix_(order, order)], n_drop)
+            gradient = np.empty_like(matrix)
+            gradient[np.ix_(order, order)] = mapping.T @ inverse(reduced) @ mapping
+            return log_determinant(reduced), gradient
+
+        return measure
+
+
+@dataclass(frozen=True)
+class _Prediction:
+    """Accuracy of predictions of given manoeuvres, start states known."""
+
+    manoeuvres: Sequence[Experiment]
+
+    def _rows(self, setting: Setting) -> np.ndarray:
+        """Whitened derivatives of the predictions, ``(n_samples, n_names)``."""
+        if not self.manoeuvres:
+            raise DesignError("Name the manoeuvres to be predicted: manoeuvres=[Experiment(...)].")
+        columns = [len(setting.model.states) + setting.model.free_names.index(n)
+                   for n in setting.names]  # fmt: skip
+        rows = [
+            (respond(setting.model, play).jacobian[:, :, columns] / setting.noise.sigma[:, None])
+            for play in plays(setting.model, self.manoeuvres)
+        ]
+        return np.vstack([r.reshape(-1, len(columns)) for r in rows]) * setting.scales
+
+
+@dataclass(frozen=True)
+class VOptimal(_Prediction):
+    """Smallest mean variance of predictions of given manoeuvres.
+
+    Parameters
+    ----------
+    manoeuvres : sequence of Experiment
+        What is to be predicted well, such as a turning circle.
+    """
+
+    name: str = "V (mean prediction)"
+
+    def bind(self, setting: Setting) -> Measure:
+        """Return minus log of the mean variance in noise units, and its derivative."""
+        rows = self._rows(setting)
+        target = rows.T @ rows / len(rows)
+
+        def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
+            bound = inverse(matrix)
+            variance = float(np.sum(bound * target))
+            return -np.log(variance), bound @ target @ bound / variance
+
+        return measure
+
+
+@dataclass(frozen=True)
+class GOptimal(_Prediction):
+    """Smallest largest variance of predictions of given manoeuvres.
+
+    Parameters
+    ----------
+    manoeuvres : sequence of Experiment
+        What is to be predicted well.
+    """
+
+    name: str = "G (worst prediction)"
+
+    def bind(self, setting: Setting) -> Measure:
+        """Return minus log of the largest variance in noise units, and its derivative."""
+        rows = self._rows(setting)
+
+        def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
+            bound = inverse(matrix)
+            variances = np.einsum("ij,ij->i", rows @ bound, rows)
+            worst = int(np.argmax(variances))
+            row = bound @ rows[worst]
+            return -np.log(variances[worst]), np.outer(row, row) / variances[worst]
+
+        return measure
+
+
+def schur_information(matrix: np.ndarray, n_drop: int) -> np.ndarray:
+    """Information on the last unknowns, the first eliminated."""
+    return eliminate(matrix, n_drop)[0]

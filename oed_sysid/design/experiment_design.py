@@ -1,0 +1,264 @@
+"""The verb of this package: design an experiment within limits."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from oed_sysid.design.candidates import starts
+from oed_sysid.design.criteria import Criterion, DOptimal
+from oed_sysid.design.discrimination import Discriminate
+from oed_sysid.design.parametrisation import Grid, Levels, Parametrisation
+from oed_sysid.design.plan import Plan, plan_of
+from oed_sysid.design.reference import Reference, zigzags
+from oed_sysid.design.result import Design
+from oed_sysid.design.robust import Robust
+from oed_sysid.design.search import Found, Progress, search
+from oed_sysid.design.zigzags import ZigZags, search_zigzags
+from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.experiment import Experiment, Limits
+from oed_sysid.fit import Fit
+from oed_sysid.information import Information
+from oed_sysid.model import Model
+
+from oed_sysid.sensitivity.noise import Colour, Levels as NoiseLevels  # isort: skip
+from oed_sysid.simulate import simulate_inputs
+
+
+def design_experiment(
+    model: Model | Fit,
+    *,
+    limits: Limits,
+    duration: float,
+    sample_time: float,
+    rng: np.random.Generator,
+    criterion: Criterion | Discriminate | Robust = DOptimal(),  # noqa: B008 (frozen)
+    parametrisation: Parametrisation | ZigZags = Levels(),  # noqa: B008 (frozen)
+    inputs: Sequence[str] | None = None,
+    constants: Mapping[str, float] | None = None,
+    neutral: Mapping[str, float] | None = None,
+    initial: Mapping[str, float] | None = None,
+    end: Mapping[str, tuple[float, float]] | None = None,
+    prior: str | Information | None = "auto",
+    start: str | Mapping[str, float] = "unknown",
+    noise: NoiseLevels = None,
+    coloured: Colour = None,
+    n_starts: int = 3,
+    n_candidates: int = 80,
+    n_steps: int = 25,
+    n_workers: int | None = None,
+    name: str = "designed",
+    progress: Callable[[Progress], None] | None = None,
+) -> Design:
+    """Design the manoeuvre that tells most about the parameters, within limits.
+
+    Rough manoeuvres of many kinds are tried first; the best are refined with
+    exact sensitivities and gradients.
+
+    Parameters
+    ----------
+    model : Model or Fit
+        What is believed. A fit brings its values, noise levels and, as prior
+        knowledge, its information: the next experiment completes the last.
+    limits : Limits
+        Range of each designed input, its rate, and corridors of states or outputs.
+    duration, sample_time : float
+        Length and sampling of the run, s.
+    rng : numpy.random.Generator
+        Source of rough manoeuvres and sampled values.
+    criterion : Criterion, Discriminate or Robust
+        What is good.
+    parametrisation : Parametrisation or ZigZags
+        Family of commands.
+    inputs : sequence of str, optional
+        Inputs to design; by default all that have limits and no constant.
+    constants : mapping of str to float, optional
+        Values of the other inputs.
+    neutral : mapping of str to float, optional
+        Command before the run, where it is not zero.
+    initial : mapping of str to float, optional
+        Start state.
+    end : mapping of str to (lower, upper), optional
+        Where states or outputs have to be at the end, for a return to the start.
+    prior : {"auto", None} or Information
+        What is known before: of a fit its information, of a model the
+        parameters' ``prior_std``; None ignores both.
+    start : {"unknown", "known"} or mapping of str to float
+        See :func:`~oed_sysid.sensitivity.information_of`.
+    noise, coloured
+        See :func:`~oed_sysid.sensitivity.information_of`; a fit's noise levels
+        by default.
+    n_starts, n_candidates, n_steps : int
+        Starts that are refined, rough manoeuvres tried, steps of refinement.
+    n_workers : int, optional
+        Threads; by default one per core, at most four.
+    name : str
+        Name of the experiment.
+    progress : callable, optional
+        Called with a :class:`~oed_sysid.design.search.Progress`.
+
+    Returns
+    -------
+    Design
+
+    Raises
+    ------
+    DesignError
+        If no manoeuvre keeps the limits; it says which and how far off.
+    """
+    began = time.perf_counter()
+    plan = plan_of(
+        model, limits=limits, duration=duration, sample_time=sample_time, rng=rng,
+        criterion=criterion, inputs=inputs, constants=constants, neutral=neutral,
+        initial=initial, end=end, prior=prior, start=start, noise=noise, coloured=coloured,
+    )  # fmt: skip
+    workers = n_workers or min(4, os.cpu_count() or 1)
+    references = zigzags(
+        plan.model, plan.grid, plan.corridor, constants=plan.constants, initial=plan.initial
+    )
+    experiment: Experiment | None = None
+    if isinstance(parametrisation, ZigZags):
+        objective = plan.objective(None, workers)
+        _check_neutral(plan, objective.score_commands(plan.still(), np.zeros(1)).views)
+        sign = _sign(references)
+        best, nearest, experiment = search_zigzags(
+            parametrisation, objective, plan.grid, plan.model, sign=sign,
+            constants=plan.constants, initial=plan.initial, rng=rng,
+        )  # fmt: skip
+        if nearest is None:
+            raise DesignError(f"No zigzag on {parametrisation.feedback!r} stays finite.")
+        found = Found(best, nearest, (float("-inf") if best is None else best.value,))
+    else:
+        objective = plan.objective(parametrisation.on(plan.grid), workers)
+        _check_neutral(plan, objective.score_commands(plan.still(), np.zeros(1)).views)
+        given = [plan.designed(exp) for _, exp, _ in references]
+        begin = starts(
+            objective, plan.grid, rng, n_candidates=n_candidates, n_starts=n_starts, given=given
+        )
+        if not begin:
+            raise DesignError(
+                f"All {n_candidates} rough manoeuvres make model {plan.model.name!r} diverge: it "
+                "is unstable on its own. Design a closed loop, parametrisation=ZigZags(...), or "
+                "a shorter run."
+            )
+        found = search(objective, begin, n_steps=n_steps, progress=progress)
+    if found.best is None:
+        raise DesignError(_infeasible(plan, found))
+    if experiment is None:
+        experiment = plan.experiment(name, found.best.commands)
+    else:
+        experiment = replace(experiment, name=name)
+    trajectory = simulate_inputs(
+        plan.model, plan.grid.times, inputs=found.best.commands, initial=plan.initial
+    )
+    signals = found.best.views[0].signals
+    active = (
+        *_actuator_limits(plan.grid, found.best.commands[:, plan.positions]),
+        *plan.corridor.reached(plan.grid.times, signals),
+    )
+    bound = plan.bound
+    compared = []
+    for title, standard, note in references:
+        try:
+            compared.append(Reference(title, standard, bound(standard), note))
+        except OedSysidError:
+            continue
+    return Design(
+        experiment=experiment,
+        model=plan.model,
+        trajectory=trajectory,
+        information=bound(plan.experiment(name, found.best.commands)),
+        prior=plan.prior,
+        references=tuple(compared),
+        criterion=criterion.name,
+        parametrisation=parametrisation.name,
+        value=found.best.value,
+        start_values=found.values,
+        active=active,
+        misfits=plan.misfits(objective, found.best),
+        n_evaluations=objective.n_evaluations,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def design_series(model: Model | Fit, n_experiments: int, **settings: object) -> tuple[Design, ...]:
+    """Design several experiments, each to complete the information of those before.
+
+    Parameters
+    ----------
+    model : Model or Fit
+        What is believed.
+    n_experiments : int
+        How many.
+    **settings
+        As for :func:`design_experiment`.
+
+    Returns
+    -------
+    tuple of Design
+        The information of each includes that of its predecessors.
+    """
+    found: list[Design] = []
+    for index in range(n_experiments):
+        chosen = dict(settings)
+        if found:
+            chosen["prior"] = found[-1].information
+        chosen["name"] = f"{settings.get('name', 'designed')}_{index + 1}"
+        found.append(design_experiment(model, **chosen))  # type: ignore[arg-type]
+    return tuple(found)
+
+
+def _check_neutral(plan: Plan, views: Sequence[object]) -> None:
+    """Raise if limits are broken even when nothing is commanded."""
+    run = simulate_inputs(
+        plan.model, plan.grid.times, inputs=plan.still(), initial=plan.initial, throw=False
+    )
+    first = {name: run.signal(name)[:1] for name in plan.limits.signals}
+    at_start = Limits(signals=dict(plan.limits.signals)).violations(run.times[:1], first)
+    if at_start:
+        raise DesignError(
+            f"The start already breaks the limits: {'; '.join(at_start)}. Change initial or the "
+            "limits."
+        )
+
+
+def _infeasible(plan: Plan, found: Found) -> str:
+    """Say which limits the nearest manoeuvre breaks, and what to do."""
+    signals = found.nearest.views[0].signals
+    words = plan.corridor.broken(plan.grid.times, signals)
+    if not words:
+        words = ("for other values of the parameters the corridor is left",)
+    return (
+        f"No manoeuvre of {plan.grid.times[-1]:g} s was found that keeps all limits. In the "
+        f"nearest one {'; '.join(words)}. Widen these limits, shorten the run, allow more "
+        "actuator range, or ask for more starts."
+    )
+
+
+def _actuator_limits(grid: Grid, commands: np.ndarray) -> tuple[str, ...]:
+    """Actuator limits that the commands reach, in words."""
+    words = []
+    for i, name in enumerate(grid.inputs):
+        width = grid.upper[i] - grid.lower[i]
+        for bound, side in ((grid.lower[i], "lower"), (grid.upper[i], "upper")):
+            share = float(np.mean(np.abs(commands[:, i] - bound) < 0.01 * width))
+            if share > 0:
+                words.append(f"{name} {side} limit {bound:g} for {share:.0%} of the time")
+        if np.isfinite(grid.rates[i]):
+            slopes = np.abs(np.diff(commands[:, i])) / grid.step
+            share = float(np.mean(slopes > 0.99 * grid.rates[i]))
+            if share > 0:
+                words.append(f"{name} rate limit {grid.rates[i]:g} for {share:.0%} of the time")
+    return tuple(words)
+
+
+def _sign(references: Sequence[tuple[str, Experiment, str]]) -> int:
+    for _, experiment, _ in references:
+        sign = getattr(experiment.excitation, "sign", None)
+        if sign is not None:
+            return int(sign)
+    return 1

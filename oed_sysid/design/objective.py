@@ -1,0 +1,202 @@
+"""The number that a search maximises, with its gradient, limits included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.design.corridor import Corridor
+from oed_sysid.design.criteria import Measure
+from oed_sysid.design.elimination import eliminate
+from oed_sysid.design.parametrisation import Shape
+from oed_sysid.design.scene import Scene, View
+
+# Difference step of the numbers between 0 and 1; information derivatives are exact.
+_STEP = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """Value of one candidate.
+
+    Attributes
+    ----------
+    numbers : ndarray (size,)
+        Of the parametrisation.
+    commands : ndarray (n_times, n_inputs)
+        All inputs of the model.
+    value : float
+        Criterion, larger is better; minus infinity where a trajectory diverges.
+    excess : float
+        Largest excess over the limits; above zero is not allowed.
+    views : tuple of View
+        One for each scene.
+    """
+
+    numbers: np.ndarray
+    commands: np.ndarray
+    value: float
+    excess: float
+    views: tuple[View, ...]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether all limits are kept."""
+        return bool(np.isfinite(self.value) and self.excess <= 1e-9)
+
+
+class Objective:
+    """Criterion of a parametrised experiment over one or several scenes.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+        Sets of values.
+    measures : sequence of Measure
+        Criterion bound to each scene.
+    priors : sequence of ndarray (n_parameters, n_parameters)
+        Scaled information at hand before the experiment, per scene.
+    shape : Shape
+        Family of commands.
+    positions : ndarray of int
+        Columns of the designed inputs among all inputs.
+    constants : ndarray (n_inputs,)
+        Values of the other inputs.
+    corridor : Corridor
+        Limits, kept in every scene.
+    softness : float or None
+        None averages over scenes; a number takes the soft minimum of this width.
+    n_workers : int
+        Threads for the gradient.
+    """
+
+    def __init__(
+        self,
+        scenes: Sequence[Scene],
+        measures: Sequence[Measure],
+        priors: Sequence[np.ndarray],
+        shape: Shape,
+        positions: np.ndarray,
+        constants: np.ndarray,
+        corridor: Corridor,
+        *,
+        softness: float | None = None,
+        n_workers: int = 1,
+    ) -> None:
+        self.scenes, self.measures, self.priors = tuple(scenes), tuple(measures), tuple(priors)
+        self.shape, self.corridor = shape, corridor
+        self._positions, self._constants = positions, constants
+        self._softness = softness
+        self._n_workers = n_workers if scenes[0].kernel.is_compiled else 1
+        self.n_evaluations = 0
+
+    @property
+    def times(self) -> np.ndarray:
+        """Sample times, s."""
+        return self.scenes[0].times
+
+    def all_commands(self, numbers: np.ndarray) -> np.ndarray:
+        """Commands of all inputs, ``(n_batch, n_times, n_inputs)``."""
+        designed = self.shape.commands(numbers)
+        commands = np.broadcast_to(
+            self._constants, (*designed.shape[:2], len(self._constants))
+        ).copy()
+        commands[:, :, self._positions] = designed
+        return commands
+
+    def score(self, numbers: np.ndarray) -> Score:
+        """Evaluate one member of the family."""
+        return self.score_commands(self.all_commands(numbers)[0], numbers)
+
+    def score_commands(self, commands: np.ndarray, numbers: np.ndarray) -> Score:
+        """Evaluate given commands ``(n_times, n_inputs)``."""
+        self.n_evaluations += 1
+        views = []
+        for scene in self.scenes:
+            view = scene.view(commands)
+            if view is None:
+                return Score(numbers, commands, -np.inf, np.inf, ())
+            views.append(view)
+        values = [self._measured(i, view)[0] for i, view in enumerate(views)]
+        excess = max(self.corridor.worst(view.signals) for view in views)
+        return Score(numbers, commands, self._combined(values)[0], excess, tuple(views))
+
+    def information(self, scene: int, view: View) -> np.ndarray:
+        """Scaled information on parameters (and rival shifts), priors included."""
+        matrix = self.scenes[scene].information(view.rows)
+        reduced, _ = eliminate(matrix, self.scenes[scene].n_nuisance)
+        n = len(self.priors[scene])
+        reduced[:n, :n] += self.priors[scene]
+        return reduced
+
+    def _measured(self, index: int, view: View) -> tuple[float, np.ndarray]:
+        """Criterion of one scene and its derivative by the whole information matrix."""
+        scene, prior = self.scenes[index], self.priors[index]
+        reduced, mapping = eliminate(scene.information(view.rows), scene.n_nuisance)
+        reduced[: len(prior), : len(prior)] += prior
+        value, gradient = self.measures[index](reduced)
+        return value, mapping.T @ gradient @ mapping
+
+    def _combined(self, values: Sequence[float]) -> tuple[float, np.ndarray]:
+        """Mean or soft minimum over the scenes, and the weights of their gradients."""
+        array = np.asarray(values)
+        if self._softness is None or len(array) == 1:
+            return float(array.mean()), np.full(len(array), 1.0 / len(array))
+        smallest = array.min()
+        weights = np.exp(-(array - smallest) / self._softness)
+        value = smallest - self._softness * np.log(weights.mean())
+        return float(value), weights / weights.sum()
+
+    def gradient(self, score: Score, multipliers: Sequence[np.ndarray]) -> np.ndarray:
+        """Derivative of the criterion minus ``sum(multipliers * excess)``, shape ``(size,)``.
+
+        Parameters
+        ----------
+        score : Score
+            Where.
+        multipliers : sequence of ndarray (n_times, n_limits, 2)
+            Price of the excess of every limit, one array per scene.
+        """
+        size = self.shape.size
+        signs = np.where(score.numbers > 0.5, -1.0, 1.0)
+        moved = score.numbers + np.diag(_STEP * signs)
+        commands = self.all_commands(moved)
+        parts = [self._measured(i, view) for i, view in enumerate(score.views)]
+        _, weights = self._combined([value for value, _ in parts])
+        slopes = []
+        for i, scene in enumerate(self.scenes):
+            whitened = scene.whitened(score.views[i].rows)
+            slope = 2 * weights[i] * scene.unwhitened(whitened @ parts[i][1])
+            slopes.append((slope, self._signal_slope(multipliers[i], score.views[i].signals)))
+
+        def one(index: int) -> float:
+            differs = np.flatnonzero((commands[index] != score.commands).any(axis=1))
+            if not len(differs):
+                return 0.0
+            total = 0.0
+            for i, scene in enumerate(self.scenes):
+                # A linearly interpolated command acts from the sample before.
+                edge = int(np.searchsorted(scene.edges, max(differs[0] - 1, 0), "right")) - 1
+                total += scene.slope(score.views[i], commands[index], edge, *slopes[i])
+            return total / (_STEP * signs[index])
+
+        self.n_evaluations += size
+        if self._n_workers == 1:
+            return np.array([one(i) for i in range(size)])
+        with ThreadPoolExecutor(self._n_workers) as pool:
+            chunks = np.array_split(np.arange(size), 4 * self._n_workers)
+            found = pool.map(lambda chunk: [one(i) for i in chunk], chunks)
+            return np.array([value for chunk in found for value in chunk])
+
+    def _signal_slope(self, multipliers: np.ndarray, signals: np.ndarray) -> np.ndarray | None:
+        """Derivative of minus the priced excess by the signals."""
+        if not self.corridor.names or not multipliers.any():
+            return None
+        slope = np.zeros_like(signals)
+        net = (multipliers[:, :, 0] - multipliers[:, :, 1]) / self.corridor.width
+        for index, column in enumerate(self.corridor.columns):
+            slope[:, column] += net[:, index]
+        return slope

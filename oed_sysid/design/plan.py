@@ -1,0 +1,261 @@
+"""Everything a design search needs, checked and put in arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oed_sysid.design.corridor import Corridor
+from oed_sysid.design.criteria import Criterion, Setting
+from oed_sysid.design.discrimination import Discriminate, pair_misfits
+from oed_sysid.design.elimination import eliminate
+from oed_sysid.design.objective import Objective, Score
+from oed_sysid.design.parametrisation import Grid, Levels, Shape
+from oed_sysid.design.reference import as_piecewise
+from oed_sysid.design.robust import Robust, draw_models
+from oed_sysid.design.scene import Scene
+from oed_sysid.errors import DesignError
+from oed_sysid.experiment import Experiment, Limits
+from oed_sysid.fit import Fit
+from oed_sysid.information import Information
+from oed_sysid.kernels import kernel
+from oed_sysid.model import Model
+from oed_sysid.sensitivity.bound import information_of, prior_factor, triangle
+from oed_sysid.sensitivity.noise import Colour, Noise, noise_of
+from oed_sysid.sensitivity.noise import Levels as NoiseLevels
+from oed_sysid.simulate import simulate
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A checked design task; see :func:`~oed_sysid.design.design_experiment`."""
+
+    model: Model
+    models: tuple[Model, ...]
+    limits: Limits
+    grid: Grid
+    corridor: Corridor
+    criterion: Criterion | Discriminate
+    softness: float | None
+    positions: np.ndarray
+    constants: dict[str, float]
+    initial: dict[str, float]
+    prior: Information | None
+    start: str | Mapping[str, float]
+    noise: Noise
+    coloured: Colour
+
+    def still(self) -> np.ndarray:
+        """Neutral commands of all inputs, ``(n_times, n_inputs)``."""
+        return np.broadcast_to(self._base, (len(self.grid.times), len(self.model.inputs))).copy()
+
+    @property
+    def _base(self) -> np.ndarray:
+        base = np.array([self.constants.get(name, 0.0) for name in self.model.input_names])
+        base[self.positions] = self.grid.neutral
+        return base
+
+    def designed(self, experiment: Experiment) -> np.ndarray:
+        """Commands of the designed inputs in some experiment, ``(n_times, n_designed)``."""
+        return simulate(self.model, experiment, noise=False).inputs[:, self.positions]
+
+    def experiment(self, name: str, commands: np.ndarray) -> Experiment:
+        """Return commands ``(n_times, n_inputs)`` as an experiment within the limits."""
+        manoeuvres = [
+            as_piecewise(i, self.grid.times, commands[:, p])
+            for i, p in zip(self.grid.inputs, self.positions, strict=True)
+        ]
+        return Experiment(
+            name, manoeuvres, duration=float(self.grid.times[-1]), sample_time=self.grid.step,
+            constants=self.constants, initial=self.initial, limits=self.limits,
+        )  # fmt: skip
+
+    def bound(self, experiment: Experiment) -> Information:
+        """Information after an experiment, prior knowledge included."""
+        return information_of(
+            self.model, experiment, noise=self.noise.sigma, coloured=self.coloured,
+            priors=self.prior, start=self.start,
+        )  # fmt: skip
+
+    def objective(self, shape: Shape | None, n_workers: int) -> Objective:
+        """Return the function to maximise; without a shape only given commands can be scored."""
+        used = shape if shape is not None else Levels(2).on(self.grid)
+        scenes, measures, priors = [], [], []
+        own = np.array([self.initial.get(n, 0.0) for n in self.model.state_names])
+        for member in self.models:
+            rivals: tuple[Model, ...] = ()
+            if isinstance(self.criterion, Discriminate):
+                rivals = self.criterion.models(member)
+            scene = Scene(
+                member, self.grid.times, used.edges, own, self.noise, start=self.start,
+                rivals=rivals,
+            )  # fmt: skip
+            scales = scene.scales[scene.n_nuisance :]
+            if isinstance(self.criterion, Discriminate):
+                measures.append(self.criterion.bind_rivals(len(scene.names)))
+            else:
+                measures.append(
+                    self.criterion.bind(Setting(member, scene.names, scales, self.noise))
+                )
+            matrix = np.zeros((len(scales), len(scales)))
+            if self.prior is not None:
+                matrix = self.prior.matrix * scales[:, None] * scales
+            scenes.append(scene)
+            priors.append(matrix)
+        return Objective(
+            scenes, measures, priors, used, self.positions, self._base, self.corridor,
+            softness=self.softness, n_workers=n_workers,
+        )  # fmt: skip
+
+    def misfits(self, objective: Objective, score: Score) -> dict[tuple[str, str], float]:
+        """Expected gain of every rival over every other, at the nominal values."""
+        if not isinstance(self.criterion, Discriminate):
+            return {}
+        matrix = objective.information(0, score.views[0])
+        gram, _ = eliminate(matrix, len(objective.scenes[0].names))
+        names = self.criterion.rival_names
+        return {
+            (names[i], self.model.name if j < 0 else names[j]): value
+            for i, j, value in pair_misfits(gram, against_believed=True)
+        }
+
+
+def plan_of(
+    given: Model | Fit,
+    *,
+    limits: Limits,
+    duration: float,
+    sample_time: float,
+    rng: np.random.Generator,
+    criterion: Criterion | Discriminate | Robust,
+    inputs: Sequence[str] | None,
+    constants: Mapping[str, float] | None,
+    neutral: Mapping[str, float] | None,
+    initial: Mapping[str, float] | None,
+    end: Mapping[str, tuple[float, float]] | None,
+    prior: str | Information | None,
+    start: str | Mapping[str, float],
+    noise: NoiseLevels,
+    coloured: Colour,
+) -> Plan:
+    """Check a design task; the parameters are those of ``design_experiment``."""
+    model = given.model if isinstance(given, Fit) else given
+    if isinstance(given, Fit) and noise is None:
+        noise = given.sigma
+    limits.check_names(model)
+    held = {k: float(v) for k, v in (constants or {}).items()}
+    names = tuple(inputs) if inputs is not None else tuple(
+        n for n in model.input_names if n in limits.inputs and n not in held
+    )  # fmt: skip
+    _check_inputs(model, limits, names, held)
+    own_start = {k: float(v) for k, v in (initial or {}).items()}
+    if unknown := [n for n in own_start if n not in model.state_names]:
+        raise DesignError(
+            f"The start names {unknown[0]!r}, but model {model.name!r} has the states "
+            f"{', '.join(model.state_names)}."
+        )
+    levels = noise_of(model, noise, coloured)
+    # The levels in use belong to the model, so that reports and cards state them.
+    model = replace(
+        model,
+        outputs=tuple(
+            replace(o, noise_std=float(s)) for o, s in zip(model.outputs, levels.sigma, strict=True)
+        ),
+    )
+    knowledge = _prior(given, model, prior)
+    robust = criterion if isinstance(criterion, Robust) else None
+    return Plan(
+        model=model,
+        models=draw_models(model, robust, knowledge, rng) if robust else (model,),
+        limits=limits,
+        grid=_grid(model, limits, names, neutral or {}, duration, sample_time),
+        corridor=Corridor.of(model, limits, end or {}, kernel(model).n_full),
+        criterion=robust.criterion if robust else criterion,  # type: ignore[arg-type]
+        softness=robust.softness if robust and robust.worst else None,
+        positions=np.array([model.input_names.index(n) for n in names]),
+        constants=held,
+        initial=own_start,
+        prior=knowledge,
+        start=start,
+        noise=levels,
+        coloured=coloured,
+    )
+
+
+def _check_inputs(
+    model: Model, limits: Limits, names: tuple[str, ...], held: Mapping[str, float]
+) -> None:
+    if not names:
+        raise DesignError(
+            "No input is left to design. Give its range: Limits(inputs={'rudder': (-0.3, 0.3)})."
+        )
+    for name in names:
+        if name not in model.input_names:
+            raise DesignError(
+                f"Model {model.name!r} has no input {name!r}. It has "
+                f"{', '.join(model.input_names)}."
+            )
+        pair = limits.inputs.get(name)
+        if pair is None or not np.all(np.isfinite(pair)):
+            raise DesignError(
+                f"The input {name!r} is to be designed but has no finite range. Give "
+                f"Limits(inputs={{{name!r}: (lower, upper)}})."
+            )
+    for name in model.input_names:
+        if name not in names and name not in held:
+            raise DesignError(
+                f"The input {name!r} is neither designed nor constant. Give "
+                f"constants={{{name!r}: value}} or a range in the limits."
+            )
+
+
+def _grid(
+    model: Model,
+    limits: Limits,
+    names: tuple[str, ...],
+    neutral: Mapping[str, float],
+    duration: float,
+    sample_time: float,
+) -> Grid:
+    if not (sample_time > 0 and duration >= 10 * sample_time):
+        raise DesignError(
+            f"A run of {duration} s with a sample every {sample_time} s cannot be designed. Give a "
+            "duration of ten samples or more."
+        )
+    lower, upper = np.array([limits.inputs[n] for n in names]).T
+    rest = np.array([neutral.get(n, min(max(0.0, limits.inputs[n][0]), limits.inputs[n][1]))
+                     for n in names])  # fmt: skip
+    if np.any(rest < lower) or np.any(rest > upper):
+        raise DesignError("A neutral command lies outside the range of its input. Correct it.")
+    n_steps = int(np.floor(duration / sample_time + 1e-9))
+    rates = np.array([limits.rates.get(n, np.inf) for n in names], dtype=float)
+    # The rate is checked on differences of floating-point sums.
+    return Grid(np.arange(n_steps + 1) * sample_time, names, lower, upper, rest, rates * (1 - 1e-9))
+
+
+def _prior(given: Model | Fit, model: Model, prior: str | Information | None) -> Information | None:
+    """What is known before the experiment, on all shared free parameters."""
+    shared = [p for p in model.free_parameters if not p.per_record]
+    names = tuple(p.name for p in shared)
+    scales = np.array([p.magnitude for p in shared])
+    if prior is None:
+        return None
+    if isinstance(prior, Information):
+        rows = prior_factor(model, names, prior)
+    elif prior != "auto":
+        raise DesignError(f"prior is {prior!r}. Choose 'auto', None or an Information.")
+    elif isinstance(given, Fit):
+        information = given.information
+        if given.coloured and np.all(np.isfinite(given.covariance)):
+            # Coloured residuals: what the fit really knows is its sandwich covariance.
+            information = Information.from_matrix(
+                given.names, np.linalg.inv(given.covariance), information.scales
+            )
+        rows = prior_factor(model, names, information)
+    else:
+        rows = prior_factor(model, names, "model")
+    if not rows.any():
+        return None
+    return Information(names, triangle(rows) * scales, scales)

@@ -1,0 +1,221 @@
+"""A designed experiment: what to run, what it will tell, what it respects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.csv_table import write_table
+from oed_sysid.design.card import sea_trial_card
+from oed_sysid.design.reference import Reference
+from oed_sysid.experiment import Experiment
+from oed_sysid.information import Information
+from oed_sysid.model import Model
+from oed_sysid.simulate import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Result of :func:`~oed_sysid.design.design_experiment`.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        What to run; simulate it, or play :meth:`write_csv` on an autopilot.
+    model : Model
+        The model it was designed for, at the nominal values.
+    trajectory : Trajectory
+        What that model does.
+    information : Information
+        After the experiment, prior knowledge included, start states unknown.
+    prior : Information or None
+        Before it.
+    references : tuple of Reference
+        Standard manoeuvres of the same duration, within the same limits.
+    criterion, parametrisation : str
+        Their names.
+    value : float
+        Criterion reached.
+    start_values : tuple of float
+        Criterion reached from each start; a wide spread asks for more starts.
+    active : tuple of str
+        Limits that are reached, in words.
+    misfits : mapping of (str, str) to float
+        For discrimination: expected ``2 dlogL`` of the first rival over the second.
+    n_evaluations : int
+        Trajectories with sensitivities.
+    seconds : float
+    """
+
+    experiment: Experiment
+    model: Model
+    trajectory: Trajectory = field(repr=False)
+    information: Information = field(repr=False)
+    prior: Information | None = field(repr=False)
+    references: tuple[Reference, ...] = field(repr=False)
+    criterion: str
+    parametrisation: str
+    value: float
+    start_values: tuple[float, ...]
+    active: tuple[str, ...]
+    misfits: dict[tuple[str, str], float]
+    n_evaluations: int
+    seconds: float
+
+    # -- accuracy ------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters."""
+        return self.information.names
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Absolute values (or scales of zeros) that make errors relative, ``(n,)``."""
+        parameters = [self.model.parameter(name) for name in self.names]
+        return np.array([abs(p.value) or p.magnitude for p in parameters])
+
+    @property
+    def relative_errors(self) -> np.ndarray:
+        """Expected standard errors as shares of the values, shape ``(n,)``."""
+        return self.information.std_errors / self.sizes
+
+    @property
+    def prior_errors(self) -> np.ndarray:
+        """The same before the experiment; infinite where nothing is known."""
+        if self.prior is None:
+            return np.full(len(self.names), np.inf)
+        return self.prior.std_errors / self.sizes
+
+    def gain(self, reference: Reference) -> tuple[float, float]:
+        """How much larger a reference's errors are.
+
+        Returns
+        -------
+        mean : float
+            Ratio of the geometric means of all standard errors.
+        worst : float
+            Ratio of the largest relative errors.
+        """
+        theirs = reference.information.std_errors / self.sizes
+        ours = self.relative_errors
+        if not np.all(np.isfinite(theirs)):
+            return float("inf"), float("inf")
+        mean = float(np.exp(np.mean(np.log(theirs / ours))))
+        return mean, float(theirs.max() / ours.max())
+
+    # -- words ---------------------------------------------------------------------
+
+    def report(self) -> str:
+        """Return the design as text."""
+        lines = [
+            f"Design of {self.experiment.name!r} for {self.model.name}",
+            f"  criterion    {self.criterion}: {self.value:.4g} "
+            f"(starts: {', '.join(f'{v:.4g}' for v in self.start_values)})",
+            f"  family       {self.parametrisation}",
+            f"  run          {self.experiment.duration:g} s, a sample every "
+            f"{self.experiment.sample_time:g} s",
+            f"  limits met   {'; '.join(self.active) or 'none is reached'}",
+            f"  effort       {self.n_evaluations} trajectories, {self.seconds:.1f} s",
+            "",
+            *self.accuracy_table(),
+        ]
+        for reference in self.references:
+            mean, worst = self.gain(reference)
+            note = f" ({reference.note})" if reference.note else ""
+            lines.append(
+                f"  Errors of {reference.name}{note} are {mean:.3g} times larger on geometric "
+                f"mean, {worst:.3g} times for the worst parameter."
+            )
+        for (first, second), misfit in self.misfits.items():
+            lines.append(
+                f"  If {first} is true, {second} is expected to fit worse by "
+                f"2 dlogL = {misfit:.3g}{'' if misfit > 16 else ' (not enough to decide)'}."
+            )
+        lines += [f"  Not determined: {text}." for text in self.information.null_directions()]
+        return "\n".join(lines)
+
+    def accuracy_table(self) -> list[str]:
+        """Lines with the expected relative standard errors."""
+        names = [reference.name for reference in self.references]
+        head = f"  {'parameter':<20} {'value':>11} {'before':>8} {'after':>8}"
+        lines = [head + "".join(f" {name:>16}" for name in names)]
+        columns = [r.information.std_errors / self.sizes for r in self.references]
+        for i, name in enumerate(self.names):
+            before = _percent(self.prior_errors[i])
+            row = f"  {name:<20} {self.model.values[name]:>11.4g} {before:>8}"
+            row += f" {_percent(self.relative_errors[i]):>8}"
+            lines.append(row + "".join(f" {_percent(column[i]):>16}" for column in columns))
+        return lines
+
+    def sea_trial_card(self) -> str:
+        """Return one page for the people who run the trial."""
+        return sea_trial_card(
+            self.experiment, self.model, self.trajectory, self.accuracy_table(), self.active
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        gains = [self.gain(reference) for reference in self.references]
+        return {
+            "experiment": self.experiment.to_dict(),
+            "model": self.model.name,
+            "criterion": self.criterion,
+            "parametrisation": self.parametrisation,
+            "value": self.value,
+            "start_values": list(self.start_values),
+            "parameters": [
+                {
+                    "name": name,
+                    "value": self.model.values[name],
+                    "before": float(self.prior_errors[i] * self.sizes[i]),
+                    "after": float(self.information.std_errors[i]),
+                }
+                for i, name in enumerate(self.names)
+            ],
+            "references": [
+                {
+                    "name": r.name,
+                    "note": r.note,
+                    "std_errors": r.information.std_errors.tolist(),
+                    "mean_gain": mean,
+                    "worst_gain": worst,
+                }
+                for r, (mean, worst) in zip(self.references, gains, strict=True)
+            ],
+            "active_limits": list(self.active),
+            "misfits": [[a, b, value] for (a, b), value in self.misfits.items()],
+            "n_evaluations": self.n_evaluations,
+            "seconds": self.seconds,
+        }
+
+    def write_csv(self, path: str | Path, *, predicted: bool = False) -> None:
+        """Write the commands as a table that an autopilot can play.
+
+        Times in s, commands in SI units named in the header, one row per
+        sample, each command to be held until the next row.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file, overwritten if it exists.
+        predicted : bool
+            Also write the outputs that the model predicts, to watch against;
+            the file can then be read as a record.
+        """
+        columns = {"t [s]": self.trajectory.times}
+        for channel, values in zip(self.model.inputs, self.trajectory.inputs.T, strict=True):
+            columns[f"{channel.name} [{channel.unit or '-'}]"] = values
+        if predicted:
+            for output, values in zip(self.model.outputs, self.trajectory.outputs.T, strict=True):
+                columns[f"{output.name} [{output.unit or '-'}]"] = values
+        write_table(Path(path), list(columns), np.column_stack(list(columns.values())))
+
+
+def _percent(share: float) -> str:
+    if not np.isfinite(share) or share > 1e4:
+        return "-"
+    return f"{100 * share:.3g}%"

@@ -1,0 +1,377 @@
+"""Criteria, families of commands, limits and the designs that come out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from oed_sysid import (
+    Dataset,
+    Experiment,
+    Force,
+    Input,
+    Limits,
+    Model,
+    MultipleShooting,
+    Output,
+    Parameter,
+    State,
+    read_csv,
+)
+from oed_sysid.design import (
+    AOptimal,
+    Design,
+    Discriminate,
+    DOptimal,
+    DsOptimal,
+    EOptimal,
+    GOptimal,
+    Grid,
+    Levels,
+    ModifiedE,
+    Multisines,
+    Pulses,
+    Robust,
+    Setting,
+    VOptimal,
+    ZigZags,
+    design_experiment,
+    design_series,
+)
+from oed_sysid.design.corridor import Corridor
+from oed_sysid.design.elimination import eliminate
+from oed_sysid.design.objective import Objective
+from oed_sysid.design.scene import Scene
+from oed_sysid.errors import DesignError
+from oed_sysid.experiment import Experiment as Plan
+from oed_sysid.kernels import kernel
+from oed_sysid.manoeuvres import Doublet
+from oed_sysid.sensitivity import information_of, noise_of
+from oed_sysid.simulate import simulate, simulate_inputs
+
+LIMITS = Limits(
+    inputs={"rudder": (-0.35, 0.35)}, rates={"rudder": 0.2}, signals={"psi": (-0.6, 0.6)}
+)
+
+
+def ship(**changes: object) -> Model:
+    """Yaw with linear and quadratic damping and a rudder of its own lag."""
+    model = Model(
+        "small ship",
+        (State("psi", "rad"), State("r", "rad/s", scale=0.1)),
+        (Input("rudder", "rad"),),
+        (Output("psi", "rad", noise_std=5e-3), Output("r", "rad/s", noise_std=2e-3)),
+        {"psi": "r", "r": "b*rudder - d*r - c*r*abs(r)"},
+        parameters=(Parameter("b", 0.12), Parameter("d", 0.4), Parameter("c", 1.5)),
+        step=0.25,
+    )
+    return replace(model, **changes)  # type: ignore[arg-type]
+
+
+def quick(model: Model | object = None, **changes: object) -> Design:
+    """Small design task, a few hundred milliseconds."""
+    settings: dict[str, object] = {
+        "limits": LIMITS,
+        "duration": 40.0,
+        "sample_time": 0.5,
+        "parametrisation": Levels(20),
+        "n_starts": 2,
+        "n_candidates": 25,
+        "n_steps": 12,
+        "n_workers": 1,
+        "rng": np.random.default_rng(4),
+    }
+    return design_experiment(model or ship(), **(settings | changes))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def designed() -> Design:
+    """One D-optimal design that several tests look at."""
+    return quick()
+
+
+def grid(rate: float = np.inf) -> Grid:
+    """Eighty samples of one input."""
+    one = np.ones(1)
+    return Grid(np.arange(81) * 0.5, ("rudder",), -0.35 * one, 0.35 * one, 0 * one, rate * one)
+
+
+SETTING = Setting(ship(), ("b", "d", "c"), np.array([0.12, 0.4, 1.5]), noise_of(ship()))
+TURN = Plan("turn", Doublet("rudder", 0.2, pulse_time=5.0), duration=20.0, sample_time=0.5)
+CRITERIA = (
+    DOptimal(),
+    AOptimal(),
+    EOptimal(),
+    ModifiedE(),
+    DsOptimal(("c",)),
+    VOptimal((TURN,)),
+    GOptimal((TURN,)),
+)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA, ids=lambda c: c.name)
+def test_criterion_gradient_and_growth(criterion: object) -> None:
+    """Derivatives equal differences, and more information is never worse (but for roundness)."""
+    measure = criterion.bind(SETTING)  # type: ignore[attr-defined]
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((9, 3)) * [30.0, 8.0, 2.0]
+    matrix = rows.T @ rows
+    value, gradient = measure(matrix)
+    direction = rng.standard_normal((3, 3))
+    direction = direction @ direction.T
+    step = 1e-5 * np.linalg.norm(matrix) / np.linalg.norm(direction)
+    slope = (measure(matrix + step * direction)[0] - measure(matrix - step * direction)[0]) / (
+        2 * step
+    )
+    assert np.sum(gradient * direction) == pytest.approx(slope, rel=1e-4)
+    if not isinstance(criterion, ModifiedE):
+        assert measure(matrix + direction)[0] > value
+
+
+def test_discrimination_gradient_equals_differences() -> None:
+    """The soft minimum over pairs has the derivative that differences find."""
+    rivals = (Force("a", {"r": "E_a*psi"}, (Parameter("E_a", 0.1),)),
+              Force("e", {"r": "E_e*r**3"}, (Parameter("E_e", 1.0),)))  # fmt: skip
+    measure = Discriminate(rivals).bind_rivals(3)
+    rng = np.random.default_rng(1)
+    rows = rng.standard_normal((20, 5))
+    matrix = rows.T @ rows
+    _, gradient = measure(matrix)
+    direction = rng.standard_normal((5, 5))
+    direction = direction @ direction.T
+    slope = (measure(matrix + 1e-6 * direction)[0] - measure(matrix - 1e-6 * direction)[0]) / 2e-6
+    assert np.sum(gradient * direction) == pytest.approx(slope, rel=1e-5)
+
+
+def test_elimination_is_the_inverse_block() -> None:
+    """Eliminated information is the inverse of a block of the inverse."""
+    rows = np.random.default_rng(2).standard_normal((12, 5))
+    matrix = rows.T @ rows
+    reduced, _ = eliminate(matrix, 2)
+    np.testing.assert_allclose(reduced, np.linalg.inv(np.linalg.inv(matrix)[2:, 2:]), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "family",
+    [Levels(20), Levels(15, "linear"), Multisines(8), Pulses(2)],
+    ids=lambda family: family.name,
+)
+def test_families_keep_actuator_limits(family: Levels) -> None:
+    """Any numbers between 0 and 1 give commands within range and rate, from neutral."""
+    fitted = grid(rate=0.2)
+    shape = family.on(fitted)
+    numbers = np.random.default_rng(3).random((50, shape.size))
+    commands = shape.commands(numbers)
+    assert commands.shape == (50, 81, 1)
+    assert np.abs(commands).max() <= 0.35 + 1e-12
+    assert np.abs(np.diff(commands, axis=1)).max() <= 0.2 * 0.5 + 1e-12
+    assert np.all(commands[:, 0] == 0)
+    assert np.ptp(commands, axis=0).max() > 0.2
+
+
+@pytest.mark.parametrize("family", [Levels(20), Levels(15, "linear"), Multisines(8)])
+def test_families_find_their_own_members(family: Levels) -> None:
+    """Numbers fitted to a member's commands give that member back."""
+    shape = family.on(grid())
+    numbers = 0.5 + 0.05 * np.random.default_rng(3).standard_normal((1, shape.size))
+    commands = shape.commands(numbers)
+    found = shape.start(commands[0])
+    assert found is not None
+    np.testing.assert_allclose(shape.commands(found[None])[:, 1:], commands[:, 1:], atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("family", "colour"),
+    [(Levels(12), None), (Levels(9, "linear"), None), (Levels(12), {"r": 0.7}), (Pulses(1), None)],
+)
+def test_objective_gradient_equals_differences(family: Levels, colour: dict | None) -> None:
+    """The gradient through restarted trajectories equals central differences of the criterion."""
+    model = ship()
+    fitted = grid()
+    shape = family.on(fitted)
+    noise = noise_of(model, coloured=colour)
+    scene = Scene(model, fitted.times, shape.edges, np.array([0.0, 0.01]), noise)
+    corridor = Corridor.of(model, Limits(signals={"psi": (-0.3, 0.3)}), {"r": (-0.1, 0.1)}, 2)
+    measure = DOptimal().bind(SETTING)
+    objective = Objective(
+        [scene], [measure], [np.eye(3)], shape, np.array([0]), np.zeros(1), corridor
+    )
+    numbers = 0.5 + 0.3 * (np.random.default_rng(5).random(shape.size) - 0.5)
+    score = objective.score(numbers)
+    prices = [np.zeros((81, 2, 2))]
+    prices[0][30:50, 0, 1], prices[0][-1, 1, 0] = 0.7, 2.0
+    gradient = objective.gradient(score, prices)
+
+    def total(x: np.ndarray) -> float:
+        one = objective.score(x)
+        excess = corridor.excess(one.views[0].signals, n_times=81)
+        return one.value - float(np.sum(prices[0] * np.where(np.isfinite(excess), excess, 0.0)))
+
+    for index in (0, shape.size // 2, shape.size - 1):
+        step = np.zeros(shape.size)
+        step[index] = 1e-4
+        slope = (total(numbers + step) - total(numbers - step)) / 2e-4
+        assert gradient[index] == pytest.approx(slope, rel=2e-3, abs=1e-3)
+
+
+def test_design_keeps_limits_and_beats_zigzags(designed: Design) -> None:
+    """The design stays inside every limit when simulated anew, and tells more."""
+    run = simulate_inputs(
+        ship(), designed.trajectory.times, inputs=designed.experiment.commands(("rudder",))
+    )
+    assert LIMITS.violations(run.times, run.signals) == ()
+    assert np.ptp(run.signal("psi")) > 0.5
+    for reference in designed.references:
+        record = simulate(ship(), reference.experiment, noise=False)
+        assert np.abs(record.output("psi")).max() <= 0.6
+        mean, _ = designed.gain(reference)
+        assert mean > 1.3
+    assert designed.value >= max(designed.start_values) - 1e-9
+
+
+def test_design_predicts_the_information_of_its_experiment(designed: Design) -> None:
+    """The stated errors are those of the exported experiment, found independently."""
+    again = information_of(ship(), designed.experiment)
+    np.testing.assert_allclose(again.std_errors, designed.information.std_errors, rtol=1e-9)
+
+
+def test_design_is_reported_and_stored(designed: Design, tmp_path: object) -> None:
+    """Report, card and dictionary name what matters; the CSV plays back as a record."""
+    assert "times larger" in designed.report()
+    card = designed.sea_trial_card()
+    assert "ABORT outside -34.38 to 34.38 deg" in card
+    assert "40 s" in card
+    stored = designed.to_dict()
+    assert Experiment.from_dict(stored["experiment"]) == designed.experiment
+    path = tmp_path / "commands.csv"  # type: ignore[operator]
+    designed.write_csv(path, predicted=True)
+    record = read_csv(path, ship().channels)[0]
+    np.testing.assert_array_equal(record.inputs, designed.trajectory.inputs)
+    np.testing.assert_array_equal(record.outputs, designed.trajectory.outputs)
+
+
+def test_same_generator_same_design(designed: Design) -> None:
+    """A design is reproducible from its generator's seed."""
+    np.testing.assert_allclose(quick().trajectory.inputs, designed.trajectory.inputs, atol=1e-6)
+
+
+def test_return_to_the_start_is_kept() -> None:
+    """Limits on the end hold at the end."""
+    found = quick(end={"psi": (-0.02, 0.02), "r": (-0.01, 0.01)})
+    assert abs(found.trajectory.signal("psi")[-1]) <= 0.02 + 1e-9
+    assert abs(found.trajectory.signal("r")[-1]) <= 0.01 + 1e-9
+
+
+def test_impossible_limits_are_named() -> None:
+    """Contradictions say which signal, where and how far."""
+    with pytest.raises(DesignError, match="start already breaks"):
+        quick(initial={"psi": 1.0})
+    with pytest.raises(DesignError, match=r"psi is .* at the end, below its limit of 9"):
+        quick(limits=replace(LIMITS, signals={}), end={"psi": (9.0, 10.0)})
+    with pytest.raises(DesignError, match="no finite range"):
+        quick(inputs=["rudder"], limits=Limits())
+    with pytest.raises(DesignError, match="no input 'fin'"):
+        quick(inputs=["fin"])
+
+
+def test_criterion_of_interest_improves_its_parameter(designed: Design) -> None:
+    """Ds for one parameter determines it at least as well as D for all does."""
+    found = quick(criterion=DsOptimal(("c",)), n_starts=3)
+    index = found.names.index("c")
+    assert found.relative_errors[index] < 1.02 * designed.relative_errors[index]
+
+
+def test_prior_knowledge_is_completed() -> None:
+    """After a fit the next design starts from its information and adds to it."""
+    data = Dataset((simulate(ship(), TURN, rng=np.random.default_rng(0)),))
+    fit = MultipleShooting(noise="given").fit(ship(), data)
+    found = quick(fit)
+    assert found.prior is not None
+    np.testing.assert_allclose(found.prior.std_errors, fit.information.std_errors, rtol=1e-6)
+    assert np.all(found.information.std_errors < found.prior.std_errors)
+
+
+def test_series_accumulates() -> None:
+    """Each experiment of a series includes what those before it tell."""
+    first, second = design_series(
+        ship(), 2, limits=LIMITS, duration=30.0, sample_time=0.5, parametrisation=Levels(10),
+        n_starts=1, n_candidates=10, n_steps=6, rng=np.random.default_rng(1), n_workers=1,
+    )  # fmt: skip
+    assert second.experiment.name == "designed_2"
+    alone = information_of(ship(), second.experiment)
+    np.testing.assert_allclose(
+        second.information.matrix, first.information.matrix + alone.matrix, rtol=1e-6
+    )
+
+
+def test_zigzag_family_reacts_and_keeps_limits() -> None:
+    """A designed zigzag is an experiment with feedback inside the corridor."""
+    found = quick(parametrisation=ZigZags("psi", 0.5, n_swings=2, n_trials=40))
+    assert found.experiment.reacts
+    assert LIMITS.violations(found.trajectory.times, found.trajectory.signals) == ()
+    assert found.gain(found.references[0])[0] > 1.0
+
+
+def test_robust_design_keeps_limits_for_all_sampled_vehicles() -> None:
+    """A robust design stays inside for the drawn values, and loses little at the nominal."""
+    robust = Robust(DOptimal(), spread=0.3, n_sets=3, worst=True)
+    found = quick(criterion=robust)
+    outside = []
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        drawn = ship().with_values(
+            {n: v * (1 + 0.3 * rng.uniform(-1, 1)) for n, v in ship().values.items()}
+        )
+        run = simulate_inputs(drawn, found.trajectory.times, inputs=found.trajectory.inputs)
+        outside += LIMITS.violations(run.times, run.signals)
+    assert outside == []
+    assert "worst D over 4 sets" in found.report()
+
+
+def test_discrimination_raises_the_misfit_between_rivals() -> None:
+    """A design to discriminate separates rivals better than one to identify."""
+    rivals = (
+        Force("cubic", {"r": "E_cubic*r**3"}, (Parameter("E_cubic", 0.0, scale=2.0),)),
+        Force("restoring", {"r": "E_restoring*psi"}, (Parameter("E_restoring", 0.0, scale=0.02),)),
+    )
+    found = quick(criterion=Discriminate(rivals), n_starts=3)
+    assert set(found.misfits) == {
+        ("cubic", "small ship"),
+        ("cubic", "restoring"),
+        ("restoring", "small ship"),
+        ("restoring", "cubic"),
+    }
+    # Refit of the believed model to noise-free data of the rival: the real misfit.
+    truth = ship() + rivals[0].with_values({"E_cubic": 2.0})
+    data = Dataset((simulate(truth, found.experiment, noise=False),))
+    fit = MultipleShooting(noise="given", coloured="never").fit(ship(), data)
+    assert 2 * fit.cost == pytest.approx(found.misfits["cubic", "small ship"], rel=0.3)
+    plain = quick()
+    commands = plain.trajectory.inputs
+    assert min(found.misfits.values()) > _smallest_misfit(rivals, commands)
+
+
+def _smallest_misfit(rivals: tuple[Force, ...], commands: np.ndarray) -> float:
+    """Smallest pairwise misfit of given commands, by dense least squares."""
+    model = ship()
+    criterion = Discriminate(rivals)
+    times = np.arange(len(commands)) * 0.5
+    runner = kernel(model)
+    z, _ = runner.start(np.zeros(2), commands[0], model.value_vector, 0.0)
+    run = runner.run(times, commands, model.value_vector, z, sensitivities=True)
+    assert run.output_sensitivities is not None
+    sigma = np.array([5e-3, 2e-3])
+    base = (run.output_sensitivities / sigma[:, None]).reshape(-1, 5)
+    shifts = []
+    for rival in criterion.models(model):
+        other = simulate_inputs(rival, times, inputs=commands)
+        shifts.append(((other.outputs - run.outputs) / sigma).ravel())
+    smallest = np.inf
+    for i, shift in enumerate(shifts):
+        for extra in ([], *([s] for j, s in enumerate(shifts) if j != i)):
+            columns = np.column_stack([base, *extra])
+            left = shift - columns @ np.linalg.lstsq(columns, shift, rcond=None)[0]
+            smallest = min(smallest, float(left @ left))
+    return smallest
