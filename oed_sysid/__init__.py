@@ -71,14 +71,6 @@ def __dir__() -> list[str]:
 if TYPE_CHECKING:
     from oed_sysid.channels import Channels, Input, Output, State
     from oed_sysid.dataset import Dataset, Record, read_csv, write_csv
-    from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
-    from oed_sysid.errors import OedSysidError
-    from oed_sysid.estimators import MultipleShooting
-    from oed_sysid.experiment import Experiment, Limits
-    from oed_sysid.fit import Fit
-    from oed_sysid.model import Model
-    from oed_sysid.parameters import Parameter
-    from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
     from oed_sysid.design import (
         AOptimal,
         Discriminate,
@@ -92,6 +84,14 @@ if TYPE_CHECKING:
         design_experiment,
         design_series,
     )
+    from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
+    from oed_sysid.errors import OedSysidError
+    from oed_sysid.estimators import MultipleShooting
+    from oed_sysid.experiment import Experiment, Limits
+    from oed_sysid.fit import Fit
+    from oed_sysid.model import Model
+    from oed_sysid.parameters import Parameter
+    from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
     from oed_sysid.sensitivity import (
         information_of,
         rank_parameters,
