@@ -17,6 +17,8 @@ from scipy.special import gammaincc
 
 # Directions whose information falls below this share of the best are null.
 NULL_TOLERANCE = 1e-7
+# Largest gain per sample of the recursion that is taken out of coloured residuals.
+LONGEST_MEMORY = 0.97
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +223,8 @@ def whiteness(series: np.ndarray, n_lags: int = 20) -> Whiteness:
     n = int(np.isfinite(series).sum())
     n_lags = min(n_lags, max(1, n // 5))
     rho = autocorrelation(series, n_lags)
-    statistic = n * (n + 2) * float(np.sum(rho[1:] ** 2 / (n - np.arange(1, n_lags + 1))))
+    # rho has the number of pairs as divisor, not the number of samples as theirs has.
+    statistic = (n + 2) / n * float(np.sum(rho[1:] ** 2 * (n - np.arange(1, n_lags + 1))))
     return Whiteness(
         statistic,
         float(gammaincc(n_lags / 2, statistic / 2)),
@@ -257,16 +260,13 @@ def coloured_score_covariance(
     """
     n_unknowns = jacobians[0].shape[2]
     total = np.zeros((n_unknowns, n_unknowns))
-    lags = _taper_length(residuals)
-    taper = np.minimum(1.0, 2.0 * (1.0 - np.arange(lags + 1) / (lags + 1.0)))
-    covariance = _lagged_covariance(residuals, lags) * taper[:, None, None]
+    colour = _Colour(residuals)
     for jacobian in jacobians:
-        size = next_fast_len(len(jacobian) + lags + 1, real=True)
-        # A convolution in time is a product in frequency.
-        one_sided = np.fft.rfft(covariance, size, axis=0).conj()
-        spectrum = one_sided + one_sided.conj().transpose(0, 2, 1) - covariance[0]
-        values, vectors = np.linalg.eigh(spectrum)
+        # Twice the length: a colour with memory must not wrap around.
+        size = next_fast_len(2 * len(jacobian) + len(colour.covariance), real=True)
+        values, vectors = np.linalg.eigh(colour.spectrum(size))
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+        # A convolution in time is a product in frequency.
         rows = root.conj().transpose(0, 2, 1) @ np.fft.rfft(jacobian, size, axis=0)
         # All frequencies but zero (and the last, if the size is even) occur twice.
         twice = np.full(len(rows), 2.0)
@@ -276,6 +276,49 @@ def coloured_score_covariance(
         rows = (rows * np.sqrt(twice / size)[:, None, None]).reshape(-1, n_unknowns)
         total += (rows.conj().T @ rows).real
     return total
+
+
+class _Colour:
+    """Spectrum of residuals: a first-order recursion, and what it leaves, tapered.
+
+    Taking the recursion out first (Andrews & Monahan 1992) leaves little for
+    the taper to spoil, so that slow residuals need fewer samples.
+    """
+
+    def __init__(self, residuals: Sequence[np.ndarray]) -> None:
+        n_outputs = residuals[0].shape[1]
+        self.recursion = np.zeros((n_outputs, n_outputs))
+        rough = _lagged_covariance(residuals, 1)
+        recursion = _stable(rough[1].T @ np.linalg.pinv(rough[0], rcond=1e-8))
+        whiter = [r[1:] - r[:-1] @ recursion.T for r in residuals]
+        n_left = sum(int(np.isfinite(w).sum()) for w in whiter)
+        if n_left > 0.5 * sum(int(np.isfinite(r).sum()) for r in residuals):
+            self.recursion = recursion
+        else:  # too many gaps for differences between neighbours
+            whiter = list(residuals)
+        lags = _taper_length(whiter)
+        taper = np.minimum(1.0, 2.0 * (1.0 - np.arange(lags + 1) / (lags + 1.0)))
+        # Through the covariances of the residuals themselves, so that no sample is lost to a gap.
+        own = _lagged_covariance(residuals, lags + 1)
+        before = np.concatenate([own[1:2].transpose(0, 2, 1), own[:lags]])
+        a = self.recursion
+        left = own[:-1] - before @ a.T - a @ own[1:] + a @ own[:-1] @ a.T
+        self.covariance = left * taper[:, None, None]
+
+    def spectrum(self, size: int) -> np.ndarray:
+        """Cross spectra at the frequencies of a real transform, ``(n, m, m)``."""
+        one_sided = np.fft.rfft(self.covariance, size, axis=0).conj()
+        left = one_sided + one_sided.conj().transpose(0, 2, 1) - self.covariance[0]
+        turn = np.exp(-2j * np.pi * np.arange(len(left)) / size)
+        filtered = np.eye(len(self.recursion)) - turn[:, None, None] * self.recursion
+        inverse = np.linalg.inv(filtered)
+        return inverse @ left @ inverse.conj().transpose(0, 2, 1)
+
+
+def _stable(recursion: np.ndarray) -> np.ndarray:
+    """Shrink a recursion that remembers for longer than a record can tell."""
+    left, values, right = np.linalg.svd(recursion)
+    return (left * np.minimum(values, LONGEST_MEMORY)) @ right
 
 
 def _taper_length(residuals: Sequence[np.ndarray]) -> int:

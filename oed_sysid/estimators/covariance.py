@@ -17,6 +17,8 @@ from oed_sysid.shooting import Linearisation, Loss, Shooting
 # A combination of initial states seen less than this share of the best is not projected out.
 BLIND = 1e-10
 SAME_SAMPLING = 0.01
+# With so few independent samples that more is lost, no correction helps.
+MOST_LOST = 2.0
 
 
 class ReducedProblem:
@@ -76,9 +78,20 @@ class ReducedProblem:
         return Information.from_jacobian(self.shooting.layout.shared_names, jacobian, scales)
 
     @property
-    def is_coloured(self) -> bool:
+    def _counts(column: np.ndarray) -> bool:
+    """Whether a series is long enough for its correlation to be estimated."""
+    return int(np.isfinite(column).sum()) > 20
+
+
+def is_coloured(self) -> bool:
         """Whether residuals count clearly fewer independent samples than they have."""
         return is_coloured(self.scores)
+
+    @property
+    def _lost_freedom(self) -> float:
+        """How much the fit has shrunk the residuals' variance, by independent samples."""
+        count = sum(effective_sample_size(c) for s in self.scores for c in s.T if _counts(c))
+        return min(count / max(count - self.shooting.layout.n_unknowns, 1.0), MOST_LOST)
 
     def sandwich(self, white: np.ndarray, *, coloured: bool) -> np.ndarray:
         """Covariance ``H^-1 B H^-1`` of the shared parameters.
@@ -109,6 +122,7 @@ class ReducedProblem:
             for jacobian in jacobians:
                 flat = (jacobian * np.sqrt(variance)[:, None]).reshape(-1, len(white))
                 middle += flat.T @ flat
+        middle *= self._lost_freedom
         middle += sum(rows.T @ rows for rows in self.prior_rows)
         finite = np.flatnonzero(np.isfinite(np.diag(white)))
         block = np.ix_(finite, finite)
@@ -122,10 +136,9 @@ def is_coloured(residuals: Sequence[np.ndarray], limit: float = COLOUR_LIMIT) ->
     effective = total = 0.0
     for residual in residuals:
         for column in residual.T:
-            n = int(np.isfinite(column).sum())
-            if n > 20:
+            if _counts(column):
                 effective += effective_sample_size(column)
-                total += n
+                total += int(np.isfinite(column).sum())
     return total > 0 and effective < limit * total
 
 

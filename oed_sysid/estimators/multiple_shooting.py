@@ -71,7 +71,7 @@ class MultipleShooting:
         ``"gauss-newton"``, condensed and fast; or ``"ipopt"``, which holds
         every node as an unknown and takes constraints.
     hessian : str
-        For IPOPT: ``"exact"`` or ``"gauss-newton"``.
+        For IPOPT: ``"gauss-newton"`` or ``"exact"``.
     constraints : sequence of str
         For IPOPT: comparisons among parameters, such as ``"M_uq < 0"`` or
         ``"Y_v*N_r > N_v*Y_r"``. Standard errors ignore them.
@@ -86,7 +86,7 @@ class MultipleShooting:
     coloured: str = "auto"
     progress: Callable[[Progress], None] | None = None
     solver: str = "gauss-newton"
-    hessian: str = "exact"
+    hessian: str = "gauss-newton"
     constraints: Sequence[str] = ()
 
     def __post_init__(self) -> None:
