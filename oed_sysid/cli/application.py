@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from oed_sysid.cli import commands_data, commands_fit, commands_plan
+from oed_sysid.cli import commands_data, commands_fit, commands_improve, commands_plan
 
 EPILOG = (
     "Exit codes: 0 done; 1 the work ended without a usable result, such as a fit that did not "
@@ -47,6 +47,6 @@ def _settings(
     pass  # --debug is taken out of the command line before, in oed_sysid.cli.main
 
 
-for module in (commands_data, commands_plan, commands_fit):
+for module in (commands_data, commands_plan, commands_fit, commands_improve):
     for command in module.COMMANDS:
         app.command(no_args_is_help=command.__name__ != "problems")(command)

@@ -1,13 +1,18 @@
-"""Commands that estimate: fit."""
+"""Commands that estimate and judge: fit, compare."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from oed_sysid.cli.options import JsonFile, KnownNoise, ProblemName, Variant
-from oed_sysid.cli.terminal import progress, say, store
+from oed_sysid.cli.options import HtmlFile, JsonFile, KnownNoise, ProblemName, Test, Train, Variant
+from oed_sysid.cli.terminal import note, progress, say, store
+
+if TYPE_CHECKING:
+    from oed_sysid.model import Model
+    from oed_sysid.problem import Problem
 
 
 def fit(
@@ -23,6 +28,16 @@ def fit(
     model: Variant = None,
     known_noise: KnownNoise = False,
     json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            "--save",
+            metavar="FILE",
+            help="Keep the whole fit, data included, for `oed-sysid report` and Fit.load.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Estimate the parameters of a problem's model from measured records.
 
@@ -36,11 +51,78 @@ def fit(
     dataset = read_csv(files, chosen.channels)
     noise = "given" if known_noise else "auto"
     with progress("Fitting") as show:
-        result = MultipleShooting(noise=noise, progress=show).fit(chosen.model, dataset)
+        result = MultipleShooting(noise=noise, progress=show.iteration).fit(chosen.model, dataset)
     say(result.report())
     store(result.to_dict(), json_file)
+    if save is not None:
+        save.parent.mkdir(parents=True, exist_ok=True)
+        result.save(save)
+        note(f"Written: {save}")
+    if html_file is not None:
+        from oed_sysid.report import fit_page
+
+        note(f"Written: {fit_page(result).write(html_file)}")
     if not result.status.ok:
         raise typer.Exit(1)
 
 
-COMMANDS = (fit,)
+def compare(
+    problem: ProblemName,
+    train: Train,
+    test: Test,
+    added: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--with",
+            metavar="EFFECT...",
+            help="Also compare the model with these candidates added, one by one; a+b adds two.",
+            show_default=False,
+        ),
+    ] = None,
+    model: Variant = None,
+    known_noise: KnownNoise = False,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+) -> None:
+    """Fit to training records and say where predictions of other records fail.
+
+    [bold]Example[/bold]: oed-sysid compare remus_diving_plane --train t1.csv t2.csv --test v.csv
+    """
+    from oed_sysid.dataset import read_csv
+    from oed_sysid.diagnosis.compare import compare as compare_models
+    from oed_sysid.estimators import MultipleShooting
+    from oed_sysid.problem import load_problem
+
+    chosen = load_problem(problem, variant=model)
+    training, untouched = (read_csv(files, chosen.channels) for files in (train, test))
+    noise = "given" if known_noise else "auto"
+    fits = {}
+    with progress("Fitting") as show:
+        for name, one in _models(chosen, added or []).items():
+            show.say(f"Fitting {name}")
+            fits[name] = MultipleShooting(noise=noise, progress=show.iteration).fit(one, training)
+        show.say("Predicting")
+        result = compare_models(fits, untouched)
+    say(result.report())
+    stopped = {name: fit for name, fit in fits.items() if not fit.status.ok}
+    for name, fit in stopped.items():
+        note(f"The fit of {name} ended as {fit.status}")
+    store(result.to_dict(), json_file)
+    if html_file is not None:
+        from oed_sysid.report import comparison_page
+
+        note(f"Written: {comparison_page(result, title=chosen.title).write(html_file)}")
+    if stopped:
+        raise typer.Exit(1)
+
+
+def _models(problem: Problem, added: list[str]) -> dict[str, Model]:
+    """The believed model, and one for each group of candidates added to it."""
+    models = {"as believed": problem.model}
+    for group in added:
+        effects = [problem.effect(name.strip()) for name in group.split("+")]
+        models[f"with {' and '.join(effect.name for effect in effects)}"] = problem.model + effects
+    return models
+
+
+COMMANDS = (fit, compare)

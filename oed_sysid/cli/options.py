@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 # Options that take several values after one flag; see oed_sysid.cli.arguments.
-SEVERAL = ("--train", "--test", "--experiment", "--records")
+SEVERAL = ("--train", "--test", "--experiment", "--records", "--with")
 
 ProblemName = Annotated[
     str,
@@ -31,6 +31,15 @@ JsonFile = Annotated[
     Path | None,
     typer.Option(
         "--json", metavar="FILE", help="Also write the result to FILE as JSON.", show_default=False
+    ),
+]
+HtmlFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--html",
+        metavar="FILE",
+        help="Also write a report with pictures, one file that can be mailed.",
+        show_default=False,
     ),
 ]
 Train = Annotated[

@@ -44,35 +44,54 @@ def table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     Console(width=wide, highlight=False, markup=False).print(grid)
 
 
+class Shown:
+    """A line on the terminal that says what is being done.
+
+    Parameters
+    ----------
+    update : callable
+        Shows a text.
+    what : str
+        What is being done.
+    """
+
+    def __init__(self, update: Callable[[str], None], what: str) -> None:
+        self._update = update
+        self._what = what
+
+    def say(self, what: str) -> None:
+        """Tell what is being done from now on."""
+        self._what = what[:1].upper() + what[1:]
+        self._update(self._what)
+
+    def iteration(self, state: Progress) -> None:
+        """Tell how far a fit is; an estimator's ``progress``."""
+        self._update(f"{self._what}: iteration {state.iteration}, cost {state.cost:.6g}")
+
+
 @contextmanager
-def progress(what: str) -> Iterator[Callable[[Progress], None]]:
-    """Show the iterations of a fit on a terminal, and nothing in a pipe.
+def progress(what: str) -> Iterator[Shown]:
+    """Show what is being done, and for how long, on a terminal; nothing in a pipe.
 
     Parameters
     ----------
     what : str
-        What is being done.
+        What is being done first.
 
     Yields
     ------
-    callable
-        To be handed to an estimator as ``progress``.
+    Shown
+        To be told how things go on.
     """
     from rich.console import Console
     from rich.progress import Progress as Bar
     from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    console = Console(stderr=True, markup=False)
+    console = Console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
     with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=None)
-
-        def show(state: Progress) -> None:
-            bar.update(
-                task, description=f"{what}: iteration {state.iteration}, cost {state.cost:.6g}"
-            )
-
-        yield show
+        yield Shown(lambda text: bar.update(task, description=text), what)
 
 
 def store(result: Mapping[str, Any], path: Path | None) -> None:

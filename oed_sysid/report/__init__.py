@@ -6,6 +6,7 @@ figure, and returns them; nothing is shown and no global setting is touched.
 report in one file.
 """
 
+from oed_sysid.report.comparison_page import comparison_page
 from oed_sysid.report.fit_page import fit_page
 from oed_sysid.report.fit_plots import (
     figure_fit,
@@ -17,7 +18,15 @@ from oed_sysid.report.fit_plots import (
     plot_output,
     plot_residual,
 )
+from oed_sysid.report.improvement_page import improvement_page
+from oed_sysid.report.improvement_plots import plot_error_fall, plot_located, plot_ranking
 from oed_sysid.report.page import Page, Picture, Section, Table
+from oed_sysid.report.prediction_plots import (
+    figure_predictions,
+    plot_comparison,
+    plot_prediction,
+    plot_prediction_error,
+)
 from oed_sysid.report.style import model_style
 from oed_sysid.report.track_plots import plot_track, plot_zigzag
 
@@ -26,15 +35,24 @@ __all__ = [
     "Picture",
     "Section",
     "Table",
+    "comparison_page",
     "figure_fit",
+    "figure_predictions",
     "figure_whiteness",
     "fit_page",
+    "improvement_page",
     "model_style",
     "plot_autocorrelation",
+    "plot_comparison",
     "plot_correlation",
+    "plot_error_fall",
     "plot_input",
     "plot_intervals",
+    "plot_located",
     "plot_output",
+    "plot_prediction",
+    "plot_prediction_error",
+    "plot_ranking",
     "plot_residual",
     "plot_track",
     "plot_zigzag",

@@ -1,0 +1,68 @@
+"""Commands that find missing physics: improve."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from oed_sysid.cli.options import HtmlFile, JsonFile, KnownNoise, ProblemName, Train, Variant
+from oed_sysid.cli.terminal import note, progress, say, store
+
+
+def improve(
+    problem: ProblemName,
+    train: Train,
+    test: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--test",
+            metavar="CSV...",
+            help="Untouched records to test the claim with; without them there is no test.",
+            show_default=False,
+        ),
+    ] = None,
+    model: Variant = None,
+    known_noise: KnownNoise = False,
+    max_effects: Annotated[
+        int, typer.Option("--max-effects", min=1, help="Most effects to add.")
+    ] = 4,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+) -> None:
+    """Find the effects that a model lacks, and test the claim on untouched records.
+
+    [bold]Example[/bold]: oed-sysid improve remus_diving_plane --train train_*.csv --test test_*.csv
+    """
+    from oed_sysid.dataset import read_csv
+    from oed_sysid.diagnosis.compare import compare
+    from oed_sysid.diagnosis.improve import improve
+    from oed_sysid.problem import load_problem
+
+    chosen = load_problem(problem, variant=model)
+    training = read_csv(train, chosen.channels)
+    untouched = read_csv(test, chosen.channels) if test else None
+    with progress("Starting") as show:
+        result = improve(
+            chosen.model,
+            training,
+            untouched,
+            candidates=chosen.effects,
+            known_noise=known_noise,
+            max_effects=max_effects,
+            progress=show.say,
+        )
+    say(result.report())
+    store({"problem": chosen.name, "known_noise": known_noise} | result.to_dict(), json_file)
+    if html_file is not None:
+        from oed_sysid.report import improvement_page
+
+        models = {"as believed": result.base}
+        if result.steps:
+            models["improved"] = result.model
+        comparison = compare(models, untouched or training)
+        page = improvement_page(result, comparison, title=chosen.title)
+        note(f"Written: {page.write(html_file)}")
+
+
+COMMANDS = (improve,)

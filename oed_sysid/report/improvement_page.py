@@ -1,0 +1,188 @@
+"""The report on a search for missing physics."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed_sysid.diagnosis.compare import Comparison
+from oed_sysid.diagnosis.improvement import Improvement
+from oed_sysid.report.comparison_page import comparison_sections
+from oed_sysid.report.improvement_plots import plot_error_fall, plot_located, plot_ranking
+from oed_sysid.report.page import Page, Picture, Section, Table
+from oed_sysid.report.style import new_figure
+
+
+def improvement_page(
+    improvement: Improvement, comparison: Comparison | None = None, *, title: str = ""
+) -> Page:
+    """Compose the report on a search: verdict, steps, evidence, predictions, estimates.
+
+    Parameters
+    ----------
+    improvement : Improvement
+        The search.
+    comparison : Comparison, optional
+        Of the believed and the improved model, best on untouched records.
+    title : str
+        Heading; by default the name of the model.
+    """
+    before, after = improvement.base_error, improvement.final_error
+    which = "test" if np.isfinite(after["test"]) else "train"
+    records = "untouched" if which == "test" else "training"
+    sections = [_steps(improvement), *_located(improvement), _evidence(improvement)]
+    if comparison is not None:
+        sections += comparison_sections(comparison)
+    sections += [
+        _estimates(improvement),
+        Section("Equations of the improved model", listing=improvement.model.equations()),
+    ]
+    return Page(
+        title=title or improvement.base.name,
+        subtitle="What the model lacks, and what it predicts with it",
+        verdict=improvement_verdict(improvement),
+        numbers=(
+            (f"error on {records} records, as believed", f"{before[which]:.3g} × noise"),
+            ("improved", f"{after[which]:.3g} × noise"),
+            ("effects added", str(len(improvement.steps))),
+            ("candidates", str(len(improvement.ranking.scores))),
+        ),
+        sections=tuple(sections),
+    )
+
+
+def improvement_verdict(improvement: Improvement) -> tuple[str, ...]:
+    """Say in sentences what is missing, what it brings, and whether the rest is noise."""
+    before, after = improvement.base_error, improvement.final_error
+    which = "test" if np.isfinite(after["test"]) else "train"
+    records = "records that nothing was fitted to" if which == "test" else "training records"
+    says = [
+        f"As believed, the model predicts the {records} with an error of {before[which]:.3g} times "
+        "the noise."
+    ]
+    for step in improvement.steps:
+        words = improvement.model.effect(step.added).description
+        meaning = f" ({words})" if words else ""
+        rivals = [name for name in step.group if name != step.added]
+        if rivals:
+            says.append(
+                f"It lacks {step.added}{meaning}, or one of these, which the records cannot tell "
+                f"from it: {', '.join(rivals)}."
+            )
+        else:
+            says.append(f"It lacks {step.added}{meaning}.")
+    if improvement.steps:
+        says.append(f"Improved, its error is {after[which]:.3g} times the noise.")
+    else:
+        says.append("No candidate is missing that these records could show.")
+    if which == "train":
+        says.append("There were no untouched records, so the claim has not been tested.")
+    says.append(improvement.report().rstrip().splitlines()[-1])
+    return tuple(says)
+
+
+def _steps(improvement: Improvement) -> Section:
+    rows = tuple(
+        (
+            step.added,
+            f"{step.evidence:.4g}",
+            f"{step.needed:.3g}",
+            f"{step.test_gain:.4g}" if np.isfinite(step.test_gain) else "",
+            f"{step.train_error:.3g}",
+            f"{step.test_error:.3g}" if np.isfinite(step.test_error) else "",
+            ", ".join(name for name in step.group if name != step.added) or "none",
+        )
+        for step in improvement.steps
+    )
+    headers = (
+        "added", "evidence", "needed", "on untouched records", "error, training",
+        "error, untouched", "cannot be told from it",
+    )  # fmt: skip
+    figure, axes = new_figure(1, 1, size=(7.6, 3.8))
+    plot_error_fall(improvement, ax=axes[0, 0])
+    picture = Picture.of(
+        figure,
+        "Prediction error over whole records, in units of the noise. One is a right model.",
+    )
+    words = [
+        "Evidence is the gain in twice the log-likelihood after all parameters and noise levels "
+        "were estimated again; chance exceeds the needed gain once in a hundred searches. "
+        "Nothing was fitted to the untouched records but their initial states."
+    ]
+    if improvement.rejected:
+        refused = ", ".join(dict.fromkeys(improvement.rejected))
+        words.append(f"Refused, because the untouched records became less likely: {refused}.")
+    tables = (Table(headers, rows, words=(6,)),) if rows else ()
+    return Section("What is missing", tuple(words), tables=tables, pictures=(picture,))
+
+
+def _located(improvement: Improvement) -> tuple[Section, ...]:
+    if not improvement.located:
+        return ()
+    figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.3 * len(improvement.located)))
+    plot_located(improvement, ax=axes[0, 0])
+    picture = Picture.of(
+        figure,
+        "Evidence that each equation or sensor of the believed model is disturbed. Beyond the "
+        "line it is more than chance. A force and a sensor can imitate each other.",
+    )
+    return (Section("Where the believed model fails", pictures=(picture,)),)
+
+
+def _evidence(improvement: Improvement) -> Section:
+    ranking = improvement.ranking
+    figure, axes = new_figure(1, 1, size=(8.4, 5.2))
+    plot_ranking(ranking, ax=axes[0, 0])
+    picture = Picture.of(
+        figure,
+        "The candidates in the first round. The score is computed without refitting; the most "
+        "promising candidates are then refitted.",
+    )
+    hidden = ranking.undetectable()
+    words = []
+    tables = []
+    if hidden:
+        words.append(
+            f"{len(hidden)} of {len(ranking.scores)} candidates would not be seen in these "
+            "records at their typical size. That they were not found says nothing about them."
+        )
+        rows = tuple(
+            (name, ", ".join(f"{key} {value:.3g}" for key, value in limits.items()) or "any size")
+            for name, limits in hidden.items()
+        )
+        headers = ("candidate", "would be seen from")
+        tables.append(Table(headers, rows, caption="Invisible at typical size", words=(1,)))
+    return Section("Evidence", tuple(words), tuple(tables), (picture,))
+
+
+def _estimates(improvement: Improvement) -> Section:
+    believed = improvement.base.values
+    rows = []
+    for one in improvement.parameters:
+        name, value, error = one["name"], one["value"], one["std_error"]
+        prior = improvement.model.parameter(name)
+        known = "" if prior.prior_mean is None else f"{prior.prior_mean:.4g}"
+        if prior.prior_std is not None:
+            known += f" ± {prior.prior_std:.2g}"
+        rows.append(
+            (
+                name,
+                f"{value:.5g}",
+                f"{error:.2g}",
+                f"{100 * error / abs(value):.2g} %" if value else "",
+                f"{believed[name]:.5g}" if name in believed else "",
+                known,
+                one["unit"],
+            )
+        )
+    headers = (
+        "parameter", "value", "std. error", "relative", "without the effects", "believed before",
+        "unit",
+    )  # fmt: skip
+    added = {p.name for s in improvement.steps for p in _parameters(improvement, s.added)}
+    marked = tuple(i for i, row in enumerate(rows) if row[0] in added)
+    return Section("Estimates", tables=(Table(headers, tuple(rows), marked=marked),))
+
+
+def _parameters(improvement: Improvement, effect: str) -> tuple:
+    names = improvement.model.effect_names
+    return improvement.model.effect(effect).parameters if effect in names else ()

@@ -1,0 +1,168 @@
+"""Pictures of a search for missing physics: candidates, groups, and the fall of the error."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+
+from oed_sysid.diagnosis.improvement import REMAINDER_LIMIT, Improvement
+from oed_sysid.diagnosis.rank import Ranking
+from oed_sysid.report.style import (
+    COLOURS,
+    NEUTRAL,
+    TRUTH,
+    clean,
+    new_axes,
+    spread_legend,
+)
+
+_BEST, _GROUP = COLOURS[1], COLOURS[5]
+
+
+def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None) -> Axes:
+    """Plot the evidence for each candidate: quick score, and gain after a refit.
+
+    Bars are the gain in twice the log-likelihood after all parameters were
+    estimated again with the candidate; candidates that were not refitted show
+    their score as a dot only. The line is the gain that chance exceeds once in
+    a hundred searches; hatched bars cannot be told from the best.
+
+    Parameters
+    ----------
+    ranking : Ranking
+        Of one round.
+    n_shown : int
+        How many candidates.
+    ax : Axes, optional
+        Where to draw.
+    """
+    names = ranking.order[:n_shown]
+    ax = new_axes(ax, size=(7.2, 1.3 + 0.3 * len(names)))
+    rows = np.arange(len(names))[::-1]
+    score = {one.effect.name: one.statistic for one in ranking.scores}
+    gain = {refit.name: refit.gain for refit in ranking.refits}
+    group = [refit.name for refit in ranking.group()]
+    for name, row in zip(names, rows, strict=True):
+        if name in gain:
+            alike = name in group
+            colour = _BEST if name == group[0] else _GROUP if alike else "0.8"
+            ax.barh(
+                row, max(gain[name], 0.0), height=0.62, color=colour, edgecolor="0.25", lw=0.6,
+                hatch="///" if alike and name != group[0] else None,
+            )  # fmt: skip
+        ax.plot(score[name], row, "D", ms=4.5, mfc="white", mec=TRUTH, zorder=3)
+    if ranking.refits:
+        needed = ranking.needed(ranking.refits[0])
+        ax.axvline(needed, color=TRUTH, ls="--", lw=1.0)
+        ax.annotate(
+            "needed for a claim", (needed, 0.0), xycoords=("data", "axes fraction"),
+            xytext=(3, 4), textcoords="offset points", fontsize=8, rotation=90, va="bottom",
+        )  # fmt: skip
+    ax.set_yticks(rows, [name.replace("_", " ") for name in names])
+    largest = max([*gain.values(), *(score[name] for name in names), 1.0])
+    _readable_scale(ax, largest)
+    ax.set(xlabel="evidence: gain in twice the log-likelihood [-]")
+    clean(ax)
+    ax.grid(False, axis="y")
+    handles = [
+        Patch(fc=_BEST, ec="0.25", label="best after refit"),
+        Patch(fc=_GROUP, ec="0.25", hatch="///", label="cannot be told from the best"),
+        Patch(fc="0.8", ec="0.25", label="other refits"),
+        ax.plot([], [], "D", ms=4.5, mfc="white", mec=TRUTH, label="score before refit")[0],
+    ]
+    if len(group) < 2:
+        handles.pop(1)
+    ax.legend(
+        handles=handles, frameon=False, fontsize=8.5, ncols=4, loc="upper center",
+        bbox_to_anchor=(0.5, -0.18 - 0.4 / len(names)),
+    )  # fmt: skip
+    return ax
+
+
+def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes:
+    """Plot the prediction error after each step, on training and untouched records.
+
+    Errors are over whole records, with nothing fitted but initial states. One
+    is the error that a right model would have; the grey band is within five
+    per cent of it.
+
+    Parameters
+    ----------
+    improvement : Improvement
+        The search.
+    ax : Axes, optional
+        Where to draw.
+    """
+    ax = new_axes(ax, size=(6.4, 3.6))
+    steps = improvement.steps
+    places = np.arange(len(steps) + 1)
+    words = ["as believed", *(f"+ {step.added.replace('_', ' ')}" for step in steps)]
+    train = [improvement.base_error["train"], *(step.train_error for step in steps)]
+    test = [improvement.base_error["test"], *(step.test_error for step in steps)]
+    ax.axhspan(0.95, 1.05, color=NEUTRAL, alpha=0.3, lw=0)
+    ax.axhline(1.0, color=TRUTH, lw=0.9)
+    ax.plot(
+        places, train, "s--", color=NEUTRAL, mfc="white", lw=1.2, ms=7, label="training records"
+    )
+    if np.isfinite(test).any():
+        ax.plot(places, test, "o-", color=_BEST, lw=1.8, ms=7, label="untouched records")
+    shown = test if np.isfinite(test).any() else train
+    for place, value in zip(places, shown, strict=True):
+        if np.isfinite(value):
+            ax.annotate(
+                f"{value:.3g}", (place, value), xytext=(7, 7), textcoords="offset points",
+                fontsize=9,
+            )  # fmt: skip
+    values = np.array([*train, *test])
+    finite = values[np.isfinite(values)]
+    if finite.size and finite.max() > 8.0:
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter("{x:g}")
+    else:
+        ax.set_ylim(0.0, 1.15 * max(finite.max(initial=1.0), 1.2))
+    ax.set_xticks(places, words, rotation=0 if len(places) < 4 else 20)
+    ax.set_xlim(-0.4, len(steps) + 0.5)
+    ax.set(ylabel="prediction error [noise]")
+    clean(ax)
+    ax.grid(False, axis="x")
+    spread_legend(ax, loc="upper right")
+    return ax
+
+
+def plot_located(improvement: Improvement, *, ax: Axes | None = None) -> Axes:
+    """Plot where the believed model fails: evidence for a disturbance at each place.
+
+    Parameters
+    ----------
+    improvement : Improvement
+        The search.
+    ax : Axes, optional
+        Where to draw.
+    """
+    places = sorted(improvement.located.items(), key=lambda item: -item[1])
+    ax = new_axes(ax, size=(6.4, 1.2 + 0.3 * len(places)))
+    rows = np.arange(len(places))[::-1]
+    values = np.array([max(value, 0.0) for _, value in places])
+    clear = values > REMAINDER_LIMIT
+    ax.barh(
+        rows, values, height=0.62, color=np.where(clear, COLOURS[0], "0.8"), edgecolor="0.25",
+        lw=0.6,
+    )  # fmt: skip
+    ax.axvline(REMAINDER_LIMIT, color=TRUTH, ls="--", lw=1.0)
+    _readable_scale(ax, values.max(initial=1.0))
+    ax.set_yticks(rows, [name.replace("_", " ") for name, _ in places])
+    ax.set(xlabel="evidence: gain in twice the log-likelihood [-]")
+    clean(ax)
+    ax.grid(False, axis="y")
+    return ax
+
+
+def _readable_scale(ax: Axes, largest: float) -> None:
+    """Make the axis logarithmic beyond 30 where the best stands out by orders of magnitude."""
+    if largest > 300:
+        ax.set_xscale("symlog", linthresh=30)
+        ax.set_xticks([0, 10, 30, *(10**k for k in range(2, int(np.log10(largest)) + 1))])
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.minorticks_off()
+    ax.set_xlim(left=0.0)
