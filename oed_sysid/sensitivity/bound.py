@@ -16,6 +16,7 @@ from oed_sysid.sensitivity.response import Response, Run, plays, respond
 
 # Squared conditioning up to which normal equations keep ten digits of the factor.
 _SAFE_SQUARED_CONDITION = 1e5
+_BLOCK = 512  # rows factorised at a time
 
 
 def information_of(
@@ -144,9 +145,14 @@ def triangle(rows: np.ndarray) -> np.ndarray:
                 return cholesky(equilibrated) * norms
             except LinAlgError:
                 pass
+    # Householder block by block (a tall factorisation in cache), then once over the triangles.
+    n_blocks = len(rows) // _BLOCK
+    if n_blocks > 1:
+        blocks = rows[: n_blocks * _BLOCK].reshape(n_blocks, _BLOCK, n)
+        triangles = np.linalg.qr(blocks, mode="r").reshape(-1, n)
+        rows = np.vstack([triangles, rows[n_blocks * _BLOCK :]])
     if len(rows) < n:
         rows = np.vstack([rows, np.zeros((n - len(rows), n))])
-    # Householder's factorisation is not affected by the scaling of columns.
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 

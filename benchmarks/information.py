@@ -1,0 +1,140 @@
+"""How long the information of one record takes: ours, CasADi's jacobian, differences.
+
+    OMP_NUM_THREADS=1 python benchmarks/information.py
+
+Record: 2,400 samples of 0.1 s, five outputs, twelve free parameters and five
+unknown start states of the REMUS-like diving plane. All ways share the same
+equations, the same integration steps and the same triangularisation at the end.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+
+from oed_sysid import graph as graphs
+from oed_sysid import load_problem
+from oed_sysid.kernels import kernel
+from oed_sysid.sensitivity import Play, noise_of, respond
+from oed_sysid.sensitivity.bound import run_factor, triangle
+from oed_sysid.simulate import simulate_inputs
+
+N_SAMPLES, STEP, REPEATS = 2400, 0.1, 15
+EXTRA = ("X_udot", "Z_wdot", "M_wdot", "M_qdot")
+
+model = load_problem("remus_diving_plane").model.free(*EXTRA)
+times = np.arange(N_SAMPLES) * STEP
+fin = 0.1 * np.sign(np.sin(0.5 * times)) + 0.05 * np.sin(1.3 * times)
+play = Play(
+    "benchmark",
+    times,
+    np.column_stack([fin, np.full(N_SAMPLES, 9.0)]),
+    np.array([1.5, 0.0, 0.0, 0.0, 10.0]),
+    np.ones((N_SAMPLES, 5), dtype=bool),
+)
+noise = noise_of(model)
+values, runner = model.value_vector, kernel(model)
+free = [model.parameter_names.index(name) for name in model.free_names]
+
+
+def best_time(work: Callable[[], object], repeats: int = REPEATS) -> float:
+    """Smallest of several times of a warm call, s: what other loads on the machine leave."""
+    work()
+    taken = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        taken.append(time.perf_counter() - began)
+    return min(taken)
+
+
+def ours() -> np.ndarray:
+    return run_factor(model, respond(model, play), noise)
+
+
+def outputs(unknowns: np.ndarray) -> np.ndarray:
+    """Plain trajectory from the same compiled code."""
+    trial = values.copy()
+    trial[free] = unknowns[5:]
+    z, _ = runner.start(unknowns[:5], play.inputs[0], trial, 0.0)
+    return runner.run(times, play.inputs, trial, z).outputs
+
+
+POINT = np.concatenate([play.initial, values[free]])
+SCALE = np.maximum(np.abs(POINT), 0.1)
+
+
+def factor_of(jacobian: np.ndarray) -> np.ndarray:
+    rows = (jacobian / noise.sigma[:, None]).reshape(-1, len(POINT))
+    return triangle(rows)[5:, 5:]
+
+
+def one_sided(share: float = 1e-7) -> np.ndarray:
+    base = outputs(POINT)
+    columns = [
+        (outputs(POINT + share * SCALE[i] * np.eye(len(POINT))[i]) - base) / (share * SCALE[i])
+        for i in range(len(POINT))
+    ]
+    return factor_of(np.stack(columns, axis=2))
+
+
+def high_order(share: float = 3e-3) -> np.ndarray:
+    """Central differences of eighth order, for accuracy only."""
+    weights = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
+    columns = []
+    for i in range(len(POINT)):
+        step = share * SCALE[i] * np.eye(len(POINT))[i]
+        columns.append(
+            sum(
+                w * (outputs(POINT + k * step) - outputs(POINT - k * step))
+                for k, w in weights.items()
+            )
+            / (share * SCALE[i])
+        )
+    return np.stack(columns, axis=2)
+
+
+def interpreted() -> ca.Function:
+    """CasADi's own jacobian of the whole trajectory by start and free parameters."""
+    graph = graphs.build(model)
+    z0, p_free = ca.MX.sym("z0", 5), ca.MX.sym("p", len(free))
+    p = ca.MX(values)
+    for position, index in enumerate(free):
+        p[index] = p_free[position]
+    z, u, q = ca.MX.sym("z", 5), ca.MX.sym("u", 2), ca.MX.sym("q", len(values))
+    step = ca.Function("step", [z, u, q], [graph.advance(z, u, u, q, 0.0, STEP)])
+    path = step.mapaccum("path", N_SAMPLES - 1)(
+        z0, play.inputs[:-1].T, ca.repmat(p, 1, N_SAMPLES - 1)
+    )
+    # The outputs of this model are its states.
+    stacked = ca.vec(ca.horzcat(z0, path))
+    return ca.Function("J", [z0, p_free], [ca.jacobian(stacked, ca.vertcat(z0, p_free))])
+
+
+print(f"{model.name}: {len(model.free_names)} free parameters, compiled: {runner.is_compiled}")
+exact = respond(model, play).jacobian
+began = time.perf_counter()
+jacobian = interpreted()
+build = time.perf_counter() - began
+theirs = np.array(jacobian(POINT[:5], POINT[5:])).reshape(N_SAMPLES, 5, -1)
+size = np.abs(exact).max(axis=(0, 1))
+assert np.allclose(simulate_inputs(model, times, inputs=play.inputs, initial=play.initial).outputs,
+                   outputs(POINT))  # fmt: skip
+print(f"largest relative difference of the sensitivities to CasADi's jacobian "
+      f"{np.max(np.abs(exact - theirs) / size):.1e}, to eighth-order differences "
+      f"{np.max(np.abs(exact - high_order()) / size):.1e}")  # fmt: skip
+reference = factor_of(theirs)
+matrix = reference.T @ reference
+for label, found in (("ours", ours()), ("one-sided differences", one_sided())):
+    error = np.max(np.abs(found.T @ found - matrix) / np.sqrt(np.outer(*[np.diag(matrix)] * 2)))
+    print(f"information, {label}: largest relative error {error:.1e}")
+t_ours = best_time(ours)
+t_differences = best_time(one_sided)
+t_casadi = best_time(lambda: factor_of(
+    np.array(jacobian(POINT[:5], POINT[5:])).reshape(N_SAMPLES, 5, -1)), 6)  # fmt: skip
+print(f"ours {1e3 * t_ours:.2f} ms; one-sided differences {1e3 * t_differences:.2f} ms "
+      f"({t_differences / t_ours:.1f}x); CasADi jacobian {1e3 * t_casadi:.1f} ms "
+      f"({t_casadi / t_ours:.0f}x, built in {build:.2f} s)")  # fmt: skip
