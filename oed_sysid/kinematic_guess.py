@@ -92,6 +92,9 @@ def slope(times: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, float]:
         variance = float(12.0 * noise**2 / window**3 / np.median(step) ** 2)
         bias = 0.0
         if before is not None:
+            # At the ends a long window looks one way only; the shorter one is less biased.
+            half = window // 2
+            trial[:half], trial[-half:] = before[0][:half], before[0][-half:]
             spread = float(np.mean((trial - before[0]) ** 2))
             bias = max(spread - (before[1] - variance), 0.0)
         if bias + variance < least:

@@ -78,12 +78,7 @@ class ReducedProblem:
         return Information.from_jacobian(self.shooting.layout.shared_names, jacobian, scales)
 
     @property
-    def _counts(column: np.ndarray) -> bool:
-    """Whether a series is long enough for its correlation to be estimated."""
-    return int(np.isfinite(column).sum()) > 20
-
-
-def is_coloured(self) -> bool:
+    def is_coloured(self) -> bool:
         """Whether residuals count clearly fewer independent samples than they have."""
         return is_coloured(self.scores)
 
@@ -129,6 +124,11 @@ def is_coloured(self) -> bool:
         result = white.copy()
         result[block] = white[block] @ middle[block] @ white[block]
         return result
+
+
+def _counts(column: np.ndarray) -> bool:
+    """Whether a series is long enough for its correlation to be estimated."""
+    return int(np.isfinite(column).sum()) > 20
 
 
 def is_coloured(residuals: Sequence[np.ndarray], limit: float = COLOUR_LIMIT) -> bool:
