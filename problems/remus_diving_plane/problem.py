@@ -7,12 +7,25 @@ model is linear in its eight derivatives and knows no disturbance.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
-from oed_sysid import Experiment, Force, Input, Limits, Model, Output, Parameter, Problem, State
+from oed_sysid import (
+    Dataset,
+    Experiment,
+    Force,
+    Input,
+    Limits,
+    Model,
+    Output,
+    Parameter,
+    Problem,
+    State,
+    read_csv,
+)
 from oed_sysid.effects.vocabulary import diving_plane_effects
 from oed_sysid.manoeuvres import ThreeTwoOneOne, ZigZagLike
 
-RELATIVE_PRIOR = 0.10  # the derivatives are believed to about ten per cent
+RELATIVE_PRIOR = 0.08  # the derivatives are believed to about eight per cent
 
 
 def _known(name: str, value: float, unit: str, description: str) -> Parameter:
@@ -135,6 +148,11 @@ def _zigzag(degrees: float, switch: float, thrust: float) -> Experiment:
     )
 
 
+def records() -> Dataset:
+    """Five runs with something hidden in them; see data/README.md."""
+    return read_csv(Path(__file__).parent / "data", model.channels)
+
+
 problem = Problem(
     name="remus_diving_plane",
     title="REMUS-like AUV in the diving plane",
@@ -155,6 +173,7 @@ problem = Problem(
         ),
     },
     limits=LIMITS,
+    records=records,
     references=(
         "Prestero 2001, Verification of a six-degree of freedom simulation model for the REMUS "
         "autonomous underwater vehicle, MIT/WHOI (masses, added masses, order of derivatives)",
