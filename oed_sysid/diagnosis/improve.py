@@ -12,7 +12,14 @@ from oed_sysid.diagnosis.conclusion import evidence_of_disturbances, parameter_t
 from oed_sysid.diagnosis.greybox import GreyBox, estimate
 from oed_sysid.diagnosis.improvement import Improvement, Step
 from oed_sysid.diagnosis.innovations import NoiseModel
-from oed_sysid.diagnosis.rank import Ranking, Refit, rank, threshold
+from oed_sysid.diagnosis.rank import (
+    FALSE_CLAIMS,
+    FALSE_CLAIMS_BEFORE_TEST,
+    Ranking,
+    Refit,
+    rank,
+    threshold,
+)
 from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.effects import Effect
 from oed_sysid.errors import DataError
@@ -76,7 +83,7 @@ def improve(
     rejected: list[str] = []
     while len(state.added) < max_effects:
         tell(f"ranking candidates, round {len(state.added) + 1}")
-        ranking = rank(state.bench.train, state.fit, _left(state))
+        ranking = rank(state.bench.train, state.fit, _left(state), share=_share(state))
         first = first or ranking
         chosen, test_gain, refused = _choose(state, ranking)
         rejected += refused
@@ -97,6 +104,11 @@ def improve(
 def _left(state: _State) -> list[Effect]:
     present = {effect.name for effect in state.added}
     return [e for e in state.bench.train.super_model.candidates if e.name not in present]
+
+
+def _share(state: _State) -> float:
+    """Share of false claims allowed before untouched records, if any, are asked."""
+    return FALSE_CLAIMS if state.bench.test is None else FALSE_CLAIMS_BEFORE_TEST
 
 
 def _choose(state: _State, ranking: Ranking) -> tuple[Refit | None, float, list[str]]:
@@ -138,14 +150,21 @@ def _review(
         without = estimate(state.bench.train, names, values, state.fit.initial, noise)
         if without is None:
             continue
-        needed = threshold(len(_left(state)) + 1, len(old.parameters))
+        needed = threshold(len(_left(state)) + 1, len(old.parameters), _share(state))
         if without.objective - state.fit.objective < needed:
             kept = [i for i in range(len(steps)) if i != position]
             bench, settled = state.bench.settle(without)
             state = _State(others, settled, bench)
             return state, [steps[i] for i in kept], [fits[i] for i in kept[:-1]] + [state.fit]
         reduced = _State(others, without, state.bench)
-        ranking = rank(reduced.bench.train, without, _left(reduced), also=(old.name,), n_refits=5)
+        ranking = rank(
+            reduced.bench.train,
+            without,
+            _left(reduced),
+            also=(old.name,),
+            n_refits=5,
+            share=_share(state),
+        )
         present = next((r for r in ranking.refits if r.name == old.name), None)
         best = ranking.refits[0] if ranking.refits else None
         if best is None:
@@ -205,15 +224,9 @@ def _result(
 ) -> Improvement:
     bench = state.bench
 
-    def errors(fit: GreyBox) -> dict[str, float]:
-        return {
-            "train": bench.error(fit, sigma, test=False),
-            "test": bench.error(fit, sigma, test=True),
-        }
-
     done = []
     for (refit, ranking, test_gain), fit in zip(steps, fits, strict=True):
-        error = errors(fit)
+        error = bench.errors(fit, sigma)
         done.append(
             Step(
                 refit.name,
@@ -235,7 +248,7 @@ def _result(
             if k in known or k in {p.name for e in state.added for p in e.parameters}
         }
     )
-    base_error = errors(base_fit)
+    base_error = bench.errors(base_fit, sigma)
     return Improvement(
         model=final,
         base=base,

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.diagnosis.greybox import GreyBox
-from oed_sysid.diagnosis.rank import Ranking, threshold
+from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.fit import align
 from oed_sysid.model import Model
 
 # Twice the log-likelihood that disturbances may gain before they count as real.
 REMAINDER_LIMIT = 14.0
+# Evidence (gain less the cost of freedom) from which a candidate is mentioned as a hint.
+HINT = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +32,7 @@ class Step:
     evidence : float
         Gain in twice the log-likelihood on the training records.
     needed : float
-        Gain that chance exceeds once in a hundred searches.
+        Gain that chance rarely exceeds, however many candidates were tried.
     test_gain : float
         The same gain on the untouched records; NaN without any.
     train_error, test_error : float
@@ -170,7 +172,7 @@ class Improvement:
         for name in self.ranking.order[:8]:
             score = scores[name]
             gain = f"{refits[name].gain:.1f}" if name in refits else "-"
-            needed = f"{threshold(len(scores), score.freedom):.1f}"
+            needed = f"{self.ranking.needed_by(score):.1f}"
             rows.append((name, f"{score.statistic:.1f}", gain, needed, f"{score.distinct:.2f}"))
         hidden = self.ranking.undetectable()
         lines = align(rows)
@@ -184,6 +186,13 @@ class Improvement:
     def _story(self) -> list[str]:
         if not self.steps:
             lines = ["Nothing is missing that these records could show."]
+            best = self.ranking.refits[0] if self.ranking.refits else None
+            if best is not None and best.evidence > HINT:
+                lines.append(
+                    f"A hint, no more: {best.name} would gain {best.gain:.1f}, where "
+                    f"{self.ranking.needed(best):.1f} are needed. A manoeuvre that excites it "
+                    "would tell."
+                )
             if self.rejected:
                 lines.append(
                     "The untouched records refused "

@@ -19,8 +19,9 @@ N_REFITS = 7
 N_FULL, SHARE = 4, 0.1
 # A rival whose refit is this close, in twice the log-likelihood, cannot be told apart.
 GROUP_WIDTH = 6.0
-# Share of false claims over all candidates, before the untouched record is asked.
-FALSE_CLAIMS = 0.01
+# Share of false claims over all candidates where no untouched record can be asked, and
+# where one is: chance passes both once in several hundred searches.
+FALSE_CLAIMS, FALSE_CLAIMS_BEFORE_TEST = 0.01, 0.05
 
 
 def threshold(n_candidates: int, freedom: int, share: float = FALSE_CLAIMS) -> float:
@@ -75,11 +76,14 @@ class Ranking:
         By evidence.
     residual : ndarray (n_rows,)
         Whitened residual, existing unknowns projected out.
+    share : float
+        Share of false claims that chance may make on these records.
     """
 
     scores: tuple[Score, ...]
     refits: tuple[Refit, ...]
     residual: np.ndarray
+    share: float = FALSE_CLAIMS
 
     @property
     def order(self) -> tuple[str, ...]:
@@ -89,7 +93,11 @@ class Ranking:
 
     def needed(self, refit: Refit) -> float:
         """Gain that a claim needs."""
-        return threshold(len(self.scores), refit.score.freedom)
+        return self.needed_by(refit.score)
+
+    def needed_by(self, score: Score) -> float:
+        """Gain that a claim of one candidate needs."""
+        return threshold(len(self.scores), score.freedom, self.share)
 
     def group(self, width: float = GROUP_WIDTH) -> tuple[Refit, ...]:
         """The best refit and all that these data cannot tell from it."""
@@ -111,7 +119,7 @@ class Ranking:
         """Effects whose typical size these data would not show, with the size they would."""
         found = {}
         for score in self.scores:
-            needed = threshold(len(self.scores), score.freedom) ** 0.5
+            needed = self.needed_by(score) ** 0.5
             sizes = {p.name: p.magnitude for p in score.effect.parameters}
             limits = {name: needed * error for name, error in score.std_errors.items()}
             if score.absorbed or any(limit > sizes[name] for name, limit in limits.items()):
@@ -126,6 +134,7 @@ def rank(
     *,
     n_refits: int = N_REFITS,
     also: Sequence[str] = (),
+    share: float = FALSE_CLAIMS,
 ) -> Ranking:
     """Score all candidates, refit the most promising.
 
@@ -139,6 +148,8 @@ def rank(
         How many to refit.
     also : sequence of str
         Identifiers that are refitted whatever their score.
+    share : float
+        Share of false claims that chance may make on these records.
     """
     scored, residual = scores(task, fit, candidates)
     chosen = [s for s in scored if not s.absorbed and s.statistic > 2.0][:n_refits]
@@ -151,7 +162,7 @@ def rank(
         for n, r in enumerate(quick)
     ]
     refits.sort(key=lambda r: -r.evidence)
-    return Ranking(tuple(scored), tuple(refits), residual)
+    return Ranking(tuple(scored), tuple(refits), residual, share)
 
 
 def refit(task: Task, fit: GreyBox, score: Score) -> Refit | None:

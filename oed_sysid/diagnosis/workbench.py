@@ -114,38 +114,53 @@ class Workbench:
         )
         return np.inf if found is None else found.objective
 
-    def error(self, fit: GreyBox, sigma: np.ndarray, *, test: bool) -> float:
-        """Root mean square prediction error over all outputs, in units of the noise.
+    def errors(self, fit: GreyBox, sigma: np.ndarray) -> dict[str, float]:
+        """Prediction errors of a fit's structure, in units of the noise.
 
-        Over whole records, with nothing but the initial states fitted to them.
+        Root mean squares over all outputs and whole records. The parameters are
+        those of plain least squares on the training records, as any user would
+        fit them, so that the believed model is not made to look worse than it
+        is; on test records nothing but the initial states is fitted.
+
+        Returns
+        -------
+        dict
+            ``train`` and ``test``; NaN without test records, infinite where the
+            model diverges.
         """
-        task = self.test if test else self.train
-        if task is None:
-            return np.nan
-        found = on_records(task, fit)
-        if found is None:
-            return np.inf
-        total = count = 0.0
-        for record, outputs in zip(task.dataset, found.outputs, strict=True):
-            scaled = (record.outputs - outputs) / sigma
-            total += float(np.nansum(scaled**2))
-            count += int(np.isfinite(scaled).sum())
-        return float(np.sqrt(total / count))
+        names = fit.names
+        plain = least_squares(self.train, fit, names, fit.initial)
+        fitted = plain if plain is not None else fit
+        found = {"train": _misfit(self.train, fitted, sigma), "test": np.nan}
+        if self.test is not None:
+            starts = starting_states(self.test.super_model.base, self.test.dataset)
+            there = least_squares(self.test, fitted, (), starts)
+            found["test"] = np.inf if there is None else _misfit(self.test, there, sigma)
+        return found
+
+
+def _misfit(task: Task, fit: GreyBox, sigma: np.ndarray) -> float:
+    total = count = 0.0
+    for record, outputs in zip(task.dataset, fit.outputs, strict=True):
+        scaled = (record.outputs - outputs) / sigma
+        total += float(np.nansum(scaled**2))
+        count += int(np.isfinite(scaled).sum())
+    return float(np.sqrt(total / count))
 
 
 def on_records(task: Task, fit: GreyBox) -> GreyBox | None:
     """Fit only the initial states of a task's records, by plain least squares."""
+    starts = starting_states(task.super_model.base, task.dataset)
+    return least_squares(task, fit, (), starts)
+
+
+def least_squares(
+    task: Task, fit: GreyBox, names: Sequence[str], initial: Sequence[np.ndarray]
+) -> GreyBox | None:
+    """Estimate parameters and initial states as if residuals were white noise."""
     white = replace(task.units, force=0 * task.units.force, colour=0 * task.units.colour)
     idle = replace(task, deviations=[_idle(record.outputs) for record in task.dataset])
-    return estimate(
-        idle,
-        (),
-        fit.values,
-        starting_states(task.super_model.base, task.dataset),
-        white,
-        update_noise=False,
-        max_iterations=15,
-    )
+    return estimate(idle, names, fit.values, initial, white, update_noise=False, max_iterations=25)
 
 
 def _idle(outputs: np.ndarray) -> Deviations:
