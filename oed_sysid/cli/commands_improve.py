@@ -53,7 +53,7 @@ def improve(
             progress=show.say,
         )
     say(result.report())
-    store({"problem": chosen.name, "known_noise": known_noise} | result.to_dict(), json_file)
+    store(result.to_dict(), json_file)
     if html_file is not None:
         from oed_sysid.report import improvement_page
 
