@@ -27,7 +27,7 @@ from oed_sysid.report.prediction_plots import (
     plot_prediction,
     plot_prediction_error,
 )
-from oed_sysid.report.style import model_style
+from oed_sysid.report.style import model_style, new_figure
 from oed_sysid.report.track_plots import plot_track, plot_zigzag
 
 __all__ = [
@@ -42,6 +42,7 @@ __all__ = [
     "fit_page",
     "improvement_page",
     "model_style",
+    "new_figure",
     "plot_autocorrelation",
     "plot_comparison",
     "plot_correlation",

@@ -46,7 +46,7 @@ def comparison_sections(comparison: Comparison) -> tuple[Section, ...]:
     return (
         Section(
             "Where the models differ from the records",
-            tuple(f"Note: {note}" for note in comparison.notes),
+            (*comparison.verdict.splitlines(), *(f"Note: {note}" for note in comparison.notes)),
             tables=tuple(_table(part) for part in comparison.models),
             pictures=(bars,),
         ),
@@ -68,11 +68,10 @@ def _table(part: ModelMisfit) -> Table:
                 f"{one.effective_samples:.0f} of {one.n_samples}",
                 f"{ahead:.3g}",
                 f"{name}, {begin:.0f} to {end:.0f} s ({value:.2g} × noise)" if name else "",
-                one.verdict,
             )
         )
     headers = (
         "output", "rms error", "noise", "ratio", "in 95 % band", "independent samples",
-        f"{part.forecasts.horizon:g} s ahead", "worst", "in words",
+        f"{part.forecasts.horizon:g} s ahead", "worst",
     )  # fmt: skip
-    return Table(headers, tuple(rows), caption=part.label, words=(8,))
+    return Table(headers, tuple(rows), caption=part.label, words=(7,))
