@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from oed_sysid.dataset import Dataset, Record
-from oed_sysid.kernels import Kernel, kernel
+from oed_sysid.kernels import Kernel, Run, kernel
 from oed_sysid.kinematic_guess import kinematic_states
 from oed_sysid.model import Model
 from oed_sysid.start_states import (
@@ -234,6 +234,17 @@ class Shooting:
         dy, dends = run.output_sensitivities, run.end_sensitivities
         if not run.ok or dy is None or dends is None or not np.isfinite(run.ends[:-1]).all():
             return None
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._condense(index, run, nodes, dz0)
+
+    def _condense(
+        self, index: int, run: Run, nodes: np.ndarray, dz0: np.ndarray
+    ) -> tuple[np.ndarray, ...] | None:
+        """Express a record's outputs by its unknowns alone; None where this overflows."""
+        record, starts = self.records[index], self._starts[index]
+        dy, dends = run.output_sensitivities, run.end_sensitivities
+        assert dy is not None
+        assert dends is not None
         n_own, n_full, n_free = self.layout.n_own, self.kernel.n_full, self.kernel.n_free
         defects = run.ends[:-1] - nodes[1:]
         # Columns: own initial states, free parameters, and the closing of the defects.

@@ -100,6 +100,15 @@ def warm_unknowns(shooting: Shooting, warm: Fit) -> np.ndarray:
     return np.clip(unknowns, shooting.limits.lower, shooting.limits.upper)
 
 
+def warm_point(shooting: Shooting, warm: Fit) -> Point:
+    """Start on the trajectory of an earlier fit; on the measurements where it diverges."""
+    unknowns = warm_unknowns(shooting, warm)
+    point = shooting.continuous(unknowns)
+    if all(np.isfinite(nodes).all() for nodes in point.nodes):
+        return point
+    return shooting.start_point(unknowns)
+
+
 def wide_start(shooting: Shooting, point: Point) -> Point:
     """Climb the ladder of free-node intervals from a far start."""
     shortest = min(len(record.times) for record in shooting.records)

@@ -17,6 +17,8 @@ from oed_sysid.shooting import Linearisation, Loss, Shooting
 # A combination of initial states seen less than this share of the best is not projected out.
 BLIND = 1e-10
 SAME_SAMPLING = 0.01
+# Residuals below this share of the noise say nothing about it.
+SILENT = 0.01
 # With so few independent samples that more is lost, no correction helps.
 MOST_LOST = 2.0
 
@@ -80,7 +82,9 @@ class ReducedProblem:
     @property
     def is_coloured(self) -> bool:
         """Whether residuals count clearly fewer independent samples than they have."""
-        return is_coloured(self.scores)
+        # Residuals far below the noise are rounding errors of a simulation, not noise.
+        loud = any(np.nanmax(np.abs(s), initial=0.0) > SILENT for s in self.scores)
+        return loud and is_coloured(self.scores)
 
     @property
     def _lost_freedom(self) -> float:

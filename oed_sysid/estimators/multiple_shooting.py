@@ -19,7 +19,7 @@ from oed_sysid.estimators.beginning import (
     check_initial_states,
     misfit,
     warm_model,
-    warm_unknowns,
+    warm_point,
     wide_start,
 )
 from oed_sysid.estimators.losses import loss_by_name
@@ -167,13 +167,13 @@ class MultipleShooting:
             initial_states=initial_states,
         )
         check_enough_samples(shooting)
-        unknowns = None
-        if warm is not None and initial_states is None:
-            unknowns = warm_unknowns(shooting, warm)
         if self.solver == "ipopt":
             shooting = shooting.with_intervals(shooting.interval_samples)
+        point = shooting.start_point()
+        if warm is not None and initial_states is None:
+            point = warm_point(shooting, warm)
         minimise = self._minimiser(shooting)
-        solution, iterations = self._solve(shooting, shooting.start_point(unknowns), minimise)
+        solution, iterations = self._solve(shooting, point, minimise)
         if solution is not None and estimated.any():
             shooting, solution, more = self._estimate_noise(shooting, solution, estimated, minimise)
             iterations += more
