@@ -1,0 +1,147 @@
+"""IPOPT on the uncondensed problem: the same optimum, and constraints among parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_shooting import LAG, diving_data
+from vehicles import remus
+from yaw_vehicle import NOISE, yaw_data, yaw_model
+
+from oed_sysid.dataset import Dataset
+from oed_sysid.errors import ModelError
+from oed_sysid.estimators import MultipleShooting
+from oed_sysid.gauss_newton import Progress
+from oed_sysid.parameters import Parameter
+
+CONDENSED = MultipleShooting(noise=NOISE, coloured="never")
+
+
+def difference(fit, other) -> float:  # type: ignore[no-untyped-def]
+    """Largest difference of two fits in standard errors."""
+    return float(np.max(np.abs(fit.estimates - other.estimates) / np.sqrt(np.diag(fit.covariance))))
+
+
+@pytest.mark.parametrize("hessian", ["exact", "gauss-newton"])
+@pytest.mark.parametrize("irregular", [False, True])
+def test_same_optimum_as_gauss_newton(hessian: str, irregular: bool) -> None:
+    """Several records, remainders, gaps and irregular sampling: same estimates and errors."""
+    data = yaw_data(1, irregular=irregular)
+    outputs = data[0].outputs.copy()
+    outputs[30:50] = np.nan
+    data = Dataset((data[0].with_outputs(outputs), *data.records[1:]))
+    model = yaw_model(
+        K=Parameter("K", 0.08, per_record=True),
+        alpha=Parameter("alpha", 5.0, prior_mean=12.0, prior_std=2.0),
+    )
+    condensed = CONDENSED.fit(model, data)
+    program = MultipleShooting(noise=NOISE, coloured="never", solver="ipopt", hessian=hessian).fit(
+        model, data
+    )
+    assert program.status.ok
+    assert difference(condensed, program) < 2e-3
+    assert np.allclose(condensed.covariance, program.covariance, rtol=1e-3)
+    assert program.cost == pytest.approx(condensed.cost, abs=1e-5)
+    assert [v["K"] for v in program.local_values] == pytest.approx(
+        [v["K"] for v in condensed.local_values], rel=1e-4
+    )
+
+
+def test_memory_and_substeps() -> None:
+    """A model with actuator memory and several integration steps per sample."""
+    model = remus() + LAG
+    data = diving_data(model, 60)
+    noise = [0.02, 0.02, 0.004, 0.004, 0.03]
+    rough = model.with_values({"Z_uw": -35.0, "E_lag": 0.4, "M_uq": -8.0})
+    fit = MultipleShooting(noise=noise, solver="ipopt").fit(rough, data)
+    assert fit.status.ok
+    for name in model.free_names:
+        assert fit.values[name] == pytest.approx(model.values[name], rel=1e-4)
+
+
+@pytest.mark.parametrize("loss", ["huber", "student"])
+def test_robust_losses(loss: str) -> None:
+    """Robust losses have the same optimum in both solvers."""
+    data = yaw_data(2)
+    outputs = data[0].outputs.copy()
+    outputs[::17] += 0.1
+    data = Dataset((data[0].with_outputs(outputs), *data.records[1:]))
+    condensed = MultipleShooting(noise=NOISE, loss=loss, tolerance=1e-9).fit(yaw_model(), data)
+    program = MultipleShooting(noise=NOISE, loss=loss, solver="ipopt", hessian="exact").fit(
+        yaw_model(), data
+    )
+    assert difference(condensed, program) < 0.02
+    assert program.cost == pytest.approx(condensed.cost, rel=1e-5)
+
+
+def test_bounds() -> None:
+    """An active bound is held exactly."""
+    model = yaw_model(T=Parameter("T", 6.0, lower=0.5, upper=7.5))
+    condensed = CONDENSED.fit(model, yaw_data(3))
+    program = MultipleShooting(noise=NOISE, solver="ipopt").fit(model, yaw_data(3))
+    assert program.values["T"] == pytest.approx(7.5, abs=1e-6)
+    assert program.cost == pytest.approx(condensed.cost, abs=1e-4)
+
+
+def test_constraints_among_parameters() -> None:
+    """An equation among parameters is the same as eliminating one of them."""
+    data = yaw_data(4)
+    constrained = MultipleShooting(
+        noise=NOISE, solver="ipopt", constraints=("alpha == 1.2*T", "K/T > 0.001")
+    ).fit(yaw_model(), data)
+    assert constrained.status.ok
+    assert constrained.values["alpha"] == pytest.approx(1.2 * constrained.values["T"], rel=1e-6)
+    tied = yaw_model()
+    tied = type(tied)(
+        **{
+            **{f: getattr(tied, f) for f in ("name", "states", "inputs", "outputs", "step")},
+            "kinematics": {"psi": "r", "r": "(K*delta - r - 1.2*T*r**3)/T"},
+            "parameters": (tied.parameter("K"), tied.parameter("T")),
+        }
+    )
+    eliminated = CONDENSED.fit(tied, data)
+    assert constrained.cost == pytest.approx(eliminated.cost, abs=1e-3)
+    assert constrained.values["T"] == pytest.approx(eliminated.values["T"], rel=1e-3)
+
+
+def test_contradictions_are_said() -> None:
+    """Constraints that exclude each other end with a status, not an exception."""
+    fit = MultipleShooting(noise=NOISE, solver="ipopt", constraints=("K > 0.3", "K < 0.01")).fit(
+        yaw_model(), yaw_data(4)
+    )
+    assert fit.status.code == "infeasible"
+    assert "Loosen" in fit.status.advice
+
+
+def test_noise_levels_and_progress(capfd: pytest.CaptureFixture[str]) -> None:
+    """Noise is estimated as by the other solver; progress is reported; nothing is printed."""
+    seen: list[Progress] = []
+    data = yaw_data(5)
+    fit = MultipleShooting(noise="estimate", solver="ipopt", progress=seen.append).fit(
+        yaw_model(), data
+    )
+    other = MultipleShooting(noise="estimate").fit(yaw_model(), data)
+    assert np.allclose(fit.sigma, other.sigma, rtol=2e-3)
+    assert len(seen) > 3
+    assert seen[-1].defect < 1e-4
+    assert capfd.readouterr().out == ""
+
+
+def test_limit_of_iterations() -> None:
+    """Too few iterations are reported as such."""
+    fit = MultipleShooting(noise=NOISE, solver="ipopt", max_iterations=1, start="near").fit(
+        yaw_model().with_values({"K": 0.05}), yaw_data(6)
+    )
+    assert fit.status.code == "iterations"
+
+
+@pytest.mark.parametrize(
+    ("constraint", "words"),
+    [("K + T", "one comparison"), ("K < gain", "unknown name"), ("1 < 2", "no parameter")],
+)
+def test_unreadable_constraints_are_refused(constraint: str, words: str) -> None:
+    """A constraint compares expressions of known parameters."""
+    with pytest.raises(ModelError, match=words):
+        MultipleShooting(noise=NOISE, solver="ipopt", constraints=(constraint,)).fit(
+            yaw_model(), yaw_data(0)
+        )
