@@ -12,6 +12,8 @@ from oed_sysid.model import Model
 
 def check_channels(model: Model, dataset: Dataset) -> None:
     """Raise :class:`DataError` where records and model name different signals."""
+    if isinstance(dataset, Record):
+        raise DataError("Expected a dataset, got a single record. Write Dataset((record,)).")
     for record in dataset:
         if record.channels.input_names != model.input_names:
             raise DataError(

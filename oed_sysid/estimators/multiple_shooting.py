@@ -107,6 +107,10 @@ class MultipleShooting:
                 "Constraints among parameters need solver='ipopt'; bounds of single parameters "
                 "do not: give them as Parameter(lower=..., upper=...)."
             )
+        if self.max_iterations < 1:
+            raise ModelError(f"max_iterations is {self.max_iterations}. Give 1 or more.")
+        if not self.tolerance > 0:
+            raise ModelError(f"tolerance is {self.tolerance}. Give a positive number.")
         loss_by_name(self.loss)
 
     @property
@@ -152,8 +156,8 @@ class MultipleShooting:
             If data and model do not belong together.
         """
         began = time.perf_counter()
-        check_initial_states(model, dataset, initial_states)
         check_channels(model, dataset)
+        check_initial_states(model, dataset, initial_states)
         earlier = None if warm is None else warm.sigma
         sigma, estimated = start_levels(model, dataset, self.noise, earlier)
         if warm is not None:
