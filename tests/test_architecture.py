@@ -35,6 +35,7 @@ LAYERS = (
     "record",
     "csv_columns",
     "dataset",
+    "reconstruction",
     "data_cache",
     "simulate",
     "problem",

@@ -1,6 +1,47 @@
 """Estimators: from a model and measured records to a :class:`~oed_sysid.fit.Fit`."""
 
 from oed_sysid.estimators.base import Estimator
+from oed_sysid.estimators.equation_error import EquationError
+from oed_sysid.estimators.gibbs import GibbsRegression
+from oed_sysid.estimators.kalman import JointKalmanFilter
+from oed_sysid.estimators.ls_svm import LeastSquaresSVM
 from oed_sysid.estimators.multiple_shooting import MultipleShooting
+from oed_sysid.estimators.nomoto import HeadingDifferences
+from oed_sysid.estimators.online import (
+    EquationStream,
+    IncrementalLSSVM,
+    OnlineRegression,
+    RecursiveLeastSquares,
+    RecursiveLSSVM,
+)
+from oed_sysid.estimators.output_error import OutputError
+from oed_sysid.estimators.population import (
+    CovarianceMatrixAdaptation,
+    DifferentialEvolution,
+    ParticleSwarm,
+)
+from oed_sysid.estimators.support_vector import SupportVectorRegression
+from oed_sysid.estimators.swarm import DifferentialSwarm
+from oed_sysid.estimators.total_least_squares import TotalLeastSquares
 
-__all__ = ["Estimator", "MultipleShooting"]
+__all__ = [
+    "Estimator",
+    "MultipleShooting",
+    "OutputError",
+    "EquationError",
+    "TotalLeastSquares",
+    "LeastSquaresSVM",
+    "SupportVectorRegression",
+    "HeadingDifferences",
+    "GibbsRegression",
+    "OnlineRegression",
+    "EquationStream",
+    "IncrementalLSSVM",
+    "RecursiveLSSVM",
+    "RecursiveLeastSquares",
+    "JointKalmanFilter",
+    "DifferentialSwarm",
+    "DifferentialEvolution",
+    "CovarianceMatrixAdaptation",
+    "ParticleSwarm",
+]

@@ -53,7 +53,7 @@ class JointKalmanFilter:
     state_std : mapping of str to float
         Uncertainty of start states that are not measured; by default their scale.
     initial : mapping of str to float
-        Start of states that are not measured.
+        Mean of some start states; others are measured, or zero.
     passes : int
         How often the data is gone through; each pass starts with the values
         of the one before and the first uncertainty, so that errors stay those
@@ -230,12 +230,14 @@ class _Filter:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Scaled mean and covariance before the first measurement."""
         model, n_own = self.model, self.kernel.n_own
-        own = np.array([self.settings.initial.get(name, 0.0) for name in model.state_names])
+        own = np.zeros(n_own)
         std = np.array([self.settings.state_std.get(s.name, s.scale) for s in model.states])
         sources = {output.source: i for i, output in enumerate(model.outputs)}
         for position, series in measured_states(model, record).items():
             own[position] = series[0]
             std[position] = START_SPREAD * self.sigma[sources[model.state_names[position]]]
+        for name, value in self.settings.initial.items():
+            own[model.state_names.index(name)] = value
         z, dz = self.kernel.start(own, record.inputs[0], self._all(values), record.times[0])
         n_free = len(values)
         shape = np.zeros((self.n_z + n_free, n_own + n_free))

@@ -68,7 +68,7 @@ def fit_from_values(
     iterations : int
         Iterations or samples.
     initial_states : sequence of mapping, optional
-        Start values per record, of states that are not measured.
+        Known start values per record; others are measured, or zero.
     extras : mapping, optional
         What else the estimator has to tell.
     """
@@ -81,10 +81,10 @@ def fit_from_values(
     diverged = False
     for index, record in enumerate(dataset):
         own = np.zeros(runner.n_own)
-        for name, value in (initial_states[index] if initial_states else {}).items():
-            own[model.state_names.index(name)] = value
         for position, series in measured_states(model, record).items():
             own[position] = series[0]
+        for name, value in (initial_states[index] if initial_states else {}).items():
+            own[model.state_names.index(name)] = value
         z, _ = runner.start(own, record.inputs[0], fitted.value_vector, record.times[0])
         run = runner.run(record.times, record.inputs, fitted.value_vector, z)
         diverged |= not run.ok

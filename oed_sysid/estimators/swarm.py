@@ -43,7 +43,7 @@ class DifferentialSwarm:
         Scale of the residuals of each output, see
         :class:`~oed_sysid.estimators.trajectory_cost.TrajectoryCost`.
     initial : mapping of str to float
-        Start of states that are not measured.
+        Known start of some states; others are measured, or zero.
     tolerance : float
         The swarm has converged when its costs differ by less than this share
         of the least one, or from it by less than this number.

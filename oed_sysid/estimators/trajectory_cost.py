@@ -28,8 +28,9 @@ class TrajectoryCost:
 
     .. math:: J(\theta) = \frac1N \sum_{k,i} \left(\frac{y_{ki} - \hat y_{ki}(\theta)}{s_i}\right)^2
 
-    Trajectories start at the measured states (averaged over the first samples);
-    states that are not measured start at zero, or where ``initial`` says.
+    Trajectories start where ``initial`` says, else at the measured states
+    (averaged over the first samples), else at zero. A start is never searched
+    for: its noise ends up in the parameters, and in their stated errors.
 
     Parameters
     ----------
@@ -41,7 +42,7 @@ class TrajectoryCost:
         ``"noise"`` takes the noise level of each output, ``"peak"`` its largest
         magnitude; a mapping gives one number per output.
     initial : mapping of str to float
-        Start of states that are not measured, the same for all records.
+        Known start of some states, the same for all records.
     n_workers : int or None
         Threads; as many as cores by default.
     """
@@ -77,6 +78,11 @@ class TrajectoryCost:
         self._columns = [model.parameter_names.index(name) for name in model.free_names]
         self.scales = self._output_scales(scale)
         self.initial = dict(initial or {})
+        if unknown := [name for name in self.initial if name not in model.state_names]:
+            raise ModelError(
+                f"initial names {unknown[0]!r}; model {model.name!r} has the states "
+                f"{', '.join(model.state_names)}."
+            )
         self._starts = [self._start(index) for index in range(len(dataset))]
         self.n_evaluations = 0
 
@@ -103,10 +109,10 @@ class TrajectoryCost:
 
     def _start(self, index: int) -> np.ndarray:
         own = np.zeros(len(self.model.states))
-        for name, value in self.initial.items():
-            own[self.model.state_names.index(name)] = value
         for position, series in measured_states(self.model, self.dataset[index]).items():
             own[position] = series[0]
+        for name, value in self.initial.items():
+            own[self.model.state_names.index(name)] = value
         return own
 
     def __call__(self, population: np.ndarray) -> np.ndarray:
@@ -211,7 +217,8 @@ class TrajectoryCost:
         bread = Information.from_jacobian(model.free_names, rows, magnitudes).covariance
         scaled = [r * weights for r in residuals]
         coloured = are_coloured(scaled)
-        noisy = np.vstack([(j * sigma[:, None]).reshape(-1, rows.shape[1]) for j in weighted])
+        shares = (sigma * weights)[:, None]
+        noisy = np.vstack([(j * shares).reshape(-1, rows.shape[1]) for j in weighted])
         middle = coloured_score_covariance(weighted, scaled) if coloured else noisy.T @ noisy
         middle = middle + self._start_noise(weighted, starts, weights, sigma)
         return information, sandwich(bread, middle), coloured
@@ -228,7 +235,10 @@ class TrajectoryCost:
         total = np.zeros((n_free, n_free))
         sources = {output.source: i for i, output in enumerate(self.model.outputs)}
         spread = np.array(
-            [sigma[sources[name]] if name in sources else 0.0 for name in self.model.state_names]
+            [
+                sigma[sources[name]] if name in sources and name not in self.initial else 0.0
+                for name in self.model.state_names
+            ]
         )
         for jacobian, start in zip(weighted, starts, strict=True):
             whitened = (start * weights[:, None]).reshape(-1, start.shape[2])

@@ -128,12 +128,12 @@ class IncrementalLSSVM:
     @property
     def bias(self) -> float:
         """The constant."""
-        return self._solution()[1]
+        return self.solution()[1]
 
     @property
     def multipliers(self) -> np.ndarray:
         """Lagrange multipliers of the samples kept, shape ``(n_samples,)``."""
-        return self._solution()[0]
+        return self.solution()[0]
 
     @property
     def coefficients(self) -> np.ndarray:
@@ -144,11 +144,12 @@ class IncrementalLSSVM:
 
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Values ``(n,)`` at features ``(n, n_features)``."""
-        multipliers, bias = self._solution()
+        multipliers, bias = self.solution()
         support = self._features[: self._n]
         return self.kernel(np.atleast_2d(features), support) @ multipliers + bias
 
-    def _solution(self) -> tuple[np.ndarray, float]:
+    def solution(self) -> tuple[np.ndarray, float]:
+        """Multipliers and bias, at the cost of one solution."""
         if not self._n:
             raise ModelError("The machine has learnt nothing yet. Call start or update.")
         targets = self._targets[: self._n]

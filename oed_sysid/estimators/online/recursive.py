@@ -20,8 +20,10 @@ class RecursiveLSSVM:
     .. math:: k = \frac{Sz}{1 + z^TSz},\quad
               \theta \leftarrow \theta + k\,(y - z^T\theta),\quad S \leftarrow S - k\,(z^TS).
 
-    It starts after the first sample, where the bias row gets its first one. A
-    sample that leaves the ``window`` is subtracted in the same way.
+    It starts after the first sample, where the bias row gets its first one.
+    With a ``window`` the matrix itself is kept, the sample that leaves is
+    subtracted from it, and the system is solved when asked for: subtracting
+    from the inverse loses digits at every step.
 
     Parameters
     ----------
@@ -56,13 +58,15 @@ class RecursiveLSSVM:
             raise ModelError(f"window is {window}. Keep at least two samples.")
         self.C, self.window = C, window
         self._inverse: np.ndarray | None = None
+        self._normal: np.ndarray | None = None
+        self._moment = np.empty(0)
         self._values = np.empty(0)
         self._kept: deque[tuple[np.ndarray, float]] = deque()
         self.n_samples = 0
 
     def start(self, features: np.ndarray, targets: np.ndarray) -> None:
         """Begin with some samples, features ``(n, n_features)`` and targets ``(n,)``."""
-        self._inverse = None
+        self._inverse = self._normal = None
         self._kept.clear()
         self.n_samples = 0
         for row, target in zip(
@@ -76,18 +80,31 @@ class RecursiveLSSVM:
         z = np.empty(x.size + 1)
         z[:-1] = x
         z[-1] = 1.0
-        if self._inverse is None:
+        self.n_samples += 1
+        if self.window is not None:
+            self._slide(z, target)
+        elif self._inverse is None:
             self._begin(z, target)
         else:
             gain = self._inverse @ z
             share = 1.0 / (1.0 + z @ gain)
             self._values += gain * ((target - z @ self._values) * share)
-            self._inverse -= (gain * share)[:, None] * gain
-        self.n_samples += 1
-        if self.window is not None:
-            self._kept.append((z, target))
-            if len(self._kept) > self.window:
-                self._forget(*self._kept.popleft())
+            # Exactly symmetric, or rounding errors grow.
+            self._inverse -= share * np.outer(gain, gain)
+
+    def _slide(self, z: np.ndarray, target: float) -> None:
+        """Add one sample to the normal equations and take the oldest away."""
+        if self._normal is None:
+            self._normal = np.diag(np.append(np.full(z.size - 1, 1.0 / self.C), 0.0))
+            self._moment = np.zeros(z.size)
+        self._normal += np.outer(z, z)
+        self._moment += z * target
+        self._kept.append((z, target))
+        if len(self._kept) > (self.window or 0):
+            old, old_target = self._kept.popleft()
+            self._normal -= np.outer(old, old)
+            self._moment -= old * old_target
+            self.n_samples -= 1
 
     def _begin(self, z: np.ndarray, target: float) -> None:
         """State after one sample: no slope yet, and a bias equal to the target.
@@ -104,25 +121,27 @@ class RecursiveLSSVM:
         self._values = np.zeros(z.size)
         self._values[-1] = target
 
-    def _forget(self, z: np.ndarray, target: float) -> None:
-        assert self._inverse is not None
-        gain = self._inverse @ z
-        share = 1.0 / (z @ gain - 1.0)
-        self._values += gain * ((target - z @ self._values) * share)
-        self._inverse -= (gain * share)[:, None] * gain
-        self.n_samples -= 1
+    def solution(self) -> tuple[np.ndarray, float]:
+        """Coefficients and bias, at the cost of one solution."""
+        if self._normal is not None:
+            scale = 1.0 / np.sqrt(np.diag(self._normal))
+            scaled = self._normal * scale[:, None] * scale
+            values = scale * np.linalg.solve(scaled, scale * self._moment)
+        elif self._inverse is not None:
+            values = self._values
+        else:
+            raise ModelError("The machine has learnt nothing yet. Call start or update.")
+        return values[:-1].copy(), float(values[-1])
 
     @property
     def coefficients(self) -> np.ndarray:
         """Coefficients of the features, shape ``(n_features,)``."""
-        self._check_started()
-        return self._values[:-1].copy()
+        return self.solution()[0]
 
     @property
     def bias(self) -> float:
         """The constant."""
-        self._check_started()
-        return float(self._values[-1])
+        return self.solution()[1]
 
     @property
     def inverse(self) -> np.ndarray:
@@ -130,17 +149,16 @@ class RecursiveLSSVM:
 
         Times the variance of the errors it is the covariance of the estimates.
         """
-        self._check_started()
+        self.solution()
+        if self._normal is not None:
+            return np.linalg.inv(self._normal)
         assert self._inverse is not None
         return self._inverse.copy()
 
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Values ``(n,)`` at features ``(n, n_features)``."""
-        return np.atleast_2d(features) @ self.coefficients + self.bias
-
-    def _check_started(self) -> None:
-        if self._inverse is None:
-            raise ModelError("The machine has learnt nothing yet. Call start or update.")
+        coefficients, bias = self.solution()
+        return np.atleast_2d(features) @ coefficients + bias
 
 
 class RecursiveLeastSquares:
@@ -203,7 +221,8 @@ class RecursiveLeastSquares:
         gain = self._inverse @ x
         share = 1.0 / (self.forgetting + x @ gain)
         self._values += gain * ((target - x @ self._values) * share)
-        self._inverse -= (gain * share)[:, None] * gain
+        # Exactly symmetric, or forgetting lets rounding errors grow.
+        self._inverse -= share * np.outer(gain, gain)
         if self.forgetting < 1:
             self._inverse /= self.forgetting
             excess = np.trace(self._inverse) / (len(x) * self.largest_std**2)

@@ -129,12 +129,16 @@ class OnlineRegression:
         for k in range(first - 1, len(targets)):
             if k >= first:
                 machine.update(columns[k], targets[k])
+            if isinstance(machine, IncrementalLSSVM):
+                multipliers, track[k, n] = machine.solution()
+                kept = columns[k + 1 - len(multipliers) : k + 1]
+                track[k, :n] = kept.T @ multipliers
+                continue
+            if isinstance(machine, RecursiveLSSVM):
+                track[k, :n], track[k, n] = machine.solution()
+                continue
             values = machine.coefficients
-            track[k, :n] = values[:n]
-            if isinstance(machine, RecursiveLeastSquares):
-                track[k, n] = values[n] if bias else 0.0
-            else:
-                track[k, n] = machine.bias
+            track[k, :n], track[k, n] = values[:n], values[n] if bias else 0.0
         ridge = 0.0 if self.method == "forgetting" else 1.0 / self.C
         age = np.arange(len(targets))[::-1]
         weights = self.forgetting**age if self.method == "forgetting" else np.ones(len(targets))
