@@ -1,0 +1,97 @@
+"""The published experiment on the AUV in the diving plane."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from oed_sysid import Dataset, load_problem
+from oed_sysid.estimators import LeastSquaresSVM, MultipleShooting
+from oed_sysid.simulate import simulate, simulate_inputs
+
+PROBLEM = load_problem("auv_diving_plane")
+RECORD = simulate(PROBLEM.model, PROBLEM.experiment("zigzag_5_5"), noise=False)
+# An independent program's total sensitivity to a change of each coefficient by 20 per cent.
+SENSITIVITY = {
+    "M_absww_prime": 0.0001,
+    "Z_wabsq_prime": 0.0004,
+    "Z_absww_prime": 0.0006,
+    "X_ww_prime": 0.0011,
+    "X_qq_prime": 0.0014,
+    "X_wq_prime": 0.0014,
+    "M_uabsw_prime": 0.0021,
+    "Z_uabsw_prime": 0.0043,
+    "M_uu_prime": 0.0202,
+    "Z_uu_prime": 0.0981,
+    "M_uw_prime": 0.1064,
+    "Z_uw_prime": 0.1875,
+    "X_uu_prime": 0.1903,
+    "M_uq_prime": 0.3014,
+    "Z_uq_prime": 0.3688,
+    "M_uuds_prime": 0.4023,
+    "Z_uuds_prime": 0.4123,
+}
+
+
+def replayed(values: dict[str, float]) -> np.ndarray:
+    """Outputs u, w, q, theta for the same fin history and other coefficients."""
+    model = PROBLEM.model.with_values(values)
+    run = simulate_inputs(model, RECORD.times, inputs=RECORD.inputs, initial={"z": 100.0})
+    return run.outputs[:, :4]
+
+
+def test_manoeuvre() -> None:
+    """The zigzag is the one that an independent program made."""
+    assert RECORD.n_samples == PROBLEM.published["samples"] + 1
+    assert RECORD.output("u")[-1] == pytest.approx(1.353, abs=5e-4)
+    theta = np.degrees(RECORD.output("theta"))
+    assert (theta.min(), theta.max()) == pytest.approx((-5.77, 5.85), abs=5e-3)
+    assert np.degrees(np.abs(RECORD.output("q")).max()) == pytest.approx(1.049, abs=5e-4)
+    fin = RECORD.input("delta_s")
+    assert np.sum(np.diff(np.sign(fin[1:])) != 0) == 4
+
+
+def test_straight_speed() -> None:
+    """Without fin the thrust drives the vehicle at 1.471 m/s, where drag equals it."""
+    times = np.arange(0, 3000, 0.5)
+    level = dict.fromkeys(("Z_uu_prime", "M_uu_prime"), 0.0)
+    run = simulate_inputs(PROBLEM.model.with_values(level), times, inputs={"delta_s": 0.0})
+    assert run.signal("u")[-1] == pytest.approx(1.471, abs=1e-3)
+
+
+def test_sensitivities() -> None:
+    """Sensitivities equal an independent program's, so the order of importance does too."""
+    reference = RECORD.outputs[:, :4]
+    for name, expected in SENSITIVITY.items():
+        change = np.abs(replayed({name: 1.2 * PROBLEM.truth[name]}) - reference)
+        total = (change.sum(axis=0) / np.abs(reference).sum(axis=0)).sum()
+        assert total == pytest.approx(expected, abs=1e-4), name
+
+
+def test_bad_estimates_are_the_insensitive_ones() -> None:
+    """Coefficients that LS-SVM gets wrong by more than 5 % are the least sensitive of Z and M."""
+    fit = LeastSquaresSVM(rule="trapezoid").fit(PROBLEM.model, Dataset((RECORD,)))
+    wrong = {n for n, v in fit.values.items() if abs(v / PROBLEM.truth[n] - 1) > 0.05}
+    least = sorted((n for n in SENSITIVITY if n[0] in "ZM"), key=lambda n: SENSITIVITY[n])
+    assert wrong == set(least[: len(wrong)])
+    assert len(wrong) == 5
+
+
+def test_reduced_model_simulates_as_well() -> None:
+    """Without its four least sensitive coefficients the model keeps to within 0.6 % rms."""
+    reduced = PROBLEM.variant("reduced").model
+    run = simulate_inputs(reduced, RECORD.times, inputs=RECORD.inputs, initial={"z": 100.0})
+    reference = RECORD.outputs[:, :4]
+    error = np.sqrt(np.mean((run.outputs[:, :4] - reference) ** 2, axis=0))
+    share = error / np.sqrt(np.mean(reference**2, axis=0))
+    assert share == pytest.approx([0.0, 0.0047, 0.0019, 0.0052], abs=2e-4)
+
+
+def test_multiple_shooting_needs_no_accelerations() -> None:
+    """From start values 30 % off, all 19 numbers return exactly from the same record."""
+    start = {name: 0.7 * value for name, value in PROBLEM.truth.items()}
+    fit = MultipleShooting().fit(PROBLEM.model.with_values(start), Dataset((RECORD,)))
+    assert fit.status.ok
+    weak = {"M_absww_prime": 2e-2, "Z_wabsq_prime": 2e-2, "Z_absww_prime": 2e-2}
+    for name, value in PROBLEM.truth.items():
+        assert fit.values[name] == pytest.approx(value, rel=weak.get(name, 2e-3)), name
