@@ -157,7 +157,7 @@ def _filter(job: Job) -> Innovations:
         return _filter_numpy(noise, record, column)
     result = np.ascontiguousarray(np.where(seen, column, 0.0), dtype=float)
     roots = np.full(column.shape[:2], np.inf)
-    force_memory, colour_memory = _memories(noise, record)
+    force_memory, colour_memory = memories(noise, record)
     n_full = n_states + record.force_gain.shape[2] + n_outputs
     work = np.empty(2 * n_full * column.shape[2])
     arrays = [
@@ -193,7 +193,8 @@ def _library(n_states: int, n_forces: int, n_outputs: int, colour: int) -> ctype
     )
 
 
-def _memories(noise: NoiseModel, record: Deviations) -> tuple[np.ndarray, np.ndarray]:
+def memories(noise: NoiseModel, record: Deviations) -> tuple[np.ndarray, np.ndarray]:
+    """What is left of each force and colour one sample later, as a factor."""
     force = np.exp(-record.sample_time / noise.force_time)
     colour = np.exp(-record.sample_time / noise.colour_time)
     return np.full(len(noise.force), force), np.full(len(noise.white), colour)
@@ -204,7 +205,7 @@ def _filter_numpy(noise: NoiseModel, record: Deviations, column: np.ndarray) -> 
     n_outputs, n_states = record.output.shape[1:]
     n_forces = record.force_gain.shape[2]
     n = n_states + n_forces + (n_outputs if noise.has_colour else 0)
-    force_memory, colour_memory = _memories(noise, record)
+    force_memory, colour_memory = memories(noise, record)
     transition, gain = np.zeros((n, n)), np.zeros((n_outputs, n))
     covariance, drive = np.zeros((n, n)), np.zeros(n)
     forces = slice(n_states, n_states + n_forces)

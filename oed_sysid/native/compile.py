@@ -56,6 +56,7 @@ def _tool_digest() -> str:
         "native/generate.py",
         "native/trajectory.c",
         "native/innovations.c",
+        "native/smoother.c",
     ):
         digest.update(package.joinpath(name).read_bytes())
     digest.update(repr((ca.CasadiMeta.version(), _FLAGS, _compiler(), platform.machine())).encode())

@@ -1,0 +1,126 @@
+"""Likelihood of a noise model, parameters and initial states projected out.
+
+Restricted maximum likelihood (Patterson & Thompson 1971): noise levels are
+judged by what is left of the residuals once everything that the unknowns could
+explain has been removed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.diagnosis.innovations import Deviations, NoiseModel, innovations
+
+
+@dataclass(frozen=True, eq=False)
+class Grounds:
+    """Columns that every place is judged by: sensitivities and residuals, per record.
+
+    Attributes
+    ----------
+    columns : tuple of ndarray (n_times, n_outputs, n_names + n_own + 1)
+        Derivatives by parameters and initial states, then the residual.
+    prior : ndarray (n_names, 2)
+        Inverse standard deviation of each parameter's prior, and the distance
+        of its value from the prior mean in these; zero without a prior.
+    white : ndarray (n_outputs,)
+        White sensor noise.
+    """
+
+    columns: tuple[np.ndarray, ...]
+    prior: np.ndarray
+    white: np.ndarray
+
+    @property
+    def n_own(self) -> int:
+        """Initial states per record."""
+        return self.columns[0].shape[2] - 1 - len(self.prior)
+
+
+@dataclass(frozen=True, eq=False)
+class Restricted:
+    """Restricted likelihood under one noise model.
+
+    Attributes
+    ----------
+    objective : float
+        Minus twice the log-likelihood, up to a constant.
+    correction : ndarray (n_unknowns,)
+        What parameters, then initial states of each record, should change by.
+    covariance : ndarray (n_unknowns, n_unknowns)
+        Of that correction.
+    """
+
+    objective: float
+    correction: np.ndarray
+    covariance: np.ndarray
+
+    def of_record(self, index: int, n_names: int, n_own: int) -> np.ndarray:
+        """Positions of the unknowns that matter for one record."""
+        first = n_names + index * n_own
+        return np.r_[:n_names, first : first + n_own]
+
+
+def restricted(
+    grounds: Grounds, models: Sequence[NoiseModel], records: Sequence[Sequence[Deviations]]
+) -> list[Restricted]:
+    """Restricted likelihood under several noise models, each with its own deviations.
+
+    Parameters
+    ----------
+    grounds : Grounds
+    models : sequence of NoiseModel
+    records : sequence of sequence of Deviations
+        For every noise model, the deviations of all records.
+    """
+    jobs = [
+        (noise, line, column)
+        for noise, lines in zip(models, records, strict=True)
+        for line, column in zip(lines, grounds.columns, strict=True)
+    ]
+    found = innovations(jobs)
+    n = len(grounds.columns)
+    result = []
+    for index in range(len(models)):
+        parts = found[index * n : (index + 1) * n]
+        grams = [_gram(part.white) for part in parts]
+        log_determinant = sum(part.log_determinant for part in parts)
+        result.append(_restricted(grounds, grams, log_determinant))
+    return result
+
+
+def _gram(white: np.ndarray) -> np.ndarray:
+    rows = white.reshape(-1, white.shape[2])
+    return rows.T @ rows
+
+
+def _restricted(
+    grounds: Grounds, grams: Sequence[np.ndarray], log_determinant: float
+) -> Restricted:
+    n_names, n_own = len(grounds.prior), grounds.n_own
+    n_unknowns = n_names + n_own * len(grams)
+    matrix, right = np.zeros((n_unknowns, n_unknowns)), np.zeros(n_unknowns)
+    matrix[np.arange(n_names), np.arange(n_names)] = grounds.prior[:, 0] ** 2
+    right[:n_names] = grounds.prior[:, 0] * grounds.prior[:, 1]
+    square = float(np.sum(grounds.prior[:, 1] ** 2))
+    for index, gram in enumerate(grams):
+        first = n_names + index * n_own
+        where = np.r_[:n_names, first : first + n_own]
+        matrix[np.ix_(where, where)] += gram[:-1, :-1]
+        right[where] += gram[:-1, -1]
+        square += float(gram[-1, -1])
+    size = np.sqrt(np.diag(matrix))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(matrix / size[:, None] / size)
+    seen = values > 1e-11 * values.max()
+    basis = vectors[:, seen] / np.sqrt(values[seen]) / size[:, None]
+    projected = basis.T @ right
+    # Unseen directions drop out of every model alike.
+    determinant = 2.0 * float(np.log(size).sum()) + float(np.log(values[seen]).sum())
+    objective = log_determinant + square - float(projected @ projected) + determinant
+    return Restricted(
+        objective if np.isfinite(objective) else np.inf, basis @ projected, basis @ basis.T
+    )
