@@ -257,6 +257,7 @@ class Fit:
             f"  misfit        {self.normalised_rms:.3f} x noise over all outputs",
             "",
             *self._parameter_table(),
+            *self._local_lines(),
             "",
             *self._output_table(),
         ]
@@ -287,6 +288,17 @@ class Fit:
                 )
             )
         return [f"  {line}" for line in align(rows)]
+
+    def _local_lines(self) -> list[str]:
+        """Values of per-record parameters, one line each."""
+        lines = []
+        for name in self.local_values[0] if self.local_values else ():
+            pairs = zip(self.dataset.names, self.local_values, strict=True)
+            listed = ", ".join(f"{record} {values[name]:.4g}" for record, values in pairs)
+            lines.append(
+                f"  {name} per record: {listed} {self.model.parameter(name).unit}".rstrip()
+            )
+        return lines
 
     def _output_table(self) -> list[str]:
         rows = [("output", "rms residual", "noise", "", "eff. samples", "of", "unit")]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -205,6 +206,15 @@ def test_message_says_what_to_do(
         act()
     for word in words:
         assert word in str(caught.value)
+
+
+def test_list_is_complete() -> None:
+    """docs/errors.md lists every case, with the words that the user will read."""
+    text = (Path(__file__).parent.parent / "docs" / "errors.md").read_text(encoding="utf-8")
+    for title, _, _, words in CASES:
+        assert title in text
+        for word in words:
+            assert word in text, f"{title}: {word}"
 
 
 def test_numbers_that_are_no_numbers_are_refused() -> None:

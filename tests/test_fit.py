@@ -70,6 +70,7 @@ def test_report_holds_what_a_paper_needs(fit: Fit) -> None:
         assert f"{name} " in text
         assert f"{value:.6g}" in text
     assert "rms residual" in text
+    assert "K per record: a 0.1" in text
     assert "None" not in text
     assert "nan" not in text
 
