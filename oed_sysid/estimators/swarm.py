@@ -150,7 +150,8 @@ class DifferentialSwarm:
         n, n_free = best.shape
         columns = 1 if self.draw == "particle" else n_free
         share = rng.uniform(size=(n, columns))
-        first, second = rng.integers(n, size=n), rng.integers(n, size=n)
+        first = rng.integers(n, size=n)
+        second = (first + rng.integers(1, n, size=n)) % n  # another one
         return share * best + (1 - share) * leader + self.omega * (best[first] - best[second])
 
 
