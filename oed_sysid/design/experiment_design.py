@@ -49,7 +49,7 @@ def design_experiment(
     coloured: Colour = None,
     n_starts: int = 3,
     n_candidates: int = 80,
-    n_steps: int = 25,
+    n_steps: int = 40,
     n_workers: int | None = None,
     name: str = "designed",
     progress: Callable[[Progress], None] | None = None,

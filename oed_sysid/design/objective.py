@@ -48,6 +48,22 @@ class Score:
         return bool(np.isfinite(self.value) and self.excess <= 1e-9)
 
 
+@dataclass(frozen=True, eq=False)
+class Slope:
+    """Derivatives at one candidate.
+
+    Attributes
+    ----------
+    criterion : ndarray (size,)
+        Of the criterion by the numbers.
+    signals : ndarray (n_scenes, n_times, n_limits, size)
+        Of the limited signals by the numbers.
+    """
+
+    criterion: np.ndarray
+    signals: np.ndarray
+
+
 class Objective:
     """Criterion of a parametrised experiment over one or several scenes.
 
@@ -150,53 +166,43 @@ class Objective:
         value = smallest - self._softness * np.log(weights.mean())
         return float(value), weights / weights.sum()
 
-    def gradient(self, score: Score, multipliers: Sequence[np.ndarray]) -> np.ndarray:
-        """Derivative of the criterion minus ``sum(multipliers * excess)``, shape ``(size,)``.
-
-        Parameters
-        ----------
-        score : Score
-            Where.
-        multipliers : sequence of ndarray (n_times, n_limits, 2)
-            Price of the excess of every limit, one array per scene.
-        """
+    def linearise(self, score: Score) -> Slope:
+        """Derivatives of the criterion and of the limited signals by the numbers."""
         size = self.shape.size
         signs = np.where(score.numbers > 0.5, -1.0, 1.0)
-        moved = score.numbers + np.diag(_STEP * signs)
-        commands = self.all_commands(moved)
+        commands = self.all_commands(score.numbers + np.diag(_STEP * signs))
         parts = [self._measured(i, view) for i, view in enumerate(score.views)]
         _, weights = self._combined([value for value, _ in parts])
         slopes = []
         for i, scene in enumerate(self.scenes):
             whitened = scene.whitened(score.views[i].rows)
-            slope = 2 * weights[i] * scene.unwhitened(whitened @ parts[i][1])
-            slopes.append((slope, self._signal_slope(multipliers[i], score.views[i].signals)))
+            slopes.append(2 * weights[i] * scene.unwhitened(whitened @ parts[i][1]))
+        columns = self.corridor.columns
+        gradient = np.zeros(size)
+        signals = np.zeros((len(self.scenes), len(self.times), len(columns), size))
 
-        def one(index: int) -> float:
+        def one(index: int) -> None:
             differs = np.flatnonzero((commands[index] != score.commands).any(axis=1))
             if not len(differs):
-                return 0.0
-            total = 0.0
+                return
+            step = _STEP * signs[index]
             for i, scene in enumerate(self.scenes):
                 # A linearly interpolated command acts from the sample before.
                 edge = int(np.searchsorted(scene.edges, max(differs[0] - 1, 0), "right")) - 1
-                total += scene.slope(score.views[i], commands[index], edge, *slopes[i])
-            return total / (_STEP * signs[index])
+                change = scene.change(score.views[i], commands[index], edge, slopes[i], columns)
+                if change is not None:
+                    gradient[index] += change[0] / step
+                    signals[i, scene.edges[edge] :, :, index] = change[1] / step
+
+        def several(chunk: np.ndarray) -> None:
+            for index in chunk:
+                one(index)
 
         self.n_evaluations += size
         if self._n_workers == 1:
-            return np.array([one(i) for i in range(size)])
-        with ThreadPoolExecutor(self._n_workers) as pool:
-            chunks = np.array_split(np.arange(size), 4 * self._n_workers)
-            found = pool.map(lambda chunk: [one(i) for i in chunk], chunks)
-            return np.array([value for chunk in found for value in chunk])
-
-    def _signal_slope(self, multipliers: np.ndarray, signals: np.ndarray) -> np.ndarray | None:
-        """Derivative of minus the priced excess by the signals."""
-        if not self.corridor.names or not multipliers.any():
-            return None
-        slope = np.zeros_like(signals)
-        net = (multipliers[:, :, 0] - multipliers[:, :, 1]) / self.corridor.width
-        for index, column in enumerate(self.corridor.columns):
-            slope[:, column] += net[:, index]
-        return slope
+            several(np.arange(size))
+        else:
+            with ThreadPoolExecutor(self._n_workers) as pool:
+                chunks = np.array_split(np.arange(size), 4 * self._n_workers)
+                list(pool.map(several, chunks))
+        return Slope(gradient, signals)

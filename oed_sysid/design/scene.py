@@ -129,15 +129,15 @@ class Scene:
         signals = np.hstack([run.states, run.outputs])
         return View(rows, signals, run.states[self.edges], chains, tuple(rival_nodes))
 
-    def slope(
+    def change(
         self,
         view: View,
         commands: np.ndarray,
         edge: int,
         by_rows: np.ndarray,
-        by_signals: np.ndarray | None,
-    ) -> float:
-        """Change of a linear function of rows and signals under changed commands.
+        columns: np.ndarray,
+    ) -> tuple[float, np.ndarray] | None:
+        """Return what changed commands do to a linear function of the rows, and to signals.
 
         Parameters
         ----------
@@ -149,8 +149,16 @@ class Scene:
             Which edge.
         by_rows : ndarray (n_times, n_outputs, n_columns)
             Weights of the rows.
-        by_signals : ndarray (n_times, n_full + n_outputs) or None
-            Weights of the signals.
+        columns : ndarray of int (n_limits,)
+            Signals of interest.
+
+        Returns
+        -------
+        change : float
+            Of the weighted sum of rows.
+        signals : ndarray (n_times - first, n_limits)
+            Change of the signals, from the edge on; None where the trajectory
+            diverges.
         """
         first = int(self.edges[edge])
         times, part = self.times[first:], commands[first:]
@@ -160,8 +168,8 @@ class Scene:
             chain = self._chains(dz[None])[0]
         run = self.kernel.run(times, part, self.values, z, sensitivities=True)
         if not run.ok or run.output_sensitivities is None:
-            return 0.0
-        n_kept = len(self.columns)
+            return None
+        n_kept, n_full = len(self.columns), self.kernel.n_full
         weights = by_rows[first:] / self.noise.sigma[:, None]
         # <W, S chain> = <W chain', S>: one product, no copy of the sensitivities.
         pulled = weights[:, :, :n_kept].reshape(-1, n_kept) @ chain.T
@@ -172,15 +180,14 @@ class Scene:
                 node, _ = rival.start(self.own, commands[0], values, float(times[0]))
             other = rival.run(times, part, values, node)
             if not other.ok:
-                return 0.0
+                return None
             total += float(np.vdot(weights[:, :, n_kept + position], other.outputs - run.outputs))
         total -= float(np.vdot(by_rows[first:], view.rows[first:]))
-        if by_signals is not None:
-            n_full = self.kernel.n_full
-            moved = by_signals[first:]
-            total += float(np.vdot(moved[:, :n_full], run.states - view.signals[first:, :n_full]))
-            total += float(np.vdot(moved[:, n_full:], run.outputs - view.signals[first:, n_full:]))
-        return total
+        signals = np.empty((len(times), len(columns)))
+        for index, column in enumerate(columns):
+            source = run.states[:, column] if column < n_full else run.outputs[:, column - n_full]
+            signals[:, index] = source - view.signals[first:, column]
+        return total, signals
 
     def _chains(self, maps: np.ndarray) -> np.ndarray:
         """See :class:`View`; ``maps`` are derivatives of the states at the edges."""

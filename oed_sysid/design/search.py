@@ -1,4 +1,11 @@
-"""From rough manoeuvres to an optimum: quasi-Newton steps with priced limits."""
+"""From rough manoeuvres to an optimum: linear programs within moving bounds.
+
+The best commands lie mostly on limits of the actuators or of the vehicle, in
+the corners that a linear program finds at once. Each step therefore maximises
+the linearised criterion subject to the linearised limits of every sample,
+within bounds around the present commands that shrink where the steps swing
+back and grow where they go on.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +14,19 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import linprog
+from scipy.sparse import csr_matrix, hstack
 
-from oed_sysid.design.objective import Objective, Score
+from oed_sysid.design.objective import Objective, Score, Slope
 
-# Inner distance kept from the limits, as a share of their width, while searching.
-_MARGIN = 2e-3
-_FIRST_PRICE = 300.0
-_PRICE_GROWTH = 4.0
+# Inner distance kept from the limits while searching, as a share of their width.
+_MARGIN = 5e-4
+# Loss of criterion that weighs as much as an excess of the whole width of a limit.
+_PRICE = 300.0
+_FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 0.15, 0.4, 2e-3
+# The search ends when five steps together gain less than this.
+_WORTH_MORE = 0.01
+_N_FINISHES, _INWARD = 3, 0.85
 
 
 @dataclass(frozen=True)
@@ -50,22 +62,21 @@ def refine(
     objective: Objective,
     start: Score,
     *,
-    n_rounds: int = 6,
     n_steps: int = 40,
     report: Callable[[int, Score], None] | None = None,
 ) -> tuple[Score | None, Score]:
-    """Maximise from one start by an augmented Lagrangian and L-BFGS-B.
+    """Maximise from one start by sequential linear programming.
 
     Parameters
     ----------
     objective : Objective
         Criterion and limits.
     start : Score
-        Where to begin.
-    n_rounds, n_steps : int
-        Rounds of prices, and quasi-Newton steps in each.
+        Where to begin; it may break limits.
+    n_steps : int
+        Largest number of linearisations.
     report : callable, optional
-        Called with round and score.
+        Called with step and score.
 
     Returns
     -------
@@ -76,88 +87,97 @@ def refine(
 
     References
     ----------
-    J. Nocedal, S. Wright, *Numerical Optimization*, 2nd ed. (2006), chapters 9
-    and 17.
+    R. Fletcher, E. Sainz de la Maza, Nonlinear programming and nonsmooth
+    optimization by successive linear programming, *Mathematical Programming*
+    43 (1989) 235-256: exact penalty and trust region.
+    K. Svanberg, The method of moving asymptotes, *Int. J. Numerical Methods in
+    Engineering* 24 (1987) 359-373: bounds that follow the sign of the steps.
     """
+    current = start
     best = start if start.feasible else None
     nearest = start
-    limited = bool(objective.corridor.names)
-    shape = [(len(view.signals), len(objective.corridor.names), 2) for view in start.views]
-    prices = [np.zeros(s) for s in shape]
-    weight, previous = _FIRST_PRICE, np.inf
-    numbers = start.numbers
-    for index in range(n_rounds if limited else 1):
-        latest: list[Score] = []
-
-        def cost(
-            x: np.ndarray,
-            prices: list[np.ndarray] = prices,
-            weight: float = weight,
-            latest: list[Score] = latest,
-        ) -> tuple[float, np.ndarray]:
-            nonlocal best, nearest
-            score = objective.score(x)
-            if not np.isfinite(score.value):
-                return 1e10, np.zeros_like(x)
-            if score.feasible and (best is None or score.value > best.value):
-                best = score
-            if score.excess < nearest.excess:
-                nearest = score
-            total, multipliers = score.value, []
-            for view, price in zip(score.views, prices, strict=True):
-                paid = _paid(objective, view.signals, price, weight)
-                multipliers.append(paid)
-                total -= float(np.sum(paid**2 - price**2)) / (2 * weight)
-            latest[:] = [score]
-            return -total, -objective.gradient(score, multipliers)
-
-        steps = n_steps if limited else 5 * n_steps
-        result = minimize(
-            cost, numbers, jac=True, method="L-BFGS-B", bounds=[(0.0, 1.0)] * len(numbers),
-            options={"maxiter": steps, "maxfun": 2 * steps, "ftol": 1e-6, "maxcor": 20},
-        )  # fmt: skip
-        numbers = result.x
-        score = objective.score(numbers)
-        if not np.isfinite(score.value):
+    radius = np.full(len(start.numbers), _FIRST_RADIUS)
+    last_step = np.zeros(len(start.numbers))
+    merits = [_merit(start)]
+    for index in range(n_steps):
+        slope = objective.linearise(current)
+        for _ in range(6):
+            step, predicted = _program(objective, current, slope, radius)
+            trial = objective.score(np.clip(current.numbers + step, 0.0, 1.0))
+            if trial.feasible and (best is None or trial.value > best.value):
+                best = trial
+            if trial.excess < nearest.excess:
+                nearest = trial
+            gained = _merit(trial) - _merit(current)
+            if gained > 0.05 * predicted and gained > 0:
+                break
+            radius *= 0.4
+        else:
             break
+        turned = step * last_step
+        radius = np.where(turned < 0, 0.6 * radius, np.where(turned > 0, 1.3 * radius, radius))
+        if gained < 0.3 * predicted:
+            radius *= 0.6
+        elif gained > 0.8 * predicted:
+            radius *= 1.4
+        radius = np.clip(radius, _SMALLEST_RADIUS, _LARGEST_RADIUS)
+        current, last_step = trial, step
+        merits.append(_merit(current))
         if report is not None:
-            report(index, score)
-        prices = [
-            _paid(objective, view.signals, price, weight)
-            for view, price in zip(score.views, prices, strict=True)
-        ]
-        if score.excess > 0.3 * previous:
-            weight *= _PRICE_GROWTH
-        previous = max(score.excess, 1e-12)
-        best = _repaired(objective, score, best)
+            report(index, current)
+        if len(merits) > 6 and merits[-1] - merits[-6] < _WORTH_MORE:
+            break
     return best, nearest if best is None else best
 
 
-def _paid(
-    objective: Objective, signals: np.ndarray, price: np.ndarray, weight: float
-) -> np.ndarray:
-    excess = objective.corridor.excess(signals, n_times=len(signals)) + _MARGIN
-    return np.maximum(0.0, price + weight * np.where(np.isfinite(excess), excess, -1e3))
+def _merit(score: Score) -> float:
+    """Criterion less the price of what is outside the limits."""
+    if not np.isfinite(score.value):
+        return -np.inf
+    return score.value - _PRICE * max(score.excess + _MARGIN, 0.0)
 
 
-def _repaired(objective: Objective, score: Score, best: Score | None) -> Score | None:
-    """Move an end point that is slightly outside back towards the best one inside."""
-    if score.feasible:
-        return score if best is None or score.value > best.value else best
-    if best is None or score.excess > 0.2:
-        return best
-    for share in (0.98, 0.95, 0.9, 0.8, 0.6):
-        trial = objective.score(best.numbers + share * (score.numbers - best.numbers))
-        if trial.feasible:
-            return trial if trial.value > best.value else best
-    return best
+def _program(
+    objective: Objective, score: Score, slope: Slope, radius: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Best step of the linearised problem, and the merit that it promises."""
+    lower = np.maximum(-radius, -score.numbers)
+    upper = np.minimum(radius, 1.0 - score.numbers)
+    rows, rights = [], []
+    for i, view in enumerate(score.views):
+        excess = objective.corridor.excess(view.signals, n_times=len(view.signals)) + _MARGIN
+        by_numbers = slope.signals[i] / objective.corridor.width[:, None]
+        reach = np.abs(by_numbers) @ radius
+        for side, sign in enumerate((-1.0, 1.0)):
+            # Other samples cannot reach their limit within this step.
+            near = excess[:, :, side] + reach > 0
+            rows.append(sign * by_numbers[near])
+            rights.append(-excess[:, :, side][near])
+    matrix, right = np.vstack(rows), np.concatenate(rights)
+    present = max(0.0, float(-right.min(initial=0.0)))
+    if not len(right):
+        step = np.where(slope.criterion > 0, upper, lower)
+        return step, float(slope.criterion @ step)
+    # One elastic variable, the largest excess, keeps the program solvable.
+    elastic = csr_matrix(-np.ones((len(right), 1)))
+    solved = linprog(
+        np.append(-slope.criterion, _PRICE),
+        A_ub=hstack([csr_matrix(matrix), elastic], format="csr"),
+        b_ub=right,
+        bounds=[*zip(lower, upper, strict=True), (0.0, None)],
+        method="highs",
+    )
+    if solved.x is None:
+        return np.zeros_like(radius), 0.0
+    step = solved.x[:-1]
+    return step, float(slope.criterion @ step + _PRICE * (present - solved.x[-1]))
 
 
 def search(
     objective: Objective,
     begin: list[Score],
     *,
-    n_steps: int = 25,
+    n_steps: int = 40,
     progress: Callable[[Progress], None] | None = None,
 ) -> Found:
     """Refine several starts roughly, the best one further.
@@ -169,9 +189,10 @@ def search(
     begin : list of Score
         Starts; at least one.
     n_steps : int
-        Quasi-Newton steps in each round of prices.
+        Linearisations for each start; up to twice as many for each finish of
+        the best.
     progress : callable, optional
-        Called with a :class:`Progress` after each round.
+        Called with a :class:`Progress` after each step.
     """
     nearest = min(begin, key=lambda score: score.excess)
     rough: list[Score] = []
@@ -182,9 +203,7 @@ def search(
 
     values = []
     for number, start in enumerate(begin):
-        found, close = refine(
-            objective, start, n_rounds=3, n_steps=n_steps, report=partial(tell, number)
-        )
+        found, close = refine(objective, start, n_steps=n_steps, report=partial(tell, number))
         values.append(float("-inf") if found is None else found.value)
         if found is not None:
             rough.append(found)
@@ -192,7 +211,14 @@ def search(
     if not rough:
         return Found(None, nearest, tuple(values))
     best = max(rough, key=lambda score: score.value)
-    found, _ = refine(
-        objective, best, n_rounds=4, n_steps=2 * n_steps, report=partial(tell, len(begin))
-    )
-    return Found(found or best, nearest, tuple(values))
+    for index in range(_N_FINISHES):
+        # From slightly smaller commands other corners come within reach.
+        inner = best if index == 0 else objective.score(0.5 + _INWARD * (best.numbers - 0.5))
+        if not inner.views:
+            continue
+        found, _ = refine(
+            objective, inner, n_steps=2 * n_steps, report=partial(tell, len(begin) + index)
+        )
+        if found is not None and found.value > best.value:
+            best = found
+    return Found(best, nearest, tuple(values))

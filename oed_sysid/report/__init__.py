@@ -7,6 +7,12 @@ report in one file.
 """
 
 from oed_sysid.report.comparison_page import comparison_page
+from oed_sysid.report.design_plots import (
+    figure_design,
+    plot_accuracy,
+    plot_bode,
+    plot_sensitivity,
+)
 from oed_sysid.report.fit_page import fit_page
 from oed_sysid.report.fit_plots import (
     figure_fit,
@@ -36,6 +42,7 @@ __all__ = [
     "Section",
     "Table",
     "comparison_page",
+    "figure_design",
     "figure_fit",
     "figure_predictions",
     "figure_whiteness",
@@ -43,7 +50,9 @@ __all__ = [
     "improvement_page",
     "model_style",
     "new_figure",
+    "plot_accuracy",
     "plot_autocorrelation",
+    "plot_bode",
     "plot_comparison",
     "plot_correlation",
     "plot_error_fall",
@@ -55,6 +64,7 @@ __all__ = [
     "plot_prediction_error",
     "plot_ranking",
     "plot_residual",
+    "plot_sensitivity",
     "plot_track",
     "plot_zigzag",
 ]

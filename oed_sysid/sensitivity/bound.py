@@ -149,7 +149,7 @@ def triangle(rows: np.ndarray) -> np.ndarray:
     n_blocks = len(rows) // _BLOCK
     if n_blocks > 1:
         blocks = rows[: n_blocks * _BLOCK].reshape(n_blocks, _BLOCK, n)
-        triangles = np.linalg.qr(blocks, mode="r").reshape(-1, n)
+        triangles = np.asarray(np.linalg.qr(blocks, mode="r")).reshape(-1, n)
         rows = np.vstack([triangles, rows[n_blocks * _BLOCK :]])
     if len(rows) < n:
         rows = np.vstack([rows, np.zeros((n - len(rows), n))])

@@ -103,20 +103,26 @@ class SensitivityRanking:
             return ()
         change_rank = {name: i for i, name in enumerate(self.by_output_change)}
         median = float(np.median([row.output_change for row in self.rows]))
+        usual = float(np.median([row.inflation for row in self.rows]))
         words = []
         for rank, row in enumerate(self.rows):
-            far = abs(rank - change_rank[row.name]) >= max(2, n // 4)
-            if row.output_change >= median and (row.error > POOR or (far and row.inflation > 5)):
+            place = change_rank[row.name]
+            far = abs(rank - place) >= max(2, n // 4)
+            if row.output_change >= median and (row.error > POOR or (far and rank > place)):
                 words.append(
-                    f"{row.name} moves the outputs (place {change_rank[row.name] + 1}) but is "
-                    f"determined to {row.error:.0%} only (place {rank + 1}): other unknowns mimic "
-                    f"it (error {row.inflation:.3g} times that if they were known)"
+                    f"{row.name} moves the outputs (place {place + 1}) but is determined to "
+                    f"{100 * row.error:.2g} % of its value only (place {rank + 1}): other "
+                    f"unknowns mimic it, its error is {row.inflation:.3g} times that of known ones"
                 )
-            elif row.output_change < median and far and rank < change_rank[row.name]:
+            elif row.output_change < median and far and rank < place and row.error <= POOR:
+                reason = (
+                    "others mimic it less than usual"
+                    if row.inflation < usual
+                    else "it acts where the noise is low"
+                )
                 words.append(
-                    f"{row.name} moves the outputs little (place {change_rank[row.name] + 1}) but "
-                    f"is determined to {row.error:.1%} (place {rank + 1}): nothing mimics it, or "
-                    "it acts where the noise is low"
+                    f"{row.name} moves the outputs little (place {place + 1}) but is determined "
+                    f"to {100 * row.error:.2g} % of its value (place {rank + 1}): {reason}"
                 )
         return tuple(words)
 

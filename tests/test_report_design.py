@@ -1,0 +1,45 @@
+"""Figures of rankings and designs show what the results say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_design import ship
+from test_sensitivity import oscillator, roll_test
+
+from oed_sysid import Limits
+from oed_sysid.design import Levels, design_experiment
+from oed_sysid.report import figure_design, plot_accuracy, plot_bode, plot_sensitivity
+from oed_sysid.sensitivity import bode, excitation_spectrum, rank_parameters
+from oed_sysid.simulate import equilibrium
+
+
+def test_sensitivity_plot_has_a_row_for_each_parameter() -> None:
+    """Rows are the parameters, best on top, at their errors."""
+    ranking = rank_parameters(oscillator(), roll_test())
+    ax = plot_sensitivity(ranking)
+    assert len(ax.get_yticklabels()) == len(ranking.rows)
+    dots = [line.get_xdata()[0] for line in ax.lines if line.get_label() == "estimated together"]
+    np.testing.assert_allclose(dots, [min(r.error, dots[i]) for i, r in
+                                      enumerate(reversed(ranking.rows))])  # fmt: skip
+    assert dots[-1] == pytest.approx(ranking.rows[0].error)
+
+
+def test_design_figure_draws_commands_limits_and_errors(tmp_path: Path) -> None:
+    """The figure can be written, and the accuracy shown is the design's."""
+    limits = Limits(inputs={"rudder": (-0.35, 0.35)}, signals={"psi": (-0.6, 0.6)})
+    design = design_experiment(
+        ship(), limits=limits, duration=30.0, sample_time=0.5, parametrisation=Levels(8),
+        n_starts=1, n_candidates=5, n_steps=3, n_workers=1, rng=np.random.default_rng(0),
+    )  # fmt: skip
+    figure = figure_design(design)
+    figure.savefig(tmp_path / "design.png")
+    assert (tmp_path / "design.png").stat().st_size > 10_000
+    (ours,) = [line for line in plot_accuracy(design).lines if line.get_label() == "designed"]
+    np.testing.assert_allclose(np.sort(ours.get_xdata()), np.sort(design.relative_errors))
+    point = equilibrium(ship(), inputs={"rudder": 0.0})
+    spectrum = excitation_spectrum(design.trajectory.times, design.trajectory.signal("rudder"))
+    ax = plot_bode(bode(ship(), point, input="rudder", output="r"), spectrum=spectrum)
+    assert "rad/s" in ax.get_xlabel()
