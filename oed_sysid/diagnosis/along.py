@@ -121,10 +121,36 @@ class Along:
         """Positions of the equations' forces among the places."""
         return tuple(i for i, place in enumerate(self.where) if place.stage == "force")
 
+    def units(self, correlation_time: float) -> np.ndarray:
+        """Disturbances that move some output by its noise within a correlation time.
+
+        Returns
+        -------
+        ndarray (n_places,)
+        """
+        sizes = [_response(s, self.grounds.white, correlation_time) for s in self.stretches]
+        size = np.mean(sizes, axis=0)
+        return 1.0 / np.where(size > 0, size, 1.0)
+
     @property
     def joint(self) -> list[Deviations]:
         """Deviations driven by all forces, per record."""
         return [stretch.deviations(self.forces) for stretch in self.stretches]
+
+
+def _response(stretch: Stretch, white: np.ndarray, correlation_time: float) -> np.ndarray:
+    """Typical response of the outputs, in noise, to each disturbance held for a while."""
+    n, size = stretch.states.shape
+    span = max(1, min(round(correlation_time / stretch.sample_time), n // 2))
+    moved = np.zeros((size, stretch.gains.shape[2]))
+    found = []
+    for k in range(n - 1):
+        moved = stretch.transition[k] @ moved + stretch.gains[k]
+        if (k + 1) % span == 0:
+            shown = np.abs(stretch.output[k + 1] @ moved) + np.abs(stretch.direct[k + 1])
+            found.append(np.max(shown / white[:, None], axis=0))
+            moved = np.zeros_like(moved)
+    return np.median(found, axis=0)
 
 
 def fitted_model(task: Task, fit: GreyBox) -> Model:
@@ -314,10 +340,9 @@ def smoothed_states(
         state.
     """
     solution = restricted(found.grounds, [noise], [lines])[0]
-    n_names, n_own = len(found.system.names), found.grounds.n_own
     result = []
     for index, (stretch, line) in enumerate(zip(found.stretches, lines, strict=True)):
-        step = solution.correction[solution.of_record(index, n_names, n_own)]
+        step = solution.correction[found.grounds.unknowns(index)]
         residual = stretch.columns[:, :, -1] - stretch.columns[:, :, :-1] @ step
         smoothed = smooth(noise, line, residual[:, :, None])
         size = stretch.states.shape[1]

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from oed_sysid.diagnosis.along import Along, smoothed_states
 from oed_sysid.diagnosis.innovations import Deviations, NoiseModel
 from oed_sysid.diagnosis.restricted import Grounds, Restricted, restricted
 from oed_sysid.diagnosis.stages import Place
@@ -33,6 +34,8 @@ class Evidence:
         Gain in twice the log-likelihood over white noise alone.
     level : float
         Standard deviation of the disturbance, in the place's unit.
+    grounds : Grounds
+        Sensitivities and residuals of the linearisation that was used.
     records : sequence of Deviations
         Linear deviations driven at the place.
     noise : NoiseModel
@@ -44,91 +47,88 @@ class Evidence:
     place: Place
     gain: float
     level: float
+    grounds: Grounds
     records: Sequence[Deviations]
     noise: NoiseModel
     solution: Restricted
 
 
 def evidence(
-    grounds: Grounds,
-    where: Sequence[Place],
-    records: Sequence[Sequence[Deviations]],
-    correlation_time: float,
+    found: Along, chosen: Sequence[int] | None = None, *, correlation_time: float
 ) -> list[Evidence]:
-    """Evidence for every place, largest first.
+    """Evidence for places of the chain, largest first.
 
     Parameters
     ----------
-    grounds : Grounds
-    where : sequence of Place
-    records : sequence of sequence of Deviations
-        For every place, the deviations of all records.
+    found : Along
+        The linearised model.
+    chosen : sequence of int, optional
+        Positions of the places to judge; all by default.
     correlation_time : float
         Of the disturbances, s.
     """
-    quiet = NoiseModel(
-        grounds.white,
-        np.zeros_like(grounds.white),
-        np.zeros(1),
-        force_time=correlation_time,
-    )
+    chosen = range(len(found.where)) if chosen is None else chosen
+    grounds = found.grounds
+    nothing = np.zeros_like(grounds.white)
+    quiet = NoiseModel(grounds.white, nothing, np.zeros(1), force_time=correlation_time)
+    records = [[stretch.alone(index) for stretch in found.stretches] for index in chosen]
+    units = found.units(correlation_time)[list(chosen)]
     base = restricted(grounds, [quiet], [records[0]])[0].objective
-    units = [unit_level(lines, grounds.white, correlation_time) for lines in records]
     logs = np.log(LEVELS)
-    found = _at_levels(grounds, quiet, records, [unit * np.exp(logs) for unit in units])
-    result = []
-    best_logs = []
-    for solutions in found:
-        values = np.array([s.objective for s in solutions])
-        best_logs.append(logs[int(np.argmin(values))])
+    tables = [
+        {float(x): s for x, s in zip(logs, solutions, strict=True)}
+        for solutions in _at_levels(grounds, quiet, records, np.outer(units, LEVELS))
+    ]
+    best = [_best(table) for table in tables]
     step = logs[1] - logs[0]
-    tables = [{float(x): s for x, s in zip(logs, solutions, strict=True)} for solutions in found]
     while step > np.log(SETTLED):
         step /= 2.0
-        trials = [np.array([centre - step, centre + step]) for centre in best_logs]
-        levels = [unit * np.exp(t) for unit, t in zip(units, trials, strict=True)]
-        for index, solutions in enumerate(_at_levels(grounds, quiet, records, levels)):
-            for x, solution in zip(trials[index], solutions, strict=True):
-                tables[index][float(x)] = solution
-            best_logs[index] = min(tables[index], key=lambda x: tables[index][x].objective)
-    for index, place in enumerate(where):
-        solution = tables[index][best_logs[index]]
-        level = float(units[index] * np.exp(best_logs[index]))
+        trials = np.array([[centre - step, centre + step] for centre in best])
+        solutions = _at_levels(grounds, quiet, records, units[:, None] * np.exp(trials))
+        for table, at, parts in zip(tables, trials, solutions, strict=True):
+            table.update({float(x): s for x, s in zip(at, parts, strict=True)})
+        best = [_best(table) for table in tables]
+    result = []
+    for position, index in enumerate(chosen):
+        solution = tables[position][best[position]]
+        level = float(units[position] * np.exp(best[position]))
         gain = max(base - solution.objective, 0.0)
         noise = replace(quiet, force=np.array([level]))
-        result.append(Evidence(place, gain, level, records[index], noise, solution))
+        lines = records[position]
+        result.append(Evidence(found.where[index], gain, level, grounds, lines, noise, solution))
     return sorted(result, key=lambda e: -e.gain)
 
 
-def unit_level(records: Sequence[Deviations], white: np.ndarray, correlation_time: float) -> float:
-    """Disturbance that moves some output by its noise within one correlation time."""
-    sizes = []
-    for line in records:
-        span = max(1, min(round(correlation_time / line.sample_time), len(line.output) // 2))
-        moved = np.zeros(line.output.shape[2])
-        largest = []
-        for k in range(len(line.output) - 1):
-            if k % span == 0:
-                largest.append(np.max(np.abs(line.output[k] @ moved) / white))
-                moved = np.zeros_like(moved)
-            moved = line.transition[k] @ moved + line.force_gain[k, :, 0]
-        sizes.append(np.median(largest[1:]) if len(largest) > 1 else 0.0)
-    size = float(np.mean(sizes))
-    return 1.0 / size if size > 0 else 1.0
+def refined(found: Along, first: Evidence, *, correlation_time: float) -> Evidence:
+    """Evidence for one place where the model is linearised with that disturbance let in.
+
+    The parameters bend to a missing effect; where the right place is disturbed
+    they straighten, and what a disturbance there does changes with them.
+    """
+    n_names = len(found.system.names)
+    nodes = smoothed_states(found, first.noise, first.records)
+    system = found.system.moved(first.solution.correction[:n_names])
+    again = system.linearise(nodes, found.noise)
+    index = again.where.index(first.place)
+    second = evidence(again, [index], correlation_time=correlation_time)[0]
+    base = first.solution.objective + first.gain
+    gain = max(base - second.solution.objective, 0.0)
+    return replace(second, gain=gain)
+
+
+def _best(table: dict[float, Restricted]) -> float:
+    return min(table, key=lambda x: table[x].objective)
 
 
 def _at_levels(
     grounds: Grounds,
     quiet: NoiseModel,
     records: Sequence[Sequence[Deviations]],
-    levels: Sequence[np.ndarray],
+    levels: np.ndarray,
 ) -> list[list[Restricted]]:
-    """Restricted likelihoods of every place at its levels."""
-    models, lines = [], []
-    for place_lines, place_levels in zip(records, levels, strict=True):
-        for level in place_levels:
-            models.append(replace(quiet, force=np.array([level])))
-            lines.append(place_lines)
+    """Restricted likelihoods of every place at its levels, shape ``(n_places, n_levels)``."""
+    models = [replace(quiet, force=np.array([level])) for level in levels.ravel()]
+    lines = [part for part in records for _ in range(levels.shape[1])]
     found = restricted(grounds, models, lines)
-    count = len(levels[0])
-    return [found[i * count : (i + 1) * count] for i in range(len(levels))]
+    count = levels.shape[1]
+    return [found[i * count : (i + 1) * count] for i in range(len(records))]

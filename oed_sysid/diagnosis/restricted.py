@@ -39,6 +39,12 @@ class Grounds:
         """Initial states per record."""
         return self.columns[0].shape[2] - 1 - len(self.prior)
 
+    def unknowns(self, index: int) -> np.ndarray:
+        """Positions, among all unknowns, of those that matter for one record."""
+        n_names, n_own = len(self.prior), self.n_own
+        first = n_names + index * n_own
+        return np.r_[:n_names, first : first + n_own]
+
 
 @dataclass(frozen=True, eq=False)
 class Restricted:
@@ -57,11 +63,6 @@ class Restricted:
     objective: float
     correction: np.ndarray
     covariance: np.ndarray
-
-    def of_record(self, index: int, n_names: int, n_own: int) -> np.ndarray:
-        """Positions of the unknowns that matter for one record."""
-        first = n_names + index * n_own
-        return np.r_[:n_names, first : first + n_own]
 
 
 def restricted(
@@ -100,15 +101,14 @@ def _gram(white: np.ndarray) -> np.ndarray:
 def _restricted(
     grounds: Grounds, grams: Sequence[np.ndarray], log_determinant: float
 ) -> Restricted:
-    n_names, n_own = len(grounds.prior), grounds.n_own
-    n_unknowns = n_names + n_own * len(grams)
+    n_names = len(grounds.prior)
+    n_unknowns = n_names + grounds.n_own * len(grams)
     matrix, right = np.zeros((n_unknowns, n_unknowns)), np.zeros(n_unknowns)
     matrix[np.arange(n_names), np.arange(n_names)] = grounds.prior[:, 0] ** 2
     right[:n_names] = grounds.prior[:, 0] * grounds.prior[:, 1]
     square = float(np.sum(grounds.prior[:, 1] ** 2))
     for index, gram in enumerate(grams):
-        first = n_names + index * n_own
-        where = np.r_[:n_names, first : first + n_own]
+        where = grounds.unknowns(index)
         matrix[np.ix_(where, where)] += gram[:-1, :-1]
         right[where] += gram[:-1, -1]
         square += float(gram[-1, -1])
