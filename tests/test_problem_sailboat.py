@@ -1,0 +1,141 @@
+"""The published experiment on the unmanned sailboat."""
+
+from __future__ import annotations
+
+from math import radians
+
+import numpy as np
+import pytest
+
+from oed_sysid import Dataset, Model, load_problem
+from oed_sysid.estimators import EquationError, GibbsRegression
+from oed_sysid.estimators.regression_rows import exact_rates
+from oed_sysid.simulate import equilibrium, simulate, simulate_inputs
+
+PROBLEM = load_problem("sailboat")
+DATA = Dataset(tuple(simulate(PROBLEM.model, e, noise=False) for e in PROBLEM.experiments.values()))
+RATES = exact_rates(PROBLEM.model, DATA)
+# Derivatives that carry the forces in these manoeuvres.
+DOMINANT = ("X_uu", "X_vv", "Y_v", "Y_p", "Y_absvv", "Y_absvp", "N_r", "N_absvv", "K_v", "K_p",
+            "K_absvv", "K_pabsv")  # fmt: skip
+
+
+def noisy(level: float, seed: int) -> dict[str, np.ndarray]:
+    """Rates with noise, a share of their standard deviation over all records."""
+    rng = np.random.default_rng(seed)
+    spread = np.vstack(list(RATES.values())).std(axis=0)
+    return {n: r + level * spread * rng.standard_normal(r.shape) for n, r in RATES.items()}
+
+
+def steady_speed(model: Model, angle: float, sheet: float, wind: float) -> dict[str, float]:
+    """Steady states with the wind from ``angle`` degrees to starboard, and the rudder."""
+    found = equilibrium(
+        model,
+        inputs={"sheet": radians(sheet), "wind_speed": wind, "wind_from": 0.0},
+        fixed={"psi": -radians(angle), "r": 0.0, "p": 0.0},
+        free=("delta",),
+        guess={"u": 0.8, "phi": -np.sign(angle) * 0.05},
+        limits=PROBLEM.limits,
+    )
+    assert found.ok
+    return {**found.states, "delta": found.inputs["delta"]}
+
+
+def test_number_of_terms() -> None:
+    """The hull has the published 8, 10, 10 and 10 terms, with units from their names."""
+    free = PROBLEM.model.free_names
+    assert [sum(n.startswith(f"{axis}_") for n in free) for axis in "XYNK"] == [8, 10, 10, 10]
+    assert PROBLEM.model.parameter("Y_absvv").unit == "kg/m"
+    assert "Y_absvr |v| r" in PROBLEM.model.equations()
+
+
+def test_exact_accelerations_give_all_derivatives() -> None:
+    """With exact rates the regression returns all 38 numbers."""
+    fit = EquationError(rule="exact", rates=RATES).fit(PROBLEM.model, DATA)
+    assert max(abs(v / PROBLEM.truth[n] - 1) for n, v in fit.values.items()) < 1e-8
+
+
+def test_gibbs_finds_what_carries_the_forces() -> None:
+    """With 2 % noise dominant derivatives return within 2 %, and the chains have mixed."""
+    rates = noisy(0.02, 0)
+    settings = {"rule": "exact", "rates": rates}
+    fit = GibbsRegression(n_draws=1000, **settings).fit(PROBLEM.model, DATA)
+    for name in DOMINANT:
+        assert fit.values[name] == pytest.approx(PROBLEM.truth[name], rel=0.02), name
+    assert max(fit.extras["r_hat"].values()) < 1.01
+    least = EquationError(coloured="never", **settings).fit(PROBLEM.model, DATA)
+    for name in fit.names:
+        assert abs(fit.values[name] - least.values[name]) < 0.15 * least.std_errors[name]
+
+
+def test_coordinate_draws_have_not_converged_where_joint_draws_have() -> None:
+    """The published draw, one coefficient at a time, mixes slowly on this problem."""
+    rates = noisy(0.1, 1)
+    fit = GibbsRegression(rule="exact", rates=rates, draw="coordinate", n_draws=1000).fit(
+        PROBLEM.model, DATA
+    )
+    assert fit.status.code == "iterations"
+    assert min(fit.extras["effective_draws"].values()) < 200
+
+
+@pytest.mark.slow
+def test_posterior_intervals_cover() -> None:
+    """Over noise realisations, 95 per cent intervals hold the truth in 91 to 98 per cent."""
+    held = []
+    for seed in range(20):
+        rates = noisy(0.1, seed)
+        fit = GibbsRegression(rule="exact", rates=rates, n_draws=400).fit(PROBLEM.model, DATA)
+        held += [
+            low <= PROBLEM.truth[name] <= high
+            for name in fit.names
+            for low, high in [fit.interval(name)]
+        ]
+    assert 0.91 < np.mean(held) < 0.98
+
+
+def test_steady_sailing() -> None:
+    """On a beam reach at 5 m/s the boat makes 1.6 m/s, heels to leeward and drifts little."""
+    found = steady_speed(PROBLEM.model, 90.0, 40.0, 5.0)
+    assert found["u"] == pytest.approx(1.64, abs=0.01)
+    assert -radians(8) < found["phi"] < -radians(3)
+    leeway = -found["v"] / found["u"]
+    assert np.sign(found["phi"]) * -leeway * -1 > 0 or abs(leeway) < radians(3)
+
+
+def test_tacks_are_mirror_images() -> None:
+    """With the wind from the other side everything but the speed changes sign."""
+    starboard = steady_speed(PROBLEM.model, 60.0, 40.0, 5.0)
+    port = steady_speed(PROBLEM.model, -60.0, 40.0, 5.0)
+    for name, value in starboard.items():
+        mirrored = value if name == "u" else -value
+        assert port[name] == pytest.approx(mirrored, abs=1e-6), name
+
+
+def test_no_wind_stops_the_boat() -> None:
+    """Without wind the boat slows down, stands upright and loses energy all the time."""
+    run = simulate_inputs(
+        PROBLEM.model,
+        np.arange(0, 120, 0.2),
+        inputs={"delta": 0.0, "sheet": 0.5, "wind_speed": 0.0, "wind_from": 0.0},
+        initial={"u": 1.0, "phi": 0.3},
+    )
+    assert run.signal("u")[-1] < 0.35
+    assert abs(run.signal("phi")[-1]) < 1e-3
+    values = PROBLEM.model.values
+    energy = (
+        0.5 * (values["m"] + values["m_x"]) * run.signal("u") ** 2
+        + 0.5 * (values["m"] + values["m_y"]) * run.signal("v") ** 2
+        + 0.5 * values["I_xx_total"] * run.signal("p") ** 2
+        + 0.5 * values["I_zz_total"] * run.signal("r") ** 2
+        + values["m"] * 9.81 * values["GM"] * (1 - np.cos(run.signal("phi")))
+    )
+    assert np.all(np.diff(energy) < 1e-3 * energy[0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_speed_survives_noisy_accelerations(seed: int) -> None:
+    """With 2 % noise on accelerations the steady speed is right within one per cent."""
+    fit = EquationError(rule="exact", rates=noisy(0.02, seed)).fit(PROBLEM.model, DATA)
+    for angle, sheet in ((60.0, 40.0), (120.0, 60.0)):
+        truth = steady_speed(PROBLEM.model, angle, sheet, 5.0)["u"]
+        assert steady_speed(fit.model, angle, sheet, 5.0)["u"] == pytest.approx(truth, rel=0.01)
