@@ -243,3 +243,37 @@ def test_starter_never_overwrites(tmp_path: Path) -> None:
     with pytest.raises(ProblemError, match="not an empty folder"):
         new_problem(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+PARTS = """\
+from oed_sysid import Model, Output, Problem, State
+
+from .physics import RATE
+
+tank = Model("tank", (State("z", "m"),), (), (Output("z", "m"),), {"z": RATE})
+dial = Model("dial", (State("z", "m"),), (), (Output("level", "m", expression="z"),), {"z": RATE})
+problem = Problem("tank", tank, others={"dial": Problem("tank_dial", dial)})
+"""
+
+
+def test_a_folder_may_have_modules_of_its_own(tmp_path: Path) -> None:
+    """`from .physics import ...` works in any folder, and edits are seen when loaded again."""
+    folder = tmp_path / "my tank"
+    folder.mkdir()
+    (folder / "problem.py").write_text(PARTS, encoding="utf-8")
+    (folder / "physics.py").write_text('RATE = "-z"\n', encoding="utf-8")
+    assert load_problem(folder).model.kinematics == {"z": "-z"}
+    (folder / "physics.py").write_text('RATE = "-0.25*z"\n', encoding="utf-8")
+    assert load_problem(folder).model.kinematics == {"z": "-0.25*z"}
+
+
+def test_a_variant_may_have_other_channels(tmp_path: Path) -> None:
+    """The same system seen through other sensors is found as a variant."""
+    folder = tmp_path / "tank"
+    folder.mkdir()
+    (folder / "problem.py").write_text(PARTS, encoding="utf-8")
+    (folder / "physics.py").write_text('RATE = "-z"\n', encoding="utf-8")
+    assert load_problem(folder).variants == ("default", "dial")
+    assert load_problem(folder, variant="dial").channels.output_names == ("level",)
+    with pytest.raises(ProblemError, match="It has default, dial"):
+        load_problem(folder, variant="glass")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+import importlib
 import os
 import sys
 import traceback
@@ -42,7 +43,8 @@ def load_problem(name_or_folder: str | Path, *, variant: str | None = None) -> P
 
     A plain word is first taken as a shipped name; write ``"./word"`` for a
     folder of that name. The folder's ``problem.py`` is executed: load only
-    folders that you trust.
+    folders that you trust. It may import further modules of its folder as
+    ``from .hull import HULL``.
 
     Parameters
     ----------
@@ -114,6 +116,13 @@ def _load(file: Path) -> Problem:
     name = f"oed_sysid_problem_{file.parent.name}_{digest}"
     module = ModuleType(name)
     module.__file__ = str(file)
+    # A package, so that ``from .hull import HULL`` finds ``hull.py`` in the same folder,
+    # and finds it anew, should it have been edited since.
+    module.__path__ = [str(file.parent)]
+    module.__package__ = name
+    for part in [key for key in sys.modules if key.startswith(f"{name}.")]:
+        del sys.modules[part]
+    importlib.invalidate_caches()
     # Registered, so that what the file defines can be pickled and inspected.
     sys.modules[name] = module
     try:

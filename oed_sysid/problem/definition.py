@@ -41,6 +41,10 @@ class Problem:
         True parameter values, where the data is simulated.
     models : mapping of str to Model
         Other models of the same system, by name; ``"default"`` is ``model``.
+    others : mapping of str to Problem
+        Problems of the same system with other channels or candidates, such as
+        a ship seen as a heading response and as a body in three degrees of
+        freedom. :meth:`variant` finds them by name too.
     records : callable, optional
         Returns the measured records, ``() -> Dataset``; called when they are
         wanted.
@@ -73,6 +77,7 @@ class Problem:
     limits: Limits = field(default_factory=Limits)
     truth: Mapping[str, float] | None = None
     models: Mapping[str, Model] = field(default_factory=dict)
+    others: Mapping[str, Problem] = field(default_factory=dict)
     records: Callable[[], Dataset] | None = None
     published: Mapping[str, Any] = field(default_factory=dict)
     references: tuple[str, ...] = ()
@@ -93,6 +98,11 @@ class Problem:
                 f"Problem {self.name!r} has two default models. Leave {DEFAULT!r} out of models."
             )
         object.__setattr__(self, "models", {DEFAULT: self.model, **others})
+        object.__setattr__(self, "others", dict(self.others))
+        if twice := [name for name in self.others if name in self.models]:
+            raise ProblemError(
+                f"Problem {self.name!r} has a model and a problem called {twice[0]!r}. Rename one."
+            )
         if not self.title:
             object.__setattr__(self, "title", self.name.replace("_", " "))
         self._check_effects()
@@ -142,18 +152,20 @@ class Problem:
 
     @property
     def variants(self) -> tuple[str, ...]:
-        """Names of the models."""
-        return tuple(self.models)
+        """Names of the models, then of the other problems of the same system."""
+        return (*self.models, *self.others)
 
     def variant(self, name: str) -> Problem:
         """Return the problem with another of its models as the one believed.
 
         Candidates that this model contains already are left out.
         """
+        if name in self.others:
+            return self.others[name]
         if name not in self.models:
             raise ProblemError(
-                f"Problem {self.name!r} has no model {name!r}. It has {', '.join(self.models)}."
-                + closest(name, self.models)
+                f"Problem {self.name!r} has no model {name!r}. It has {', '.join(self.variants)}."
+                + closest(name, self.variants)
             )
         if name == DEFAULT:
             return self
@@ -223,7 +235,7 @@ class Problem:
             f"estimate, {len(self.model.state_names)} states",
             f"inputs       {inputs or 'none'}",
             f"outputs      {outputs}",
-            f"models       {', '.join(self.models)}",
+            f"models       {', '.join(self.variants)}",
             f"candidates   {', '.join(effect.name for effect in self.effects) or 'none'}",
             f"experiments  {', '.join(self.experiments) or 'none'}",
             *(f"[{number}] {text}" for number, text in enumerate(self.references, start=1)),
