@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate, whitened, with_noise
-from oed_sysid.diagnosis.innovations import NoiseModel
-from oed_sysid.diagnosis.linearise import disturbed_equations
+from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate, whitened
 from oed_sysid.information import Information
 
 
@@ -54,31 +52,3 @@ def remainder(task: Task, fit: GreyBox) -> float:
         update_noise=False,
     )
     return np.inf if white is None else max(white.objective - fit.objective, 0.0)
-
-
-def evidence_of_disturbances(task: Task, fit: GreyBox) -> dict[str, float]:
-    """Loss in twice the log-likelihood when one disturbance is taken out of the noise model.
-
-    Keys are ``"force Z"`` for equations and ``"sensor w"`` for coloured sensors;
-    nothing else is estimated again.
-    """
-    found: dict[str, float] = {}
-    equations = disturbed_equations(task.super_model.base)
-    outputs = task.super_model.base.output_names
-    for index, name in enumerate(equations):
-        force = fit.noise.force.copy()
-        force[index] = 0.0
-        found[f"force {name}"] = _loss(task, fit, replace(fit.noise, force=force))
-    for index, name in enumerate(outputs):
-        colour = fit.noise.colour.copy()
-        colour[index] = 0.0
-        found[f"sensor {name}"] = _loss(task, fit, replace(fit.noise, colour=colour))
-    return found
-
-
-def _loss(task: Task, fit: GreyBox, noise: NoiseModel) -> float:
-    if np.array_equal(noise.force, fit.noise.force) and np.array_equal(
-        noise.colour, fit.noise.colour
-    ):
-        return 0.0
-    return max(with_noise(task, fit, noise).objective - fit.objective, 0.0)

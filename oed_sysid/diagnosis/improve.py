@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.dataset import Dataset
-from oed_sysid.diagnosis.conclusion import evidence_of_disturbances, parameter_table, remainder
+from oed_sysid.diagnosis.conclusion import parameter_table, remainder
 from oed_sysid.diagnosis.greybox import GreyBox, estimate
 from oed_sysid.diagnosis.improvement import Improvement, Step
 from oed_sysid.diagnosis.innovations import NoiseModel
+from oed_sysid.diagnosis.locate import Located, locate
 from oed_sysid.diagnosis.rank import (
     FALSE_CLAIMS,
     FALSE_CLAIMS_BEFORE_TEST,
@@ -76,6 +77,8 @@ def improve(
         )
     tell("fitting the model as it is believed")
     bench, base_fit = Workbench.build(model, train, test, candidates, known_noise=known_noise)
+    tell("locating where it fails")
+    location = locate(bench.train, base_fit)
     state = _State((), base_fit, bench)
     first: Ranking | None = None
     steps: list[tuple[Refit, Ranking, float]] = []
@@ -98,7 +101,7 @@ def improve(
             state, steps, fits = _review(state, steps, fits, base_fit)
     assert first is not None
     sigma = _sigma(model, state.fit)
-    return _result(state, model, base_fit, first, steps, fits, rejected, sigma)
+    return _result(state, model, base_fit, first, location, steps, fits, rejected, sigma)
 
 
 def _left(state: _State) -> list[Effect]:
@@ -217,6 +220,7 @@ def _result(
     model: Model,
     base_fit: GreyBox,
     first: Ranking,
+    location: Located,
     steps: list[tuple[Refit, Ranking, float]],
     fits: list[GreyBox],
     rejected: list[str],
@@ -259,7 +263,7 @@ def _result(
         final_error={"train": done[-1].train_error, "test": done[-1].test_error}
         if done
         else base_error,
-        located=evidence_of_disturbances(bench.train, base_fit),
+        location=location,
         remainder=remainder(bench.train, state.fit),
         parameters=parameter_table(bench.train, state.fit),
         rejected=tuple(rejected),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.diagnosis.greybox import GreyBox
+from oed_sysid.diagnosis.locate import Located
 from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.fit import align
 from oed_sysid.model import Model
@@ -67,9 +68,8 @@ class Improvement:
     base_fit : GreyBox
     base_error, final_error : dict
         ``train`` and ``test`` errors in units of the noise.
-    located : dict
-        Evidence for a disturbance in each equation and sensor of the believed
-        model, in twice the log-likelihood.
+    location : Located
+        Where the believed model fails: stage, equation or sensor, and when.
     remainder : float
         Twice the log-likelihood that disturbances still explain after the last
         step beyond white noise.
@@ -84,7 +84,7 @@ class Improvement:
     base_fit: GreyBox
     base_error: Mapping[str, float]
     final_error: Mapping[str, float]
-    located: Mapping[str, float]
+    location: Located
     remainder: float
     parameters: tuple[Mapping[str, Any], ...]
     rejected: tuple[str, ...] = ()
@@ -94,6 +94,11 @@ class Improvement:
     def verdict(self) -> str:
         """``"missing"`` or ``"nothing_missing"``."""
         return "missing" if self.steps else "nothing_missing"
+
+    @property
+    def located(self) -> dict[str, float]:
+        """Evidence, in twice the log-likelihood, for a disturbance at each place."""
+        return dict(self.location.evidence)
 
     @property
     def explained(self) -> bool:
@@ -118,7 +123,7 @@ class Improvement:
                 {"effect": name, "statistic": statistic}
                 for name, statistic in self._first_statistics()
             ],
-            "located": dict(self.located),
+            "located": self.located,
             "base_error": dict(self.base_error),
             "final_error": dict(self.final_error),
             "proposed_terms": [dict(term) for term in self.proposed],
@@ -137,7 +142,7 @@ class Improvement:
             [
                 *self._opening(),
                 "",
-                *self._where(),
+                self.location.report(),
                 "",
                 *self._candidates(),
                 "",
@@ -154,16 +159,6 @@ class Improvement:
             f"  as believed, it misses the training records by {error['train']:.2f} x noise"
             + ("" if np.isnan(error["test"]) else f", the untouched ones by {error['test']:.2f}"),
         ]
-
-    def _where(self) -> list[str]:
-        found = {name: value for name, value in self.located.items() if value > REMAINDER_LIMIT}
-        if not found:
-            return ["No equation and no sensor needs a disturbance to explain the records."]
-        rows = [("where the model fails", "evidence")]
-        rows += [
-            (name, f"{value:.0f}") for name, value in sorted(found.items(), key=lambda x: -x[1])
-        ]
-        return align(rows)
 
     def _candidates(self) -> list[str]:
         rows = [("candidate effect", "score", "gain", "needed", "distinct")]
