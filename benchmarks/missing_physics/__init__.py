@@ -1,0 +1,1 @@
+"""How well missing physics is found in the diving plane of an AUV, over many simulated cases."""

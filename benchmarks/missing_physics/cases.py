@@ -1,0 +1,207 @@
+"""Random cases of many kinds, each drawn from its own name so that any one can be drawn again."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.missing_physics.simulator import (
+    PRIORS,
+    TEST,
+    TRAIN,
+    Case,
+    Noise,
+    Records,
+    simulate,
+)
+
+SPREAD = 0.09  # of the true derivatives about what is believed
+STEEPEST = 1.6  # largest pitch of a record that is kept, rad
+ATTEMPTS = 20
+
+# Typical amplitude, sign (0 either) and largest amplitude.
+AMPLITUDES: dict[str, tuple[float, int, float]] = {
+    "heave_crossflow_drag": (100.0, -1, math.inf),
+    "heave_quadratic_pitch_damping": (30.0, -1, math.inf),
+    "pitch_crossflow_moment": (40.0, 0, math.inf),
+    "pitch_quadratic_damping": (40.0, -1, math.inf),
+    "surge_induced_drag": (60.0, -1, math.inf),
+    "surge_fin_drag": (8.0, -1, math.inf),
+    "surge_linear_drag": (1.0, -1, math.inf),
+    "excess_buoyancy": (2.0, 0, 6.0),
+    "cg_offset_x": (0.5, 0, 1.5),
+    "hull_asymmetry_heave": (0.6, 0, math.inf),
+    "hull_asymmetry_pitch": (0.2, 0, 0.5),
+    "heave_added_mass_error": (8.0, 0, 25.0),
+    "surge_added_mass_error": (6.0, 0, 15.0),
+    "pitch_added_inertia_error": (1.5, 0, 4.0),
+    "current_horizontal": (0.15, 0, 0.4),
+    "current_vertical": (0.05, 0, 0.2),
+    "thrust_decay": (0.0015, 1, math.inf),
+    "thrust_speed_loss": (0.08, -1, 0.25),
+    "fluid_memory": (15.0, -1, math.inf),
+    "hull_compressibility": (0.15, 0, 0.3),
+    "wave_heave_force": (1.0, 1, math.inf),
+    "fin_offset": (0.02, 0, 0.05),
+    "fin_stall": (2.0, 1, 8.0),
+    "fin_lag": (0.25, 1, 0.8),
+    "fin_delay": (0.2, 1, 0.7),
+    "fin_rate_limit": (0.33, 1, math.inf),
+    "fin_deadband": (0.03, 1, 0.06),
+    "fin_backlash": (0.03, 1, 0.06),
+    "bias_u": (0.05, 0, math.inf),
+    "bias_w": (0.03, 0, math.inf),
+    "bias_q": (0.01, 0, math.inf),
+    "bias_theta": (0.02, 0, math.inf),
+    "scale_u": (0.04, 0, math.inf),
+    "scale_w": (0.1, 0, math.inf),
+    "scale_q": (0.05, 0, math.inf),
+    "scale_z": (0.02, 0, math.inf),
+    "dvl_misalignment": (0.02, 0, math.inf),
+    "dvl_lever_arm": (0.3, 0, math.inf),
+    "depth_lag": (0.4, 1, math.inf),
+    "dvl_lag": (0.3, 1, math.inf),
+}
+UNKNOWN: dict[str, float] = {
+    "unknown_cubic_pitch_damping": -150.0,
+    "unknown_speed_pitch_damping": -20.0,
+    "unknown_pitch_moment_wq": -25.0,
+    "unknown_heave_rate_drag": -120.0,
+    "unknown_pitch_drift_damping": -60.0,
+    "unknown_cubic_moment": 400.0,
+    "unknown_cubic_drag": -0.5,
+    "unknown_thrust_moment": 0.03,
+    "unknown_fin_in_slipstream": -0.4,
+    "unknown_double_angle_moment": -1.5,
+}
+EFFECTS, UNKNOWN_TERMS = tuple(AMPLITUDES), tuple(UNKNOWN)
+
+FORCE = (0.1, 0.3, 0.06)  # a moderate random force, N, N, N m
+_slow = {
+    level: tuple(size * f for f in FORCE)
+    for level, size in (("low", 0.3), ("mid", 1.0), ("high", 3.0))
+}
+CONDITIONS: dict[str, Noise] = {
+    "white": Noise(),
+    "colour5": Noise(colour=0.5),
+    "colour9": Noise(colour=0.9),
+    **{f"force_{level}": Noise(force=force, force_time=1.0) for level, force in _slow.items()},
+    # Spread over all frequencies, the same disturbance needs larger samples.
+    **{
+        f"gust_{level}": Noise(force=tuple(5.0 * f for f in force))
+        for level, force in _slow.items()
+    },
+}
+HIDDEN = ("none", "single", "pair", "unknown")
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A kind of case and its number: ``single/white/7``."""
+
+    hidden: str
+    condition: str
+    number: int
+
+    @property
+    def key(self) -> str:
+        """Name of the case."""
+        return f"{self.hidden}/{self.condition}/{self.number}"
+
+
+def draws(plan: str) -> list[Draw]:
+    """Cases of a plan such as ``"single/white:40 none/colour5:20-40"``.
+
+    Examples
+    --------
+    >>> [draw.key for draw in draws("none/white:2 pair/white:5-6")]
+    ['none/white/0', 'none/white/1', 'pair/white/5']
+    """
+    found = []
+    for part in plan.split():
+        kind, _, numbers = part.partition(":")
+        hidden, condition = kind.split("/")
+        if hidden not in HIDDEN or condition not in CONDITIONS:
+            raise ValueError(
+                f"Unknown kind {kind!r}. Use one of {', '.join(HIDDEN)}, a slash, and one of "
+                f"{', '.join(CONDITIONS)}."
+            )
+        first, _, last = numbers.rpartition("-")
+        found += [Draw(hidden, condition, n) for n in range(int(first or 0), int(last))]
+    return found
+
+
+def case(draw: Draw, attempt: int = 0) -> Case:
+    """Draw what is true in a case."""
+    seed = zlib.crc32(f"{draw.key}/{attempt}".encode())
+    rng = np.random.default_rng(seed)
+    scatter = np.clip(rng.standard_normal(len(PRIORS)), -2.7, 2.7)
+    derivatives = {
+        n: v * (1 + SPREAD * s) for (n, v), s in zip(PRIORS.items(), scatter, strict=True)
+    }
+    return Case(
+        draw.key,
+        derivatives,
+        _hidden(draw, rng),
+        CONDITIONS[draw.condition],
+        seed,
+        wave_frequency=rng.uniform(0.8, 1.25),
+        wave_phase=rng.uniform(-math.pi, math.pi),
+    )
+
+
+def _hidden(draw: Draw, rng: np.random.Generator) -> dict[str, float]:
+    if draw.hidden == "none":
+        return {}
+    if draw.hidden == "unknown":
+        name = UNKNOWN_TERMS[draw.number % len(UNKNOWN_TERMS)]
+        return {name: UNKNOWN[name] * _factor(rng)}
+    if draw.hidden == "single":
+        # Every effect in turn.
+        return _amplitude(EFFECTS[draw.number % len(EFFECTS)], rng)
+    first, second = rng.choice(len(EFFECTS), 2, replace=False)
+    return _amplitude(EFFECTS[first], rng) | _amplitude(EFFECTS[second], rng)
+
+
+def _factor(rng: np.random.Generator) -> float:
+    """Amplitude in typical ones: mostly moderate, some weak, some strong."""
+    low, high = ((0.6, 2.0), (0.2, 0.6), (2.0, 3.0))[rng.choice(3, p=(0.7, 0.15, 0.15))]
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
+def _amplitude(name: str, rng: np.random.Generator) -> dict[str, float]:
+    typical, sign, largest = AMPLITUDES[name]
+    factor = _factor(rng)
+    if name == "fin_rate_limit":  # the slower, the stronger
+        return {name: max(typical / factor, 0.08)}
+    size = min(typical * factor, largest)
+    return {name: size * (sign or (1 if rng.random() < 0.5 else -1))}
+
+
+def simulate_draws(wanted: Sequence[Draw]) -> list[tuple[Case, list[Records]]]:
+    """Simulate all manoeuvres of many cases; one that capsizes is drawn again."""
+    cases = [case(draw) for draw in wanted]
+    done: list[tuple[Case, list[Records]] | None] = [None] * len(cases)
+    left = list(range(len(cases)))
+    for attempt in range(ATTEMPTS):
+        trial = [case(wanted[i], attempt) for i in left]
+        records = [simulate(trial, manoeuvre) for manoeuvre in (*TRAIN, *TEST)]
+        again = []
+        for row, index in enumerate(left):
+            parts = [Records(r.times, r.inputs[row], r.clean[row], r.outputs[row]) for r in records]
+            pitch = max(np.max(np.abs(part.clean[:, 3])) for part in parts)
+            if np.isfinite(pitch) and pitch < STEEPEST:
+                done[index] = trial[row], parts
+            else:
+                again.append(index)
+        left = again
+        if not left:
+            break
+    lost = [wanted[i].key for i in left]
+    if lost:
+        raise RuntimeError(f"No usable draw of {', '.join(lost)} in {ATTEMPTS} attempts.")
+    return [part for part in done if part is not None]

@@ -1,0 +1,133 @@
+"""Run the improvement over many hidden-effect cases and tabulate how often it is right.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.missing_physics "single/white:40 none/white:20"
+
+Finished cases are kept as lines of JSON and never computed again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from joblib import Parallel, delayed
+
+from benchmarks.missing_physics.cases import draws, simulate_draws
+from benchmarks.missing_physics.judge import judge
+from benchmarks.missing_physics.measures import as_markdown, measures
+
+RESULTS = Path(__file__).resolve().parent.parent / "results" / "missing_physics.jsonl"
+PLAN = (
+    "single/white:320 none/white:100 pair/white:60 unknown/white:20 "
+    "none/colour5:20 none/colour9:20 none/force_low:20 none/force_mid:20 none/force_high:20 "
+    "none/gust_mid:20 single/colour5:40 single/force_mid:40 single/gust_mid:40"
+)
+BATCH = 40
+
+
+def run(
+    plan: str = PLAN,
+    *,
+    results: Path = RESULTS,
+    n_jobs: int = 2,
+    deadline: float | None = None,
+    tell: Callable[[str], None] = print,
+) -> dict[str, Any]:
+    """Run all cases of a plan that are not on disk yet, and measure all that are.
+
+    Parameters
+    ----------
+    plan : str
+        See :func:`benchmarks.missing_physics.cases.draws`.
+    results : Path
+        Lines of JSON, one per finished case.
+    n_jobs : int
+        Processes.
+    deadline : float, optional
+        Time of day (seconds since the epoch) after which no batch is begun.
+    tell : callable
+        Told about the progress.
+
+    Returns
+    -------
+    dict
+        Measures, see :func:`benchmarks.missing_physics.measures.measures`.
+    """
+    results.parent.mkdir(parents=True, exist_ok=True)
+    done = {entry["key"] for entry in load(results)}
+    wanted = draws(plan)
+    left = [draw for draw in wanted if draw.key not in done]
+    tell(f"{len(wanted)} cases, {len(wanted) - len(left)} of them done")
+    began = time.perf_counter()
+    finished = 0
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    with Parallel(n_jobs=n_jobs, return_as="generator_unordered") as workers:
+        for first in range(0, len(left), BATCH):
+            if deadline is not None and time.time() > deadline:
+                tell("out of time: the rest is left for the next run")
+                break
+            batch = left[first : first + BATCH]
+            simulated = simulate_draws(batch)
+            jobs = (
+                delayed(judge)(draw, case, records)
+                for draw, (case, records) in zip(batch, simulated, strict=True)
+            )
+            for entry in workers(jobs):
+                with results.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(entry) + "\n")
+                finished += 1
+                pace = (time.perf_counter() - began) / finished
+                tell(
+                    f"{finished}/{len(left)} {entry['key']} {_summary(entry)} "
+                    f"({pace:.1f} s per case, {pace * (len(left) - finished) / 60:.0f} min left)"
+                )
+    keys = {draw.key for draw in wanted}
+    return measures([entry for entry in load(results) if entry["key"] in keys])
+
+
+def load(results: Path) -> list[dict[str, Any]]:
+    """Finished cases."""
+    if not results.exists():
+        return []
+    return [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
+
+
+def _summary(entry: dict[str, Any]) -> str:
+    if "error" in entry:
+        return f"FAILED {entry['error']}"
+    added = " + ".join(step["added"] for step in entry["steps"]) or "nothing"
+    hidden = " + ".join(entry["effects"]) or "nothing"
+    sight = "" if entry["detectable"] else " (invisible)"
+    return f"{hidden}{sight} -> {added}"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line of the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("plan", nargs="?", default=PLAN)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--results", type=Path, default=RESULTS)
+    parser.add_argument("--until", help="local time of day, as 12:55")
+    parser.add_argument("--table", type=Path, help="write the measures there as Markdown")
+    options = parser.parse_args(arguments)
+    deadline = None
+    if options.until:
+        now = time.localtime()
+        hour, minute = map(int, options.until.split(":"))
+        deadline = time.mktime((*now[:3], hour, minute, 0, *now[6:]))
+    found = run(
+        options.plan,
+        results=options.results,
+        n_jobs=options.jobs,
+        deadline=deadline,
+        tell=lambda text: print(text, flush=True),
+    )
+    text = as_markdown(found)
+    print(text)
+    if options.table:
+        options.table.write_text(text + "\n", encoding="utf-8")

@@ -1,0 +1,440 @@
+"""Records of a small AUV in the diving plane that hide known effects.
+
+Written from the published equations alone, in plain NumPy: it shares no code
+with the package that it judges. Runge-Kutta at 0.01 s, commands held for
+0.1 s; many cases are integrated side by side.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+
+SAMPLE, SUBSTEPS = 0.1, 10
+STEP = SAMPLE / SUBSTEPS
+
+MASS, INERTIA = 30.48, 3.45
+X_UDOT, Z_WDOT, Z_QDOT, M_WDOT, M_QDOT = -0.93, -35.5, -1.93, -1.93, -4.88
+PRIORS = {
+    "X_uu": -3.9,
+    "Z_uw": -40.0,
+    "Z_uq": -9.0,
+    "Z_uuds": -12.0,
+    "M_uw": 14.0,
+    "M_uq": -9.0,
+    "M_uuds": -6.15,
+    "zgW": 5.9,
+}
+OUTPUTS = ("u", "w", "q", "theta", "z")
+NOISE_STD = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
+MEMORY_TIME = 2.0  # of the fluid's memory, s
+FIRST_DEPTH = 10.0
+
+Force = Callable[[SimpleNamespace], np.ndarray]
+
+# Generalized force per unit of amplitude, by axis. Lower-case u, w: through the water.
+FORCES: dict[str, dict[str, Force]] = {
+    "heave_crossflow_drag": {"Z": lambda s: s.w * abs(s.w)},
+    "heave_quadratic_pitch_damping": {"Z": lambda s: s.q * abs(s.q)},
+    "pitch_crossflow_moment": {"M": lambda s: s.w * abs(s.w)},
+    "pitch_quadratic_damping": {"M": lambda s: s.q * abs(s.q)},
+    "surge_induced_drag": {"X": lambda s: s.w**2},
+    "surge_fin_drag": {"X": lambda s: s.u**2 * s.d**2},
+    "surge_linear_drag": {"X": lambda s: s.u},
+    "excess_buoyancy": {"X": lambda s: -s.sin, "Z": lambda s: s.cos},
+    "cg_offset_x": {"M": lambda s: -s.cos},
+    "hull_asymmetry_heave": {"Z": lambda s: s.u**2},
+    "hull_asymmetry_pitch": {"M": lambda s: s.u**2},
+    "fluid_memory": {"Z": lambda s: s.w_ground - s.memory},
+    "hull_compressibility": {"Z": lambda s: s.z - FIRST_DEPTH},
+    "wave_heave_force": {"Z": lambda s: np.cos(s.wave_frequency * s.t + s.wave_phase)},
+    # What no vocabulary holds:
+    "unknown_cubic_pitch_damping": {"M": lambda s: s.q**3},
+    "unknown_speed_pitch_damping": {"M": lambda s: s.u * s.q * abs(s.q)},
+    "unknown_pitch_moment_wq": {"M": lambda s: s.w * s.q},
+    "unknown_heave_rate_drag": {"Z": lambda s: s.w * abs(s.q)},
+    "unknown_pitch_drift_damping": {"M": lambda s: s.q * abs(s.w)},
+    "unknown_cubic_moment": {"M": lambda s: s.w**3},
+    "unknown_cubic_drag": {"X": lambda s: s.u**3},
+    "unknown_thrust_moment": {"M": lambda s: s.thrust},
+    "unknown_fin_in_slipstream": {"M": lambda s: s.thrust * s.d},
+    "unknown_double_angle_moment": {"M": lambda s: s.sin * s.cos},
+}
+MASSES = {
+    "surge_added_mass_error": 0,
+    "heave_added_mass_error": 1,
+    "pitch_added_inertia_error": 2,
+}
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What disturbs the vehicle and its sensors.
+
+    Attributes
+    ----------
+    colour : float
+        Correlation of sensor noise from sample to sample.
+    force : tuple of float
+        Standard deviation of random X [N], Z [N] and M [N m].
+    force_time : float
+        Their correlation time in s; 0 for forces drawn anew every sample.
+    """
+
+    colour: float = 0.0
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    force_time: float = 0.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is true, and what disturbs.
+
+    Attributes
+    ----------
+    name : str
+    derivatives : mapping
+        True values of the believed derivatives.
+    effects : mapping
+        Identifier to amplitude, of everything hidden.
+    noise : Noise
+    seed : int
+        Of noise and disturbances.
+    wave_frequency, wave_phase : float
+        Of ``wave_heave_force``.
+    """
+
+    name: str
+    derivatives: Mapping[str, float]
+    effects: Mapping[str, float] = field(default_factory=dict)
+    noise: Noise = Noise()
+    seed: int = 0
+    wave_frequency: float = 1.0
+    wave_phase: float = 0.0
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """One record: a relay zigzag in pitch, or a sequence of steps of the fin.
+
+    Attributes
+    ----------
+    name : str
+    thrust : float
+        Commanded thrust, N.
+    amplitude, switch : float
+        Of a zigzag: fin angle and pitch at which it is reversed, degrees.
+    levels : tuple of float
+        Of steps: fin angles in degrees, repeated to the end.
+    hold : float
+        Time at each level, s.
+    """
+
+    name: str
+    thrust: float
+    amplitude: float = 0.0
+    switch: float = 0.0
+    levels: tuple[float, ...] = ()
+    hold: float = 1.0
+
+
+BEGIN, DURATION = 2.0, 90.0
+TRAIN = (
+    Manoeuvre("train_steps", 12.0, levels=(8, -8, 8, -8, 0, 12, -12, 4, -4, 0), hold=4.0),
+    Manoeuvre("train_zigzag_10_10", 9.0, 10.0, 10.0),
+    Manoeuvre("train_zigzag_5_5", 5.0, 5.0, 5.0),
+)
+TEST = (
+    Manoeuvre("test_steps", 7.0, levels=(6, 0, -10, 10, -6, 3, -3, 14, -14, 0), hold=5.0),
+    Manoeuvre("test_zigzag_15_12", 10.0, 15.0, 12.0),
+)
+
+
+@dataclass(frozen=True)
+class Records:
+    """Simulated records, one row of each array per case.
+
+    Attributes
+    ----------
+    times : ndarray (n_times,)
+    inputs : ndarray (n_cases, n_times, 2)
+        Fin command [rad] and thrust [N].
+    clean, outputs : ndarray (n_cases, n_times, 5)
+        Outputs without and with noise.
+    """
+
+    times: np.ndarray
+    inputs: np.ndarray
+    clean: np.ndarray
+    outputs: np.ndarray
+
+
+def simulate(
+    cases: Sequence[Case],
+    manoeuvre: Manoeuvre,
+    *,
+    commands: np.ndarray | None = None,
+    initial: np.ndarray | None = None,
+) -> Records:
+    """Simulate one manoeuvre for many cases side by side.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+    manoeuvre : Manoeuvre
+    commands : ndarray (n_cases, n_times, 2), optional
+        Commands to replay in place of the manoeuvre.
+    initial : ndarray (n_cases, 5), optional
+        Initial ``u w q theta z``; level trim at 10 m by default.
+    """
+    n_times = round(DURATION / SAMPLE) + 1 if commands is None else commands.shape[1]
+    times = np.arange(n_times) * SAMPLE
+    truth = _Truth(cases)
+    generators = [np.random.default_rng([case.seed, _number(manoeuvre.name)]) for case in cases]
+    forces = np.stack([_forces(c, n_times, r) for c, r in zip(cases, generators, strict=True)], 1)
+    state = np.zeros((9, len(cases)))
+    if initial is None:
+        state[0] = np.sqrt(manoeuvre.thrust / -truth.derivatives["X_uu"])
+        state[4] = FIRST_DEPTH
+    else:
+        state[:5] = initial.T
+    state[5] = state[1]
+    state[6:9] = state[4], state[0], state[1]
+    fin = _Fin(truth, np.zeros(len(cases)) if commands is None else commands[:, 0, 0])
+    inputs = np.zeros((len(cases), n_times, 2))
+    clean = np.zeros((len(cases), n_times, 5))
+    relay = np.ones(len(cases))
+    for k, time in enumerate(times):
+        if commands is not None:
+            command, thrust = commands[:, k, 0], commands[:, k, 1]
+        else:
+            command, thrust = _command(manoeuvre, time, state[3], relay), manoeuvre.thrust
+        inputs[:, k, 0], inputs[:, k, 1] = command, thrust
+        clean[:, k] = truth.measure(state).T
+        if k + 1 < n_times:
+            fin.command(command)
+            for sub in range(SUBSTEPS):
+                state = truth.advance(
+                    state, time + sub * STEP, fin.advance(sub), thrust, forces[k].T
+                )
+    noise = np.stack([_noise(c, n_times, r) for c, r in zip(cases, generators, strict=True)])
+    return Records(times, inputs, clean, clean + noise)
+
+
+def _command(
+    manoeuvre: Manoeuvre, time: float, pitch: np.ndarray, relay: np.ndarray
+) -> np.ndarray | float:
+    """Fin command at one sample; the relay remembers its side."""
+    if time < BEGIN - 1e-9:
+        return 0.0
+    if manoeuvre.levels:
+        position = int((time - BEGIN) / manoeuvre.hold + 1e-9)
+        return np.radians(manoeuvre.levels[position % len(manoeuvre.levels)])
+    switch = np.radians(manoeuvre.switch)
+    # Positive fin pitches the bow down.
+    relay[pitch < -switch] = -1.0
+    relay[pitch > switch] = 1.0
+    return relay * np.radians(manoeuvre.amplitude)
+
+
+def _number(name: str) -> int:
+    return zlib.crc32(name.encode())
+
+
+def _forces(case: Case, n_times: int, rng: np.random.Generator) -> np.ndarray:
+    """Random forces of one case, held between samples, shape ``(n_times, 3)``."""
+    noise = case.noise
+    memory = np.exp(-SAMPLE / noise.force_time) if noise.force_time > 0 else 0.0
+    return _markov(memory, n_times, 3, rng) * np.array(noise.force)
+
+
+def _noise(case: Case, n_times: int, rng: np.random.Generator) -> np.ndarray:
+    """Sensor noise of one case, shape ``(n_times, 5)``."""
+    return _markov(case.noise.colour, n_times, 5, rng) * NOISE_STD
+
+
+def _markov(memory: float, n_times: int, width: int, rng: np.random.Generator) -> np.ndarray:
+    """Stationary first-order sequences of unit variance."""
+    drive = rng.standard_normal((n_times, width))
+    drive[1:] *= np.sqrt(1 - memory**2)
+    for k in range(1, n_times):
+        drive[k] += memory * drive[k - 1]
+    return drive
+
+
+class _Truth:
+    """Equations of motion and of measurement, for all cases at once.
+
+    State rows: ``u w q theta z`` over ground, memory of the fluid, lagged
+    ``z u w``.
+    """
+
+    def __init__(self, cases: Sequence[Case]) -> None:
+        self.derivatives = {n: np.array([c.derivatives[n] for c in cases]) for n in PRIORS}
+        known = set().union(*(case.effects for case in cases))
+        self.size = {n: np.array([c.effects.get(n, 0.0) for c in cases]) for n in known}
+        self.nothing = np.zeros(len(cases))
+        self.wave_frequency = np.array([c.wave_frequency for c in cases])
+        self.wave_phase = np.array([c.wave_phase for c in cases])
+        extra = [self.of(name) for name in MASSES]
+        self.surge = MASS - X_UDOT + extra[0]
+        self.heave = MASS - Z_WDOT + extra[1]
+        self.pitch = INERTIA - M_QDOT + extra[2]
+        self.determinant = self.heave * self.pitch - Z_QDOT * M_WDOT
+
+    def of(self, name: str) -> np.ndarray:
+        """Amplitude of an effect in every case."""
+        return self.size.get(name, self.nothing)
+
+    def advance(
+        self,
+        state: np.ndarray,
+        time: float,
+        fin: tuple[np.ndarray, np.ndarray, np.ndarray],
+        thrust: np.ndarray | float,
+        forces: np.ndarray,
+    ) -> np.ndarray:
+        """One Runge-Kutta step; ``fin`` at its start, middle and end."""
+        h = STEP
+        first = self.rate(state, time, fin[0], thrust, forces)
+        second = self.rate(state + h / 2 * first, time + h / 2, fin[1], thrust, forces)
+        third = self.rate(state + h / 2 * second, time + h / 2, fin[1], thrust, forces)
+        fourth = self.rate(state + h * third, time + h, fin[2], thrust, forces)
+        return state + h / 6 * (first + 2 * second + 2 * third + fourth)
+
+    def rate(
+        self,
+        state: np.ndarray,
+        time: float,
+        fin: np.ndarray,
+        thrust: np.ndarray | float,
+        forces: np.ndarray,
+    ) -> np.ndarray:
+        """Time derivative of the state."""
+        u, w, q, theta, z, memory, z_lagged, u_lagged, w_lagged = state
+        sin, cos = np.sin(theta), np.cos(theta)
+        forward, down = self.of("current_horizontal"), self.of("current_vertical")
+        u_r = u - forward * cos + down * sin
+        w_r = w - forward * sin - down * cos
+        c = self.derivatives
+        push = thrust * (1 - self.of("thrust_decay") * time)
+        push = push + thrust * self.of("thrust_speed_loss") * u_r
+        x = -MASS * q * w + c["X_uu"] * u_r * abs(u_r) + push + forces[0]
+        heave = MASS * u * q + u_r * (c["Z_uw"] * w_r + c["Z_uq"] * q + c["Z_uuds"] * u_r * fin)
+        moment = u_r * (c["M_uw"] * w_r + c["M_uq"] * q + c["M_uuds"] * u_r * fin)
+        total = {"X": x, "Z": heave + forces[1], "M": moment - c["zgW"] * sin + forces[2]}
+        signals = SimpleNamespace(
+            u=u_r,
+            w=w_r,
+            w_ground=w,
+            q=q,
+            z=z,
+            sin=sin,
+            cos=cos,
+            d=fin,
+            thrust=thrust,
+            t=time,
+            memory=memory,
+            wave_frequency=self.wave_frequency,
+            wave_phase=self.wave_phase,
+        )
+        for name, size in self.size.items():
+            for axis, force in FORCES.get(name, {}).items():
+                total[axis] = total[axis] + size * force(signals)
+        rate = np.zeros_like(state)
+        rate[0] = total["X"] / self.surge
+        # [heave, -Z_qdot; -M_wdot, pitch] [w', q'] = [Z, M]
+        rate[1] = (self.pitch * total["Z"] + Z_QDOT * total["M"]) / self.determinant
+        rate[2] = (self.heave * total["M"] + M_WDOT * total["Z"]) / self.determinant
+        rate[3] = q
+        rate[4] = -u * sin + w * cos
+        rate[5] = (w - memory) / MEMORY_TIME
+        depth_lag, dvl_lag = self.of("depth_lag"), self.of("dvl_lag")
+        rate[6] = np.where(depth_lag > 0, (z - z_lagged) / np.maximum(depth_lag, STEP), 0.0)
+        rate[7] = np.where(dvl_lag > 0, (u - u_lagged) / np.maximum(dvl_lag, STEP), 0.0)
+        rate[8] = np.where(dvl_lag > 0, (w - w_lagged) / np.maximum(dvl_lag, STEP), 0.0)
+        return rate
+
+    def measure(self, state: np.ndarray) -> np.ndarray:
+        """Measured ``u w q theta z`` without noise."""
+        u, w, q, theta, z, _, z_lagged, u_lagged, w_lagged = state
+        u = np.where(self.of("dvl_lag") > 0, u_lagged, u)
+        w = np.where(self.of("dvl_lag") > 0, w_lagged, w)
+        z = np.where(self.of("depth_lag") > 0, z_lagged, z)
+        turn = self.of("dvl_misalignment")
+        u, w = u - turn * w, w + turn * u
+        w = w - self.of("dvl_lever_arm") * q
+        return np.stack(
+            [
+                u * (1 + self.of("scale_u")) + self.of("bias_u"),
+                w * (1 + self.of("scale_w")) + self.of("bias_w"),
+                q * (1 + self.of("scale_q")) + self.of("bias_q"),
+                theta + self.of("bias_theta"),
+                z * (1 + self.of("scale_z")),
+            ]
+        )
+
+
+class _Fin:
+    """From fin command to fin angle: delay, dead band, play, rate limit, lag, offset, stall."""
+
+    def __init__(self, truth: _Truth, first: np.ndarray) -> None:
+        self.truth = truth
+        self.commands = [first]
+        self.play = self._dead(first)
+        self.angle = self.play.copy()
+
+    def command(self, command: np.ndarray | float) -> None:
+        """Take the command of the next sample."""
+        self.commands.append(np.broadcast_to(command, self.play.shape).astype(float))
+
+    def _dead(self, angle: np.ndarray) -> np.ndarray:
+        half = self.truth.of("fin_deadband")
+        return np.sign(angle) * np.maximum(abs(angle) - half, 0.0)
+
+    def _delayed(self, sub: int) -> np.ndarray:
+        """Mean over one substep of the command a delay ago."""
+        if not np.any(self.truth.of("fin_delay")):
+            return self.commands[-1]
+        history = np.stack(self.commands)
+        newest = len(self.commands) - 1
+        # Time since the newest command came, in samples, at both ends of the substep.
+        begin = newest + sub / SUBSTEPS - self.truth.of("fin_delay") / SAMPLE
+        end = begin + 1 / SUBSTEPS
+        early = np.clip(np.floor(begin + 1e-9).astype(int), 0, newest)
+        late = np.clip(np.floor(end - 1e-9).astype(int), 0, newest)
+        share = np.where(late > early, (end - late) * SUBSTEPS, 1.0)
+        every = np.arange(len(begin))
+        return share * history[late, every] + (1 - share) * history[early, every]
+
+    def advance(self, sub: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Fin angle at the start, middle and end of the next substep."""
+        of = self.truth.of
+        wanted = self._dead(self._delayed(sub))
+        half = of("fin_backlash")
+        self.play = np.clip(self.play, wanted - half, wanted + half)
+        lag, limit = of("fin_lag"), of("fin_rate_limit")
+        begin = self.angle
+        parts = [begin]
+        for share in (0.5, 1.0):
+            toward = np.where(lag > 0, 1 - np.exp(-share * STEP / np.maximum(lag, 1e-9)), 1.0) * (
+                self.play - begin
+            )
+            reach = np.where(limit > 0, share * STEP * limit, np.inf)
+            parts.append(begin + np.clip(toward, -reach, reach))
+        if not (np.any(lag) or np.any(limit)):
+            parts[0] = self.play
+        else:
+            held = (lag == 0) & (limit == 0)
+            parts[0] = np.where(held, self.play, begin)
+        self.angle = parts[2]
+        offset, stall = of("fin_offset"), of("fin_stall")
+        done = []
+        for part in parts:
+            angle = part + offset
+            done.append(angle * (1 - stall * angle**2))
+        return done[0], done[1], done[2]
