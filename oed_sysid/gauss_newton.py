@@ -118,7 +118,13 @@ class _Search:
             predicted = shooting.predicted_cost(self.lin, point.unknowns, step)
             self.decrease = self.cost - predicted
             if abs(self.decrease) < tolerance and self.defect < CLOSED:
-                return "converged"
+                if self.damping == 0.0:
+                    return "converged"
+                # A damped step is short everywhere; only a full one proves the end.
+                full = bounded_step(matrix, right, lower, upper, 0.0)
+                predicted = shooting.predicted_cost(self.lin, point.unknowns, full)
+                if abs(self.cost - predicted) < tolerance:
+                    return "converged"
             if self.defect > 0 and self.decrease < 0.5 * self.penalty * self.defect:
                 self.penalty = max(self.penalty, -2.0 * self.decrease / self.defect)
             if self._line_search(step):

@@ -20,6 +20,7 @@ from oed_sysid.estimators.population import (
     DifferentialEvolution,
     ParticleSwarm,
 )
+from oed_sysid.estimators.profile import Profile, profile
 from oed_sysid.estimators.support_vector import SupportVectorRegression
 from oed_sysid.estimators.swarm import DifferentialSwarm
 from oed_sysid.estimators.total_least_squares import TotalLeastSquares
@@ -27,6 +28,8 @@ from oed_sysid.estimators.total_least_squares import TotalLeastSquares
 __all__ = [
     "Estimator",
     "MultipleShooting",
+    "Profile",
+    "profile",
     "OutputError",
     "EquationError",
     "TotalLeastSquares",
