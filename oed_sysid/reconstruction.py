@@ -43,7 +43,7 @@ def densify(times: np.ndarray, values: np.ndarray, factor: int, *, method: str) 
     >>> times = np.array([0.0, 0.5, 1.0, 1.5])
     >>> dense = densify(times, np.sin(times), 5, method="cubic")
     >>> print(dense[:3].round(3))
-    [0.    0.101 0.201]
+    [0.    0.101 0.2  ]
     """
     times, values = _checked(times, values, factor)
     grid = dense_times(times, factor)
@@ -111,7 +111,7 @@ def archimedes_spiral(
     --------
     >>> corner = archimedes_spiral(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.0, 1.0]), 2)
     >>> print(corner.round(3))
-    [0.    0.    0.    0.322 1.   ]
+    [0.    0.    0.    0.149 1.   ]
     """
     times, values = _checked(times, values, factor)
     if tangent not in TANGENTS:

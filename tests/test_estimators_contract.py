@@ -56,6 +56,7 @@ TEST = Experiment(
 # Differences of a rudder that has corners at the samples are good to a thousandth, local
 # cubics smear more; the others simulate.
 CASES = [
+    (MultipleShooting(), 1e-6, 0.85, 10),
     (OutputError(), 1e-6, 0.85, 10),
     (JointKalmanFilter(), 1e-4, 0.85, 10),
     (JointKalmanFilter(kind="unscented"), 1e-3, 0.8, 4),
