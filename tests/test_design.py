@@ -333,7 +333,7 @@ def test_discrimination_raises_the_misfit_between_rivals() -> None:
         Force("cubic", {"r": "E_cubic*r**3"}, (Parameter("E_cubic", 0.0, scale=2.0),)),
         Force("restoring", {"r": "E_restoring*psi"}, (Parameter("E_restoring", 0.0, scale=0.02),)),
     )
-    found = quick(criterion=Discriminate(rivals), n_starts=3)
+    found = quick(criterion=Discriminate(rivals, size=1.0), n_starts=2)
     assert set(found.misfits) == {
         ("cubic", "small ship"),
         ("cubic", "restoring"),
@@ -353,7 +353,7 @@ def test_discrimination_raises_the_misfit_between_rivals() -> None:
 def _smallest_misfit(rivals: tuple[Force, ...], commands: np.ndarray) -> float:
     """Smallest pairwise misfit of given commands, by dense least squares."""
     model = ship()
-    criterion = Discriminate(rivals)
+    criterion = Discriminate(rivals, size=1.0)
     times = np.arange(len(commands)) * 0.5
     runner = kernel(model)
     z, _ = runner.start(np.zeros(2), commands[0], model.value_vector, 0.0)

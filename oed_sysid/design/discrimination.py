@@ -37,10 +37,14 @@ class Discriminate:
     Parameters
     ----------
     rivals : sequence of Effect or Model
-        Effects are added to the model, at their value or else their scale;
+        Effects are added to the model, at their value or else a share of their scale;
         models replace it and must have the same inputs and outputs.
     against_believed : bool
         Whether each rival has also to be told from the model without it.
+    size : float
+        Amplitude of effects without a value, as a share of their scale. Choose
+        it small: what separates weak effects separates strong ones, while the
+        shift by a strong effect says little about how a refit would go.
 
     References
     ----------
@@ -52,6 +56,7 @@ class Discriminate:
 
     rivals: Sequence[Effect | Model]
     against_believed: bool = True
+    size: float = 0.1
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rivals", tuple(self.rivals))
@@ -60,6 +65,8 @@ class Discriminate:
             raise DesignError(
                 f"The rivals are {', '.join(names) or 'none'}; give one or more, each once."
             )
+        if not self.size > 0:
+            raise DesignError(f"size is {self.size}. Give a share of the scale above zero.")
         if len(names) == 1 and not self.against_believed:
             raise DesignError("One rival alone can only be told from the believed model.")
 
@@ -86,7 +93,7 @@ class Discriminate:
                 found.append(rival)
                 continue
             values = {
-                p.name: p.value or p.magnitude
+                p.name: p.value or self.size * p.magnitude
                 for p in rival.parameters
                 if p.name in rival.amplitude_names
             }

@@ -12,6 +12,9 @@ from oed_sysid.model import Model
 from oed_sysid.sensitivity.bound import start_weights
 from oed_sysid.sensitivity.noise import Noise
 
+# Relative sensitivities beyond this, in noise units, belong to a trajectory that runs away.
+_DIVERGED = 1e9
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -126,6 +129,8 @@ class Scene:
             rows[:, :, len(self.columns) + position] = other.outputs - run.outputs
             rival_nodes.append(other.states[self.edges])
         rows /= self.noise.sigma[:, None]
+        if not np.abs(rows).max() < _DIVERGED:
+            return None
         signals = np.hstack([run.states, run.outputs])
         return View(rows, signals, run.states[self.edges], chains, tuple(rival_nodes))
 

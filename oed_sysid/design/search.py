@@ -23,7 +23,7 @@ from oed_sysid.design.objective import Objective, Score, Slope
 _MARGIN = 5e-4
 # Loss of criterion that weighs as much as an excess of the whole width of a limit.
 _PRICE = 300.0
-_FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 0.15, 0.4, 2e-3
+_FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 0.2, 0.5, 2e-3
 # The search ends when five steps together gain less than this.
 _WORTH_MORE = 0.01
 _N_FINISHES, _INWARD = 3, 0.85
@@ -104,11 +104,18 @@ def refine(
         for _ in range(6):
             step, predicted = _program(objective, current, slope, radius)
             trial = objective.score(np.clip(current.numbers + step, 0.0, 1.0))
+            gained = _merit(trial) - _merit(current)
+            if gained < 0.5 * predicted and trial.views and trial.excess > -_MARGIN:
+                # Limits bend: once more, with their values at the end of the step.
+                bent, _ = _program(objective, current, slope, radius, after=(trial, step))
+                second = objective.score(np.clip(current.numbers + bent, 0.0, 1.0))
+                if _merit(second) > _merit(trial):
+                    trial, step = second, bent
+                    gained = _merit(trial) - _merit(current)
             if trial.feasible and (best is None or trial.value > best.value):
                 best = trial
             if trial.excess < nearest.excess:
                 nearest = trial
-            gained = _merit(trial) - _merit(current)
             if gained > 0.05 * predicted and gained > 0:
                 break
             radius *= 0.4
@@ -138,17 +145,28 @@ def _merit(score: Score) -> float:
 
 
 def _program(
-    objective: Objective, score: Score, slope: Slope, radius: np.ndarray
+    objective: Objective,
+    score: Score,
+    slope: Slope,
+    radius: np.ndarray,
+    after: tuple[Score, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, float]:
-    """Best step of the linearised problem, and the merit that it promises."""
+    """Best step of the linearised problem, and the merit that it promises.
+
+    ``after`` holds a trial and its step: the limits are then linearised
+    through the values found there (second-order correction).
+    """
     lower = np.maximum(-radius, -score.numbers)
     upper = np.minimum(radius, 1.0 - score.numbers)
     rows, rights = [], []
     for i, view in enumerate(score.views):
-        excess = objective.corridor.excess(view.signals, n_times=len(view.signals)) + _MARGIN
+        signals = view.signals if after is None else after[0].views[i].signals
+        excess = objective.corridor.excess(signals, n_times=len(signals)) + _MARGIN
         by_numbers = slope.signals[i] / objective.corridor.width[:, None]
         reach = np.abs(by_numbers) @ radius
         for side, sign in enumerate((-1.0, 1.0)):
+            if after is not None:
+                excess[:, :, side] -= sign * (by_numbers @ after[1])
             # Other samples cannot reach their limit within this step.
             near = excess[:, :, side] + reach > 0
             rows.append(sign * by_numbers[near])
