@@ -180,6 +180,7 @@ def effective_sample_size(series: np.ndarray) -> float:
     Uses the initial positive pair sums of the autocorrelation (Geyer 1992),
     never more than the number of samples.
     """
+    series = _own_samples(series)
     n = int(np.isfinite(series).sum())
     if n < 8:
         return float(n)
@@ -218,8 +219,20 @@ class Whiteness:
         return self.p_value > 1e-3
 
 
+def _own_samples(series: np.ndarray) -> np.ndarray:
+    """Rows at which a sensor slower than the record can have sampled."""
+    rows = np.flatnonzero(np.isfinite(series))
+    if len(rows) < 2:
+        return series
+    return series[rows[0] :: int(np.gcd.reduce(np.diff(rows)))]
+
+
 def whiteness(series: np.ndarray, n_lags: int = 20) -> Whiteness:
-    """Test a residual series for whiteness (Ljung & Box 1978)."""
+    """Test a residual series for whiteness (Ljung & Box 1978).
+
+    Lags count samples of the sensor itself, which may be slower than the record.
+    """
+    series = _own_samples(series)
     n = int(np.isfinite(series).sum())
     n_lags = min(n_lags, max(1, n // 5))
     rho = autocorrelation(series, n_lags)
