@@ -171,7 +171,7 @@ def estimate(
     if fit is None:
         return None
     if update_noise:
-        fit = with_noise(task, fit, _noise(task, fit))
+        fit = with_noise(task, fit, _noise(task, fit, settled=False))
     lower, upper = _bounds(task, fit)
     updates, damping = 0, 0.0
     for iteration in range(max_iterations):
@@ -193,7 +193,7 @@ def estimate(
         settled = gained < tolerance
         if update_noise and (settled or iteration in (1, 4)) and updates < 5:
             updates += 1
-            again = with_noise(task, fit, _noise(task, fit))
+            again = with_noise(task, fit, _noise(task, fit, settled=settled))
             settled = settled and fit.objective - again.objective < 5 * tolerance
             fit = again if again.objective < fit.objective else fit
         if settled:
@@ -205,13 +205,16 @@ def _jacobians(fit: GreyBox) -> list[np.ndarray]:
     return [run.jacobian for run in fit.runs if run.jacobian is not None]
 
 
-def _noise(task: Task, fit: GreyBox) -> NoiseModel:
+def _noise(task: Task, fit: GreyBox, *, settled: bool) -> NoiseModel:
+    """Levels at a fit; while its parameters still move, they need not be exact."""
     return estimate_noise(
         fit.noise,
         task.units,
         task.deviations,
         residuals(task.dataset, fit.outputs),
         known=task.known_noise,
+        tolerance=0.02 if settled else 1.0,
+        max_iterations=25 if settled else 6,
     )
 
 

@@ -8,6 +8,7 @@ solves the case of plain white noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,6 +29,8 @@ def estimate_noise(
     residuals: Sequence[np.ndarray],
     *,
     known: bool,
+    tolerance: float = 0.01,
+    max_iterations: int = 25,
 ) -> NoiseModel:
     """Noise levels that make residuals most likely.
 
@@ -45,15 +48,20 @@ def estimate_noise(
         NaN where nothing was measured.
     known : bool
         Whether white levels are given and sensors have no other noise.
+    tolerance : float
+        Stop when minus twice the log-likelihood would fall by less.
+    max_iterations : int
+        Most scoring steps, without and with colour.
     """
     series = [residual[:, :, None] for residual in residuals]
     search = _Search(units, deviations, series, known=known, coloured=start.has_colour)
-    noise = search.run(start)
+    noise = search.run(start, tolerance, max_iterations)
     if known or noise.has_colour or not search.is_coloured(noise):
         return noise
     colour = np.where(noise.colour > 0, noise.colour, 0.3 * units.colour)
     search = _Search(units, deviations, series, known=known, coloured=True)
-    return search.run(noise.with_levels(noise.white, colour, noise.force))
+    admitted = noise.with_levels(noise.white, colour, noise.force)
+    return search.run(admitted, tolerance, max_iterations)
 
 
 class _Search:
@@ -111,44 +119,64 @@ class _Search:
         n = len(self.series)
         return [found[i * n : (i + 1) * n] for i in range(len(models))]
 
-    def run(self, start: NoiseModel, max_iterations: int = 25) -> NoiseModel:
-        """Iterate until minus twice the log-likelihood falls by less than 0.01."""
-        variances = self.variances(start)
-        # At exactly zero a disturbance looks useless next to others that are too small.
-        variances[: self.n_forces] = np.maximum(variances[: self.n_forces], 1e-3)
-        value, damping = np.inf, 1e-3
+    def run(self, start: NoiseModel, tolerance: float, max_iterations: int) -> NoiseModel:
+        """Iterate until minus twice the log-likelihood would fall by less than the tolerance.
+
+        Variances at their bound rest until the others have settled.
+        """
+        point = self.at(self.variances(start))
+        slopes = _Slopes.empty(len(point.variances), point)
+        awake, damping = np.ones(len(point.variances), dtype=bool), 1e-3
         for _ in range(max_iterations):
-            step_sizes = RELATIVE_STEP * variances + ABSOLUTE_STEP
-            moved = [
-                variances + size * unit
-                for size, unit in zip(step_sizes, np.eye(len(variances)), strict=True)
-            ]
-            base, *others = self.filter([variances, *moved])
-            value = _objective(base)
-            gradient, fisher = _scores(base, others, step_sizes)
-            accepted = None
+            self.differentiate(point, slopes, awake)
+            step, promised = self.step(point, slopes, awake, damping)
+            if promised < tolerance and not awake.all():
+                self.differentiate(point, slopes, ~awake)
+                awake[:] = True
+                step, promised = self.step(point, slopes, awake, damping)
+            if promised < tolerance:
+                break
             for _ in range(8):
-                step = bounded_step(
-                    fisher,
-                    -0.5 * gradient,
-                    self.lower - variances,
-                    np.full_like(variances, np.inf),
-                    damping,
-                )
-                trial = variances + step
-                new = _objective(self.filter([trial])[0])
-                if new < value:
-                    accepted = (trial, new)
+                trial = self.at(point.variances + step)
+                if trial.value < point.value:
                     break
                 damping = max(10 * damping, 1e-2)
-            if accepted is None:
+                step, _ = self.step(point, slopes, awake, damping)
+            else:
                 break
-            gained = value - accepted[1]
-            variances, value = accepted
+            point = trial
             damping /= 10
-            if gained < 0.01:
-                break
-        return self.model(variances)
+            awake = point.variances > self.lower
+        return self.model(point.variances)
+
+    def at(self, variances: np.ndarray) -> _Point:
+        """Innovations and likelihood at given variances."""
+        return _Point.of(variances, self.filter([variances])[0])
+
+    def differentiate(self, point: _Point, slopes: _Slopes, which: np.ndarray) -> None:
+        """Fill the slopes by the variances that are named, by differences."""
+        index = np.flatnonzero(which)
+        sizes = RELATIVE_STEP * point.variances[index] + ABSOLUTE_STEP
+        unit = np.eye(len(which))[index]
+        moved = self.filter([point.variances + d * e for d, e in zip(sizes, unit, strict=True)])
+        for position, size, parts in zip(index, sizes, moved, strict=True):
+            slopes.fill(int(position), point, parts, float(size))
+
+    def step(
+        self, point: _Point, slopes: _Slopes, awake: np.ndarray, damping: float
+    ) -> tuple[np.ndarray, float]:
+        """Damped scoring step within the bounds, and the decrease that it promises."""
+        gradient, fisher = slopes.of(point, awake)
+        part = bounded_step(
+            fisher,
+            -0.5 * gradient,
+            (self.lower - point.variances)[awake],
+            np.full(len(gradient), np.inf),
+            damping,
+        )
+        step = np.zeros_like(point.variances)
+        step[awake] = part
+        return step, float(-(gradient @ part + part @ fisher @ part))
 
     def is_coloured(self, noise: NoiseModel) -> bool:
         """Whether any output's innovations are clearly correlated from sample to sample."""
@@ -167,29 +195,56 @@ class _Search:
         return False
 
 
-def _objective(parts: Sequence[Innovations]) -> float:
-    """Minus twice the log-likelihood."""
-    value = sum(part.log_determinant + float(np.sum(part.white**2)) for part in parts)
-    return value if np.isfinite(value) else np.inf
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Variances, with the innovations and minus twice the log-likelihood that they give."""
+
+    variances: np.ndarray
+    white: np.ndarray
+    roots: np.ndarray
+    value: float
+
+    @classmethod
+    def of(cls, variances: np.ndarray, parts: Sequence[Innovations]) -> _Point:
+        white, roots = _joined(parts)
+        value = float(white @ white + 2.0 * np.log(roots).sum())
+        return cls(variances, white, roots, value if np.isfinite(value) else np.inf)
 
 
-def _scores(
-    base: Sequence[Innovations], others: Sequence[Sequence[Innovations]], steps: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient of the objective and expected information, from scalar innovations.
+@dataclass(frozen=True, eq=False)
+class _Slopes:
+    """Derivatives of every innovation, and of the logarithm of its variance.
 
-    With innovations ``e`` of variance ``s``, the objective is the sum of
-    ``e^2/s + log s`` and the information of two parameters is the sum of
-    ``ds ds / (2 s^2) + de de / s`` (e.g. Harvey 1989, section 3.4).
+    Rows belong to variances, columns to scalar innovations.
     """
-    root = np.concatenate([part.roots.ravel() for part in base])
-    white = np.concatenate([part.white.ravel() for part in base])
-    log_variance, innovation = [], []
-    for parts, step in zip(others, steps, strict=True):
-        moved_root = np.concatenate([part.roots.ravel() for part in parts])
-        moved_white = np.concatenate([part.white.ravel() for part in parts])
-        log_variance.append(2.0 * np.log(moved_root / root) / step)
-        innovation.append((moved_white * moved_root / root - white) / step)
-    dlog, de = np.array(log_variance), np.array(innovation)
-    gradient = dlog @ (1.0 - white**2) + 2.0 * de @ white
-    return gradient, 0.5 * dlog @ dlog.T + de @ de.T
+
+    innovation: np.ndarray
+    log_variance: np.ndarray
+
+    @classmethod
+    def empty(cls, n_variances: int, point: _Point) -> _Slopes:
+        shape = n_variances, len(point.white)
+        return cls(np.zeros(shape), np.zeros(shape))
+
+    def fill(self, position: int, point: _Point, moved: Sequence[Innovations], size: float) -> None:
+        white, roots = _joined(moved)
+        self.log_variance[position] = 2.0 * np.log(roots / point.roots) / size
+        self.innovation[position] = (white * roots / point.roots - point.white) / size
+
+    def of(self, point: _Point, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient of the objective and expected information, from scalar innovations.
+
+        With innovations ``e`` of variance ``s``, the objective is the sum of
+        ``e^2/s + log s`` and the information of two parameters is the sum of
+        ``ds ds / (2 s^2) + de de / s`` (e.g. Harvey 1989, section 3.4).
+        """
+        dlog, de = self.log_variance[which], self.innovation[which]
+        gradient = dlog @ (1.0 - point.white**2) + 2.0 * de @ point.white
+        return gradient, 0.5 * dlog @ dlog.T + de @ de.T
+
+
+def _joined(parts: Sequence[Innovations]) -> tuple[np.ndarray, np.ndarray]:
+    return (
+        np.concatenate([part.white.ravel() for part in parts]),
+        np.concatenate([part.roots.ravel() for part in parts]),
+    )

@@ -217,7 +217,8 @@ def _first_fit(
             continue
         scaled = replace(units, force=_force_units(lines, units))
         task = Task(super_model, train, lines, scaled, known_noise)
-        fit = estimate(task, free, values, initial, replace(scaled, colour=0 * scaled.colour))
+        quiet = replace(scaled, colour=0 * scaled.colour)
+        fit = estimate(task, free, values, initial, quiet, max_iterations=6, tolerance=1.0)
         if fit is not None and (best is None or fit.objective < best[0].objective - 1.0):
             best = fit, task
     if best is None:
