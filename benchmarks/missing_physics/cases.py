@@ -189,7 +189,7 @@ def simulate_draws(wanted: Sequence[Draw]) -> list[tuple[Case, list[Records]]]:
     left = list(range(len(cases)))
     for attempt in range(ATTEMPTS):
         trial = [case(wanted[i], attempt) for i in left]
-        records = [simulate(trial, manoeuvre) for manoeuvre in (*TRAIN, *TEST)]
+        records = simulate(trial, (*TRAIN, *TEST))
         again = []
         for row, index in enumerate(left):
             parts = [Records(r.times, r.inputs[row], r.clean[row], r.outputs[row]) for r in records]

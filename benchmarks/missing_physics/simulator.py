@@ -175,74 +175,78 @@ class Records:
 
 def simulate(
     cases: Sequence[Case],
-    manoeuvre: Manoeuvre,
+    manoeuvres: Sequence[Manoeuvre],
     *,
     commands: np.ndarray | None = None,
-    initial: np.ndarray | None = None,
-) -> Records:
-    """Simulate one manoeuvre for many cases side by side.
+) -> list[Records]:
+    """Simulate manoeuvres for many cases, all side by side.
 
     Parameters
     ----------
     cases : sequence of Case
-    manoeuvre : Manoeuvre
-    commands : ndarray (n_cases, n_times, 2), optional
-        Commands to replay in place of the manoeuvre.
-    initial : ndarray (n_cases, 5), optional
-        Initial ``u w q theta z``; level trim at 10 m by default.
+    manoeuvres : sequence of Manoeuvre
+        Each starts from level trim at 10 m.
+    commands : ndarray (n_manoeuvres, n_cases, n_times, 2), optional
+        Commands to replay in place of the manoeuvres' own.
+
+    Returns
+    -------
+    list of Records
+        One per manoeuvre.
     """
-    n_times = round(DURATION / SAMPLE) + 1 if commands is None else commands.shape[1]
+    n_times = round(DURATION / SAMPLE) + 1
     times = np.arange(n_times) * SAMPLE
-    truth = _Truth(cases)
-    generators = [np.random.default_rng([case.seed, _number(manoeuvre.name)]) for case in cases]
-    forces = np.stack([_forces(c, n_times, r) for c, r in zip(cases, generators, strict=True)], 1)
-    state = np.zeros((9, len(cases)))
-    if initial is None:
-        state[0] = np.sqrt(manoeuvre.thrust / -truth.derivatives["X_uu"])
-        state[4] = FIRST_DEPTH
-    else:
-        state[:5] = initial.T
-    state[5] = state[1]
-    state[6:9] = state[4], state[0], state[1]
-    fin = _Fin(truth, np.zeros(len(cases)) if commands is None else commands[:, 0, 0])
-    inputs = np.zeros((len(cases), n_times, 2))
-    clean = np.zeros((len(cases), n_times, 5))
-    relay = np.ones(len(cases))
+    rows = [(case, manoeuvre) for manoeuvre in manoeuvres for case in cases]
+    truth = _Truth([case for case, _ in rows])
+    streams = [np.random.default_rng([c.seed, zlib.crc32(m.name.encode())]) for c, m in rows]
+    forces = np.stack([_forces(c, n_times, r) for (c, _), r in zip(rows, streams, strict=True)], 2)
+    thrust = np.array([manoeuvre.thrust for _, manoeuvre in rows])
+    state = np.zeros((9, len(rows)))
+    state[0] = state[7] = np.sqrt(thrust / -truth.derivatives["X_uu"])
+    state[4] = state[6] = FIRST_DEPTH
+    pilot = _Pilot([manoeuvre for _, manoeuvre in rows])
+    given = None if commands is None else commands.reshape(len(rows), n_times, 2)
+    fin = _Fin(truth, np.zeros(len(rows)) if given is None else given[:, 0, 0])
+    inputs = np.zeros((len(rows), n_times, 2))
+    clean = np.zeros((len(rows), n_times, 5))
     for k, time in enumerate(times):
-        if commands is not None:
-            command, thrust = commands[:, k, 0], commands[:, k, 1]
+        if given is None:
+            inputs[:, k, 0], inputs[:, k, 1] = pilot.command(k, state[3]), thrust
         else:
-            command, thrust = _command(manoeuvre, time, state[3], relay), manoeuvre.thrust
-        inputs[:, k, 0], inputs[:, k, 1] = command, thrust
+            inputs[:, k] = given[:, k]
         clean[:, k] = truth.measure(state).T
         if k + 1 < n_times:
-            fin.command(command)
+            fin.command(inputs[:, k, 0])
             for sub in range(SUBSTEPS):
-                state = truth.advance(
-                    state, time + sub * STEP, fin.advance(sub), thrust, forces[k].T
-                )
-    noise = np.stack([_noise(c, n_times, r) for c, r in zip(cases, generators, strict=True)])
-    return Records(times, inputs, clean, clean + noise)
+                angle = fin.advance(sub)
+                state = truth.advance(state, time + sub * STEP, angle, inputs[:, k, 1], forces[k])
+    noise = np.stack([_noise(c, n_times, r) for (c, _), r in zip(rows, streams, strict=True)])
+    n = len(cases)
+    parts = [slice(i * n, (i + 1) * n) for i in range(len(manoeuvres))]
+    return [Records(times, inputs[p], clean[p], clean[p] + noise[p]) for p in parts]
 
 
-def _command(
-    manoeuvre: Manoeuvre, time: float, pitch: np.ndarray, relay: np.ndarray
-) -> np.ndarray | float:
-    """Fin command at one sample; the relay remembers its side."""
-    if time < BEGIN - 1e-9:
-        return 0.0
-    if manoeuvre.levels:
-        position = int((time - BEGIN) / manoeuvre.hold + 1e-9)
-        return np.radians(manoeuvre.levels[position % len(manoeuvre.levels)])
-    switch = np.radians(manoeuvre.switch)
-    # Positive fin pitches the bow down.
-    relay[pitch < -switch] = -1.0
-    relay[pitch > switch] = 1.0
-    return relay * np.radians(manoeuvre.amplitude)
+class _Pilot:
+    """Commands of all manoeuvres: steps by the clock, zigzags by a relay on the pitch angle."""
 
+    def __init__(self, manoeuvres: Sequence[Manoeuvre]) -> None:
+        self.manoeuvres = manoeuvres
+        self.amplitude = np.radians([m.amplitude for m in manoeuvres])
+        self.switch = np.radians([m.switch for m in manoeuvres])
+        self.relay = np.ones(len(manoeuvres))
 
-def _number(name: str) -> int:
-    return zlib.crc32(name.encode())
+    def command(self, sample: int, pitch: np.ndarray) -> np.ndarray:
+        """Fin commands at one sample; positive ones pitch the bow down."""
+        elapsed = sample - round(BEGIN / SAMPLE)
+        if elapsed < 0:
+            return np.zeros(len(self.relay))
+        self.relay[pitch < -self.switch] = -1.0
+        self.relay[pitch > self.switch] = 1.0
+        steps = [
+            m.levels[elapsed // round(m.hold / SAMPLE) % len(m.levels)] if m.levels else 0.0
+            for m in self.manoeuvres
+        ]
+        return self.relay * self.amplitude + np.radians(steps)
 
 
 def _forces(case: Case, n_times: int, rng: np.random.Generator) -> np.ndarray:
@@ -295,7 +299,7 @@ class _Truth:
         state: np.ndarray,
         time: float,
         fin: tuple[np.ndarray, np.ndarray, np.ndarray],
-        thrust: np.ndarray | float,
+        thrust: np.ndarray,
         forces: np.ndarray,
     ) -> np.ndarray:
         """One Runge-Kutta step; ``fin`` at its start, middle and end."""
@@ -311,7 +315,7 @@ class _Truth:
         state: np.ndarray,
         time: float,
         fin: np.ndarray,
-        thrust: np.ndarray | float,
+        thrust: np.ndarray,
         forces: np.ndarray,
     ) -> np.ndarray:
         """Time derivative of the state."""
@@ -388,9 +392,9 @@ class _Fin:
         self.play = self._dead(first)
         self.angle = self.play.copy()
 
-    def command(self, command: np.ndarray | float) -> None:
+    def command(self, command: np.ndarray) -> None:
         """Take the command of the next sample."""
-        self.commands.append(np.broadcast_to(command, self.play.shape).astype(float))
+        self.commands.append(command.copy())
 
     def _dead(self, angle: np.ndarray) -> np.ndarray:
         half = self.truth.of("fin_deadband")
