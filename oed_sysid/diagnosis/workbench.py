@@ -64,11 +64,16 @@ class Workbench:
         units = NoiseModel(
             white, white, np.ones(n_forces), colour_time=COLOUR_TIME, force_time=FORCE_TIME
         )
-        fit, task = _first_fit(super_model, train, units, known_noise)
-        bench = cls(task, None)
-        if test is not None:
-            bench = replace(bench, test=replace(task, dataset=test, deviations=()))
-        return bench.settle(fit)
+        settled, problem = [], None
+        for fit, task in _first_fits(super_model, train, units, known_noise):
+            untouched = None if test is None else replace(task, dataset=test, deviations=())
+            try:
+                settled.append(cls(task, untouched).settle(fit))
+            except SimulationError as error:
+                problem = error
+        if problem is not None and not settled:
+            raise problem
+        return min(settled, key=lambda pair: pair[1].objective)
 
     def at(self, fit: GreyBox) -> Workbench:
         """Return the bench linearised along the trajectories of a fit."""
@@ -190,13 +195,14 @@ def _linearise(task: Task, fit: GreyBox) -> list[Deviations]:
     return deviations(model, task.dataset, [run.states for run in fit.runs])
 
 
-def _first_fit(
+def _first_fits(
     super_model: SuperModel, train: Dataset, units: NoiseModel, known_noise: bool
-) -> tuple[GreyBox, Task]:
-    """Fit the believed model, from its own values and from a least-squares fit.
+) -> list[tuple[GreyBox, Task]]:
+    """Fit the believed model roughly, from its own values and from a least-squares fit.
 
     A least-squares fit of a model that lacks physics may bend its parameters
-    far; from there, or from the believed values, whichever is more likely.
+    far. Which start is the better one shows only once each is settled in the
+    linearisation along its own trajectories.
     """
     base = super_model.base
     plain = MultipleShooting(max_iterations=40, coloured="never").fit(base, train)
@@ -206,7 +212,7 @@ def _first_fit(
     if np.isfinite(plain.cost):
         starts.append((plain.model.values, plain.initial_states))
     free = base.free_names
-    best: tuple[GreyBox, Task] | None = None
+    found: list[tuple[GreyBox, Task]] = []
     for values, initial in starts:
         runs = super_model.run(train, initial, values, sensitivities=False)
         if runs is None:
@@ -219,14 +225,14 @@ def _first_fit(
         task = Task(super_model, train, lines, scaled, known_noise)
         quiet = replace(scaled, colour=0 * scaled.colour)
         fit = estimate(task, free, values, initial, quiet, max_iterations=6, tolerance=1.0)
-        if fit is not None and (best is None or fit.objective < best[0].objective - 1.0):
-            best = fit, task
-    if best is None:
+        if fit is not None:
+            found.append((fit, task))
+    if not found:
         raise SimulationError(
             f"Model {base.name!r} diverges on the training records from every start that was "
             "tried. Check signs and units of its values, or bound its parameters."
         )
-    return best
+    return found
 
 
 def _force_units(lines: Sequence[Deviations], units: NoiseModel) -> np.ndarray:
