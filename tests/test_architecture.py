@@ -17,6 +17,8 @@ PACKAGE = ROOT / "oed_sysid"
 # Bottom to top: a module imports from layers before its own, or from its own folder.
 LAYERS = (
     "errors",
+    "cell_store",
+    "parallel",
     "channels",
     "units",
     "notation",
@@ -50,6 +52,7 @@ LAYERS = (
     "prediction",
     "fit",
     "estimators",
+    "turning",
     "sensitivity",
     "design",
     "diagnosis",
