@@ -1,0 +1,128 @@
+"""What the MMG standard model may leave out for this tanker."""
+
+from __future__ import annotations
+
+from oed_sysid import Environment, Force, Parameter
+from oed_sysid.effects import (
+    Effect,
+    actuator_lag,
+    added_mass_coupling,
+    amplitude,
+    crossed_drag,
+    deflection_drag,
+    quadratic_drag,
+    rudder_neutral_angle,
+    sensor_bias,
+    sensor_lag,
+    sensor_lever_arm,
+    sensor_misalignment,
+    sensor_scale,
+    single_screw_asymmetry,
+)
+
+from .helm import HELM_ZERO
+from .manoeuvring import HULL_CUBIC, SOURCE
+from .particulars import LENGTH
+
+TOXOPEUS = "Toxopeus (2011), Practical application of viscous-flow calculations, MARIN."
+# Prime scale of a force, rho/2 L d, in kg/m; of a moment it is L times that.
+FORCE = 0.5 * 1000.0 * LENGTH * 0.455
+
+
+def small(effect: str, unit: str, scale: float, description: str = "") -> Parameter:
+    """Amplitude with a prior of its typical size: present to that degree, if at all."""
+    size = amplitude(effect, unit, scale=scale, description=description)
+    return Parameter(
+        size.name,
+        0.0,
+        unit,
+        lower=size.lower,
+        upper=size.upper,
+        prior_mean=0.0,
+        prior_std=scale,
+        scale=scale,
+        description=description,
+    )
+
+
+LIFT_SHAPE = Environment(
+    "rudder_lift_shape",
+    {"lift": "lift*(1 + E_rudder_lift_shape*sin(alpha_R)**2)"},
+    (small("rudder_lift_shape", "1", 0.4),),
+    description="rudder lift is no sine of the angle of attack: stall below zero, flap above",
+    source=SOURCE,
+    needs="small and large rudder angles",
+)
+# [1]: 1 + (1 - exp(-C_1 |beta_P|)) (C_2 - 1), C_1 = 2.0, C_2 = 1.6 and 1.1 by side, which is
+# 0.35 even and 0.25 odd. It levels off, so that it may be used beyond the drift of the data.
+WAKE_BY_DRIFT = Environment(
+    "wake_by_drift",
+    {"u_P": "u_P*(1 + (1 - exp(-2*abs(beta_P)))*(E_wake_even + E_wake_odd*tanh(beta_P/0.05)))"},
+    (small("wake_even", "1", 0.35), small("wake_odd", "1", 0.25)),
+    description="drift at the stern moves the propeller and the rudder out of the hull's wake",
+    source=SOURCE,
+    needs="large drift to both sides; the measured thrust shows it",
+)
+STRAIGHTENING = Environment(
+    "flow_straightening_by_side",
+    {"gamma_R": "gamma_R*(1 + E_flow_straightening_by_side*tanh(beta_R/0.05))"},
+    (small("flow_straightening_by_side", "1", 0.25),),
+    description="the propeller's swirl straightens the flow differently on either side",
+    source=SOURCE,
+    needs="turns to both sides",
+)
+HULL_ASYMMETRY = Force(
+    "hull_asymmetry",
+    {"Y": "Q*U*U*E_hull_asymmetry_Y", "N": "Q*L*U*U*E_hull_asymmetry_N"},
+    (small("hull_asymmetry_Y", "1", 0.002), small("hull_asymmetry_N", "1", 0.001)),
+    description="side force and moment on a straight course",
+    source=SOURCE,
+    needs="long runs, to both sides",
+)
+EVEN_HULL = Force(
+    "even_hull_forces",
+    {
+        "Y": "Q*(E_even_Y_rr*L*L*r*r + E_even_Y_vv*v*v)",
+        "N": "Q*L*(E_even_N_rr*L*L*r*r + E_even_N_vv*v*v)",
+    },
+    (
+        small("even_Y_rr", "1", 0.02),
+        small("even_Y_vv", "1", 0.2),
+        small("even_N_rr", "1", 0.005),
+        small("even_N_vv", "1", 0.05),
+    ),
+    description="hull forces that do not change sign with the side of the turn",
+    source=TOXOPEUS,
+    needs="turns to both sides",
+)
+
+
+def manoeuvring_effects() -> tuple[Effect, ...]:
+    """Candidates for the model with a linear hull; the cubic hull is the first of them."""
+    return (
+        HULL_CUBIC,
+        HELM_ZERO,
+        rudder_neutral_angle(scale=0.01),
+        LIFT_SHAPE,
+        WAKE_BY_DRIFT,
+        STRAIGHTENING,
+        HULL_ASYMMETRY,
+        EVEN_HULL,
+        single_screw_asymmetry(thrust="thrust", arm=0.5 * LENGTH, scale=0.02),
+        quadratic_drag("sway_crossflow", "Y", "v", scale=0.3 * FORCE),
+        quadratic_drag("yaw_crossflow", "N", "r", scale=0.01 * FORCE * LENGTH**3),
+        quadratic_drag("yaw_crossflow_of_drift", "N", "v", scale=0.05 * FORCE * LENGTH),
+        crossed_drag("sway_drift_yaw", "Y", "v", "r", scale=0.1 * FORCE * LENGTH),
+        crossed_drag("yaw_yaw_drift", "N", "r", "v", scale=0.05 * FORCE * LENGTH**2),
+        deflection_drag("rudder_drag", "delta", scale=0.01 * FORCE, velocity="u"),
+        added_mass_coupling(
+            "sway_yaw_inertia", ("Y", "r"), ("N", "v"), scale=0.01 * FORCE * LENGTH**2
+        ),
+        actuator_lag("rudder_lag", "delta", scale=0.5),
+        sensor_lever_arm("lever_arm", "v", "r", scale=0.25),
+        sensor_misalignment("misalignment", "u", "v", scale=0.01),
+        sensor_bias("bias_v", "v", "m/s", scale=0.005),
+        sensor_bias("bias_r", "r", "rad/s", scale=0.001),
+        sensor_scale("scale_r", "r", scale=0.02),
+        sensor_lag("yaw_rate_lag", "r", scale=0.3),
+    )
