@@ -17,6 +17,7 @@ from oed_sysid.estimators import (
     JointKalmanFilter,
     LeastSquaresSVM,
     MultipleShooting,
+    Multistart,
     OnlineRegression,
     OutputError,
     ParticleSwarm,
@@ -58,6 +59,7 @@ TEST = Experiment(
 CASES = [
     (MultipleShooting(), 1e-6, 0.85, 10),
     (OutputError(), 1e-6, 0.85, 10),
+    (Multistart(n_starts=3, n_jobs=1), 1e-6, None, 0),
     (JointKalmanFilter(), 1e-4, 0.85, 10),
     (JointKalmanFilter(kind="unscented"), 1e-3, 0.8, 4),
     (EquationError(rule="simpson"), 5e-3, 0.85, 10),

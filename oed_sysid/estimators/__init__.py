@@ -6,6 +6,7 @@ from oed_sysid.estimators.gibbs import GibbsRegression
 from oed_sysid.estimators.kalman import JointKalmanFilter
 from oed_sysid.estimators.ls_svm import LeastSquaresSVM
 from oed_sysid.estimators.multiple_shooting import MultipleShooting
+from oed_sysid.estimators.multistart import Multistart
 from oed_sysid.estimators.nomoto import HeadingDifferences
 from oed_sysid.estimators.online import (
     EquationStream,
@@ -28,6 +29,7 @@ from oed_sysid.estimators.total_least_squares import TotalLeastSquares
 __all__ = [
     "Estimator",
     "MultipleShooting",
+    "Multistart",
     "Profile",
     "profile",
     "OutputError",

@@ -1,0 +1,147 @@
+"""Multistart: one estimator from many start values, the best result kept."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from oed_sysid.dataset import Dataset
+from oed_sysid.errors import ModelError
+from oed_sysid.estimators.base import Estimator
+from oed_sysid.estimators.multiple_shooting import MultipleShooting
+from oed_sysid.fit import Fit
+from oed_sysid.model import Model
+from oed_sysid.parallel import CellProgress, run_cells
+
+# Twice the log-likelihood may differ by this much among starts that found the same optimum.
+SAME_OPTIMUM = 0.02
+
+
+@dataclass(frozen=True)
+class Multistart:
+    """Repeat an estimation from start values spread over a region.
+
+    Where several optima exist, one start proves nothing. Starts run on all
+    cores, or on a cluster (:mod:`oed_sysid.parallel`).
+
+    Parameters
+    ----------
+    estimator : Estimator
+        By default :class:`MultipleShooting`.
+    n_starts : int
+        Starts, of which the first is the model's own values.
+    span : float
+        Where a parameter has no finite bounds, starts lie within so many of its
+        typical magnitudes of its value. Within finite bounds they are uniform.
+    seed : int
+        Of the start values.
+    n_jobs : int
+        Processes; all cores by default.
+    store : path, optional
+        Folder that keeps the fits, so that an interrupted multistart goes on.
+        It belongs to one model, data set and estimator.
+    progress : callable, optional
+        Called with a :class:`~oed_sysid.parallel.CellProgress` after every start.
+    """
+
+    estimator: Estimator = field(default_factory=MultipleShooting)
+    n_starts: int = 20
+    span: float = 1.0
+    seed: int = 0
+    n_jobs: int = -1
+    store: str | Path | None = None
+    progress: Callable[[CellProgress], None] | None = None
+
+    def __post_init__(self) -> None:
+        if self.n_starts < 2:
+            raise ModelError(f"n_starts is {self.n_starts}. Give 2 or more.")
+        if not self.span > 0:
+            raise ModelError(f"span is {self.span}. Give a positive number.")
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        return f"{self.estimator.name}, best of {self.n_starts} starts"
+
+    def starts(self, model: Model) -> list[dict[str, float]]:
+        """Start values: the model's own, then a Latin hypercube over the region."""
+        # Here, not above: SciPy's statistics take a third of a second to import.
+        from scipy.stats.qmc import LatinHypercube
+
+        free = model.free_parameters
+        own = dict(model.values)
+        if not free:
+            raise ModelError(f"Model {model.name!r} has no free parameter to start elsewhere.")
+        shares = LatinHypercube(len(free), rng=np.random.default_rng(self.seed))
+        rows = shares.random(self.n_starts - 1)
+        lower = [
+            p.lower if np.isfinite(p.lower) else p.value - self.span * p.magnitude for p in free
+        ]
+        upper = [
+            p.upper if np.isfinite(p.upper) else p.value + self.span * p.magnitude for p in free
+        ]
+        spread = np.array(lower) + rows * (np.array(upper) - np.array(lower))
+        names = model.free_names
+        drawn = [dict(zip(names, map(float, row), strict=True)) for row in spread]
+        return [{name: own[name] for name in names}, *drawn]
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Estimate from every start; return the most likely result.
+
+        Returns
+        -------
+        Fit
+            ``extras`` holds, per start, ``"start_values"``, ``"log_likelihoods"``
+            and whether it ``"converged"``; ``"arrived"`` counts the starts that
+            found the optimum that is returned.
+        """
+        began = time.perf_counter()
+        starts = self.starts(model)
+        cells = {f"seed {self.seed}, start {i}": start for i, start in enumerate(starts)}
+        work = partial(_fit_from, self.estimator, model, dataset)
+        fits = list(
+            run_cells(
+                work, cells, store=self.store, n_jobs=self.n_jobs, progress=self.progress
+            ).values()
+        )
+        likelihoods = np.array([fit.log_likelihood for fit in fits])
+        # Priors are part of what is sought; noise levels that are estimated are too.
+        goals = np.array([_goal(fit) for fit in fits])
+        ok = np.array([fit.status.ok for fit in fits])
+        best = max(range(len(fits)), key=lambda i: (ok[i], goals[i]))
+        arrived = ok & (2.0 * (goals[best] - goals) < SAME_OPTIMUM)
+        extras = {
+            **fits[best].extras,
+            "start_values": tuple(starts),
+            "log_likelihoods": likelihoods,
+            "converged": ok,
+            "arrived": int(arrived.sum()),
+        }
+        return replace(
+            fits[best],
+            estimator=self.name,
+            seconds=time.perf_counter() - began,
+            iterations=sum(fit.iterations for fit in fits),
+            extras=extras,
+        )
+
+
+def _fit_from(
+    estimator: Estimator, model: Model, dataset: Dataset, start: Mapping[str, float]
+) -> Fit:
+    return estimator.fit(model.with_values(dict(start)), dataset)
+
+
+def _goal(fit: Fit) -> float:
+    """Log-likelihood and log-density of the priors, up to a constant."""
+    total = fit.log_likelihood
+    for name, value in fit.values.items():
+        parameter = fit.model.parameter(name)
+        if parameter.prior_std is not None and parameter.prior_mean is not None:
+            total -= 0.5 * ((value - parameter.prior_mean) / parameter.prior_std) ** 2
+    return total if np.isfinite(total) else -np.inf
