@@ -106,6 +106,23 @@ def test_noise_of_a_measured_start_is_in_the_errors() -> None:
         DifferentialSwarm(initial={"u": 1.0}).fit(YAW, yaw_data(2))
 
 
+def test_members_of_a_difference_may_be_the_same() -> None:
+    """Over six seeds the search converges faster where the two random members may coincide."""
+    data = Dataset((simulate(YAW, TEST, noise=False),))
+    lowest = {
+        distinct: np.median(
+            [
+                DifferentialSwarm(n_particles=20, n_generations=60, distinct=distinct, seed=seed)
+                .fit(YAW, data)
+                .extras["history"][-1]
+                for seed in range(6)
+            ]
+        )
+        for distinct in (False, True)
+    }
+    assert lowest[False] < 0.5 * lowest[True]
+
+
 def test_redrawn_coordinates_lie_between_best_and_bound() -> None:
     """Coordinates outside the bounds come back inside, others stay."""
     rng = np.random.default_rng(0)

@@ -125,7 +125,7 @@ def test_gradients_need_no_swarm() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("level", "seed"), [(0.0, 0), (1.0, 0), (3.0, 1)])
 def test_published_experiment(level: float, seed: int) -> None:
-    """With 60 particles and 800 generations the misfit is that of the noise, errors as expected."""
+    """With 60 particles and 300 generations the misfit is that of the noise, errors as expected."""
     fit = DifferentialSwarm(seed=seed, initial=START).fit(PROBLEM.model, noisy(level, 100 + seed))
     found = errors(fit)
     if level == 0:

@@ -39,6 +39,11 @@ class DifferentialSwarm:
     draw : str
         Whether ``r`` is one number per ``"particle"`` or per ``"dimension"``;
         the source does not say, and the first converges far better.
+    distinct : bool
+        Whether the two members of the difference must differ. The source does
+        not say. Where they may be the same, now and then a particle moves on the
+        line between its own best and the best of all, and the search converges
+        many times faster (measured on two problems, three seeds each).
     scale : str or mapping of str to float
         Scale of the residuals of each output, see
         :class:`~oed_sysid.estimators.trajectory_cost.TrajectoryCost`.
@@ -63,9 +68,10 @@ class DifferentialSwarm:
     """
 
     n_particles: int = 60
-    n_generations: int = 800
+    n_generations: int = 300
     omega: float = 1.0
     draw: str = "particle"
+    distinct: bool = False
     scale: str | Mapping[str, float] = "noise"
     initial: Mapping[str, float] | None = None
     tolerance: float = 1e-8
@@ -151,7 +157,10 @@ class DifferentialSwarm:
         columns = 1 if self.draw == "particle" else n_free
         share = rng.uniform(size=(n, columns))
         first = rng.integers(n, size=n)
-        second = (first + rng.integers(1, n, size=n)) % n  # another one
+        if self.distinct:
+            second = (first + rng.integers(1, n, size=n)) % n
+        else:
+            second = rng.integers(n, size=n)
         return share * best + (1 - share) * leader + self.omega * (best[first] - best[second])
 
 
