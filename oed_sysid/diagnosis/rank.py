@@ -178,7 +178,9 @@ def refit(task: Task, fit: GreyBox, score: Score) -> Refit | None:
     best: GreyBox | None = None
     shares = (0.0, 1.0, 0.2) if two_sided(effect) else (1.0, 0.2, 0.0)
     for share in shares:
-        start = dict(fit.values)
+        # Shapes that the score did not choose stay where the effect has them.
+        start = {p.name: p.value for p in effect.parameters if p.name in effect.shape_names}
+        start.update(fit.values)
         for name, value in score.estimate.items():
             start[name] = share * value if name in effect.amplitude_names else value
         found = estimate(
