@@ -1,19 +1,24 @@
-"""Commands before any measurement: rank."""
+"""Commands before a trial: rank, design."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from oed_sysid.cli.options import JsonFile, ProblemName, Variant
-from oed_sysid.cli.terminal import say, store
-from oed_sysid.errors import ProblemError
+from oed_sysid.cli.terminal import note, progress, say, store, write
+from oed_sysid.errors import DesignError, ProblemError
 
 if TYPE_CHECKING:
     from oed_sysid.dataset import Dataset
     from oed_sysid.experiment import Experiment
     from oed_sysid.problem import Problem
+
+# Starts that are refined, rough manoeuvres tried, and steps of refinement.
+EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
 
 
 def rank(
@@ -58,6 +63,140 @@ def rank(
     store({"ranking": ranking.to_dict(), "subset": subset.to_dict()}, json_file)
 
 
+def design(
+    problem: ProblemName,
+    like: Annotated[
+        str | None,
+        typer.Option(
+            "--like",
+            metavar="EXPERIMENT",
+            help="Experiment that lends its length, sampling, constant inputs and start state.",
+            show_default="the problem's first",
+        ),
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option("--duration", metavar="S", help="Length of the run, s.", show_default=False),
+    ] = None,
+    criterion: Annotated[
+        str, typer.Option("--criterion", metavar="D|A|E", help="What is good: see docs.")
+    ] = "D",
+    discriminate: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--discriminate",
+            metavar="EFFECT...",
+            help="Tell these candidates apart instead of sharpening parameters.",
+            show_default=False,
+        ),
+    ] = None,
+    family: Annotated[
+        str, typer.Option("--family", metavar="levels|multisine|pulses", help="Kind of command.")
+    ] = "levels",
+    effort: Annotated[
+        str,
+        typer.Option(
+            "--effort",
+            metavar="quick|normal|thorough",
+            help="How many starts and steps: seconds, a minute, several minutes.",
+        ),
+    ] = "quick",
+    after: Annotated[
+        Path | None,
+        typer.Option(
+            "--after",
+            metavar="FIT",
+            help="Complete what a fit knows already, as kept by `oed-sysid fit --save`.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="CSV", help="Commands to play, one row per sample.", show_default=False
+        ),
+    ] = None,
+    card: Annotated[
+        Path | None,
+        typer.Option(
+            "--card", metavar="FILE", help="One page for those on board.", show_default=False
+        ),
+    ] = None,
+    model: Variant = None,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the search.")] = 0,
+    json_file: JsonFile = None,
+) -> None:
+    """Design the manoeuvre that tells most about the parameters, within the limits.
+
+    [bold]Example[/bold]: oed-sysid design remus_diving_plane --like steps --out next.csv
+    """
+    import numpy as np
+
+    from oed_sysid.design import design_experiment
+    from oed_sysid.fit import Fit
+    from oed_sysid.problem import load_problem
+
+    chosen = load_problem(problem, variant=model)
+    pattern = _pattern(chosen, like)
+    n_starts, n_candidates, n_steps = _choice("effort", effort, EFFORTS)
+    with progress("Designing") as show:
+        found = design_experiment(
+            Fit.load(after) if after else chosen.model,
+            limits=chosen.limits,
+            duration=duration or float(pattern.duration or 0.0),
+            sample_time=pattern.sample_time,
+            rng=np.random.default_rng(seed),
+            criterion=_criterion(chosen, criterion, discriminate or []),
+            parametrisation=_family(family),
+            constants=pattern.constants,
+            initial=pattern.initial,
+            n_starts=n_starts,
+            n_candidates=n_candidates,
+            n_steps=n_steps,
+            progress=lambda state: show.say(
+                f"designing: start {state.start + 1}, round {state.round + 1}, {state.value:.4g}"
+            ),
+        )
+    say(found.report())
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        found.write_csv(out)
+        note(f"Written: {out}")
+    if card is not None:
+        write(found.sea_trial_card() + "\n", card)
+    store(found.to_dict(), json_file)
+
+
+def _pattern(problem: Problem, name: str | None) -> Experiment:
+    """Experiment that lends what the design leaves open: the named one, or the first."""
+    if name is not None:
+        return problem.experiment(name)
+    if not problem.experiments:
+        raise ProblemError(f"Problem {problem.name!r} has no experiment to take settings from.")
+    return next(iter(problem.experiments.values()))
+
+
+def _criterion(problem: Problem, name: str, rivals: list[str]) -> Any:
+    from oed_sysid.design import AOptimal, Discriminate, DOptimal, EOptimal
+
+    if rivals:
+        return Discriminate([problem.effect(rival) for rival in rivals])
+    return _choice("criterion", name, {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()})
+
+
+def _family(name: str) -> Any:
+    from oed_sysid.design import Levels, Multisines, Pulses
+
+    families = {"levels": Levels(), "multisine": Multisines(), "pulses": Pulses()}
+    return _choice("family", name, families)
+
+
+def _choice(what: str, name: str, choices: Mapping[str, Any]) -> Any:
+    if name not in choices:
+        raise DesignError(f"There is no {what} {name!r}. Choose one of {', '.join(choices)}.")
+    return choices[name]
+
+
 def _runs(
     problem: Problem, experiments: list[str], records: list[str]
 ) -> Dataset | list[Experiment]:
@@ -76,4 +215,4 @@ def _runs(
     return [problem.experiment(name) for name in names]
 
 
-COMMANDS = (rank,)
+COMMANDS = (rank, design)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 # Options that take several values after one flag; see oed_sysid.cli.arguments.
-SEVERAL = ("--train", "--test", "--experiment", "--records", "--with")
+SEVERAL = ("--train", "--test", "--experiment", "--records", "--with", "--discriminate")
 
 ProblemName = Annotated[
     str,

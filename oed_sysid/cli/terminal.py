@@ -101,10 +101,14 @@ def store(result: Mapping[str, Any], path: Path | None) -> None:
     """
     if path is None:
         return
-    text = json.dumps(_plain(result), indent=2, allow_nan=False)
+    write(json.dumps(_plain(result), indent=2, allow_nan=False) + "\n", path)
+
+
+def write(text: str, path: Path) -> None:
+    """Write a text file and say so."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text + "\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise OedSysidError(
             f"{str(path)!r} cannot be written: {error.strerror}. Give another place."

@@ -1,0 +1,67 @@
+"""The command that designs the next experiment, on a folder as `oed-sysid new` writes it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from oed_sysid.cli import BAD_INPUT, DONE, main
+
+
+@pytest.fixture(name="ship", scope="module")
+def _ship(tmp_path_factory) -> Path:
+    """The starter folder."""
+    folder = tmp_path_factory.mktemp("cli") / "my_ship"
+    assert main(["new", str(folder)]) == DONE
+    return folder
+
+
+def test_design_keeps_limits_and_beats_the_zigzags(ship: Path, tmp_path: Path, capsys) -> None:
+    """The commands stay in range, and the expected errors are below those of a zigzag."""
+    commands, card, stored = (tmp_path / name for name in ("next.csv", "card.txt", "next.json"))
+    files = ["--out", str(commands), "--card", str(card), "--json", str(stored)]
+    arguments = ["design", str(ship), "--like", "zigzag_10_10", "--duration", "60", *files]
+    assert main(arguments) == DONE
+    assert "limits met" in capsys.readouterr().out
+    table = np.genfromtxt(commands, delimiter=",", names=True)
+    times, rudder = table["t_s"], table["rudder_rad"]
+    assert times[-1] == 60.0
+    assert np.abs(rudder).max() <= np.radians(35) * (1 + 1e-6)
+    assert np.abs(np.diff(rudder) / np.diff(times)).max() <= np.radians(5) * (1 + 1e-6)
+    assert "SEA TRIAL CARD" in card.read_text()
+    result = json.loads(stored.read_text())
+    assert all(one["after"] < one["before"] for one in result["parameters"])
+    assert all(reference["mean_gain"] > 1.0 for reference in result["references"])
+
+
+def test_design_completes_a_fit(ship: Path, tmp_path: Path) -> None:
+    """What a saved fit knows is the knowledge before the design."""
+    saved, stored = tmp_path / "fit.json", tmp_path / "next.json"
+    record = str(ship / "data" / "zigzag_10_10.csv")
+    assert main(["fit", str(ship), record, "--save", str(saved)]) == DONE
+    arguments = ["design", str(ship), "--after", str(saved), "--duration", "60"]
+    assert main([*arguments, "--json", str(stored)]) == DONE
+    from oed_sysid import Fit
+
+    known = Fit.load(saved).std_errors
+    found = {one["name"]: one["before"] for one in json.loads(stored.read_text())["parameters"]}
+    assert found == pytest.approx(known, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--criterion", "Q"], "Choose one of D, A, E"),
+        (["--family", "sines"], "Choose one of levels"),
+        (["--effort", "huge"], "Choose one of quick"),
+        (["--like", "spiral"], "no experiment 'spiral'"),
+        (["--discriminate", "wind"], "no candidate 'wind'"),
+    ],
+)
+def test_design_names_what_there_is(arguments: list[str], words: str, ship: Path, capsys) -> None:
+    """A wrong choice is answered with the right ones."""
+    assert main(["design", str(ship), *arguments]) == BAD_INPUT
+    assert words in capsys.readouterr().err
