@@ -8,7 +8,7 @@ The model is linearised along it, its one-step errors are carried as defects.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,9 @@ from oed_sysid.model import Model
 ROUNDS = 2
 # Smallest force that is let in, as a share of the one that moves an output by its noise.
 LEAST_FORCE = 0.1
+# Smallest white sensor noise, as a share of its unit: a level that colour has taken over
+# would make one sensor the whole truth.
+LEAST_WHITE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +180,11 @@ def along(task: Task, fit: GreyBox) -> Along:
     """
     system = System.of(task, fit)
     nodes = system.free_run([run.states[0] for run in fit.runs])
-    noise = replace(fit.noise, force=np.maximum(fit.noise.force, LEAST_FORCE * task.units.force))
+    noise = replace(
+        fit.noise,
+        white=np.maximum(fit.noise.white, LEAST_WHITE * task.units.white),
+        force=np.maximum(fit.noise.force, LEAST_FORCE * task.units.force),
+    )
     for _ in range(ROUNDS - 1):
         found = system.linearise(nodes, noise)
         nodes = smoothed_states(found, noise, found.joint)
@@ -222,9 +229,12 @@ class System:
             parameter = self.model.parameter(name)
             moved = parameter.value + float(change)
             values[name] = float(np.clip(moved, parameter.lower, parameter.upper))
-        return replace(
-            self, model=self.model.with_values(values), held=self.held.with_values(values)
-        )
+        return self.at(values)
+
+    def at(self, values: Mapping[str, float]) -> System:
+        """The same at other values of the estimated parameters."""
+        own = {name: values[name] for name in self.names}
+        return replace(self, model=self.model.with_values(own), held=self.held.with_values(own))
 
     def free_run(self, starts: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Full states of the model on its own, ``(n_times, n_full)`` per record."""

@@ -111,6 +111,8 @@ def refined(found: Along, first: Evidence, *, correlation_time: float) -> Eviden
     again = system.linearise(nodes, found.noise)
     index = again.where.index(first.place)
     second = evidence(again, [index], correlation_time=correlation_time)[0]
+    if not np.isfinite(second.solution.objective):
+        return first
     base = first.solution.objective + first.gain
     gain = max(base - second.solution.objective, 0.0)
     return replace(second, gain=gain)
