@@ -1,0 +1,128 @@
+"""Score test, refits and the improvement loop on ships whose truth is known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
+
+from oed_sysid import load_problem, read_csv
+from oed_sysid.diagnosis.improve import improve
+from oed_sysid.diagnosis.improvement import Improvement
+from oed_sysid.diagnosis.rank import rank, threshold
+from oed_sysid.diagnosis.score import scores
+from oed_sysid.diagnosis.workbench import Workbench
+from oed_sysid.errors import DataError
+
+AUV_DATA = Path(__file__).resolve().parent.parent / "problems" / "remus_diving_plane" / "data"
+
+
+def test_score_is_chi_squared_where_nothing_is_missing() -> None:
+    """Over seeds, the statistic of an absent effect follows its distribution."""
+    statistics = []
+    for seed in range(30):
+        bench, fit = Workbench.build(SHIP, dataset(seed), None, [CUBIC], known_noise=True)
+        found, _ = scores(bench.train, fit, bench.train.super_model.candidates)
+        statistics.append(found[0].statistic)
+    assert stats.kstest(statistics, stats.chi2(1).cdf).pvalue > 0.002
+    assert np.mean(statistics) == pytest.approx(1.0, abs=0.8)
+
+
+@pytest.mark.parametrize("cubic", [-0.2, -0.5])
+def test_score_is_the_likelihood_gain_to_first_order(cubic: float) -> None:
+    """For a weak effect the statistic is what refitting gains, and the estimate is the refit's."""
+    bench, fit = Workbench.build(SHIP, dataset(7, cubic), None, CANDIDATES, known_noise=True)
+    ranking = rank(bench.train, fit, bench.train.super_model.candidates, also=["cubic_damping"])
+    refit = next(r for r in ranking.refits if r.name == "cubic_damping")
+    assert refit.score.statistic == pytest.approx(refit.gain, rel=0.2, abs=0.3)
+    error = refit.score.std_errors["n3"]
+    assert refit.score.estimate["n3"] == pytest.approx(refit.fit.values["n3"], abs=error)
+
+
+def test_threshold_pays_for_the_number_of_candidates() -> None:
+    """The gain that chance reaches rarely is the quantile corrected for all candidates."""
+    assert stats.chi2(2).sf(threshold(50, 2, 0.01)) == pytest.approx(0.01 / 50)
+
+
+def test_hidden_damping_is_found_and_explains_the_records() -> None:
+    """Cubic damping is added, the error falls to the noise, and its value covers the truth."""
+    found = improve(SHIP, dataset(11, -15.0), dataset(12, -15.0), candidates=CANDIDATES)
+    assert [step.added for step in found.steps] == ["cubic_damping"]
+    assert found.base_error["test"] > 1.1
+    assert found.final_error["test"] == pytest.approx(1.0, abs=0.06)
+    row = next(row for row in found.parameters if row["name"] == "n3")
+    assert abs(row["value"] + 15.0) < 4 * row["std_error"]
+    assert found.model.effect_names == ("cubic_damping",)
+    assert SHIP.effect_names == ()
+
+
+def test_nothing_is_claimed_where_nothing_is_missing() -> None:
+    """Over seeds, a right model stays as it is, under white noise and under random forces."""
+    claims = [
+        improve(
+            SHIP, dataset(seed, force=force), dataset(seed + 50, force=force), candidates=CANDIDATES
+        ).verdict
+        for seed, force in ((20, 0.0), (21, 0.0), (22, 0.02), (23, 0.02))
+    ]
+    assert claims == ["nothing_missing"] * 4
+
+
+def test_no_candidates_is_said() -> None:
+    """Without candidates there is nothing to try, and the message says what to give."""
+    with pytest.raises(DataError, match="no candidate effect"):
+        improve(SHIP, dataset(0), candidates=())
+
+
+@pytest.fixture(scope="module")
+def auv() -> Improvement:
+    """The shipped hidden-effect records: drag in heave, quadratic in the relative velocity."""
+    problem = load_problem("remus_diving_plane")
+    train = read_csv(sorted(AUV_DATA.glob("train_*.csv")), problem.channels)
+    test = read_csv(sorted(AUV_DATA.glob("test_*.csv")), problem.channels)
+    return improve(problem.model, train, test, candidates=problem.effects)
+
+
+def test_shipped_auv_lacks_crossflow_drag(auv: Improvement) -> None:
+    """The effect is found alone, with its value, and the rest is noise."""
+    assert auv.verdict == "missing"
+    assert [step.added for step in auv.steps] == ["heave_crossflow_drag"]
+    assert auv.steps[0].group == ("heave_crossflow_drag",)
+    assert auv.explained
+    assert auv.base_error["test"] > 2.0
+    assert auv.final_error["test"] == pytest.approx(1.0, abs=0.05)
+    row = next(r for r in auv.parameters if r["name"] == "E_heave_crossflow_drag")
+    # True value of the simulation, see the data's README.
+    assert abs(row["value"] + 101.46) < 4 * row["std_error"]
+
+
+def test_improvement_as_plain_data(auv: Improvement) -> None:
+    """The dictionary has its documented keys, and JSON takes it."""
+    plain = auv.to_dict()
+    assert set(plain) == {
+        "verdict",
+        "steps",
+        "ranking",
+        "located",
+        "base_error",
+        "final_error",
+        "proposed_terms",
+        "parameters",
+    }
+    assert set(plain["steps"][0]) == {"added", "group", "evidence", "train_error", "test_error"}
+    assert set(plain["ranking"][0]) == {"effect", "statistic"}
+    assert plain["ranking"][0]["effect"] == "heave_crossflow_drag"
+    assert len(plain["ranking"]) == len(load_problem("remus_diving_plane").effects)
+    assert set(plain["base_error"]) == set(plain["final_error"]) == {"train", "test"}
+    assert set(plain["parameters"][0]) == {"name", "value", "std_error", "unit"}
+    assert json.loads(json.dumps(plain))["verdict"] == "missing"
+
+
+def test_improvement_tells_its_story(auv: Improvement) -> None:
+    """The report names the effect, the errors and the verdict."""
+    text = auv.report()
+    assert "heave_crossflow_drag" in text
+    assert "noise" in text.splitlines()[-1] or "Verdict" in text

@@ -1,0 +1,66 @@
+"""A ship that turns, its candidates, and records of it integrated without the package."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed_sysid import Force, Input, Model, Output, Parameter, State
+from oed_sysid.dataset import Dataset, Record
+from oed_sysid.effects.actuators import actuator_lag, actuator_offset
+from oed_sysid.effects.base import Effect
+from oed_sysid.effects.sensors import sensor_bias
+
+NOISE = np.array([0.01, 0.004])
+SAMPLE = 0.2
+GAIN, TIME = 0.5, 4.0
+CUBIC = Force("cubic_damping", {"r": "n3*r**3"}, (Parameter("n3", 0.0, "s/rad^2", scale=1.0),))
+CANDIDATES: tuple[Effect, ...] = (
+    CUBIC,
+    actuator_offset("rudder_offset", "delta", scale=0.05),
+    actuator_lag("rudder_lag", "delta", scale=0.5),
+    sensor_bias("bias_r", "r", "rad/s", scale=0.01),
+)
+SHIP = Model(
+    "turning ship",
+    states=(State("psi", "rad", "heading"), State("r", "rad/s", "yaw rate", scale=0.1)),
+    inputs=(Input("rudder", "rad", "rudder"),),
+    outputs=(
+        Output("psi", "rad", "heading", noise_std=NOISE[0]),
+        Output("r", "rad/s", "yaw rate", noise_std=NOISE[1]),
+    ),
+    kinematics={"psi": "r", "r": "(K*delta - r)/T"},
+    actuators={"delta": "rudder"},
+    parameters=(Parameter("K", 0.45, "1/s"), Parameter("T", 3.5, "s", lower=0.1)),
+    step=SAMPLE,
+)
+
+
+def rates(state: np.ndarray, rudder: float, cubic: float) -> np.ndarray:
+    """Time derivative of heading and yaw rate."""
+    return np.array([state[1], (GAIN * rudder - state[1]) / TIME + cubic * state[1] ** 3])
+
+
+def record(name: str, rng: np.random.Generator, cubic: float = 0.0, **noise: float) -> Record:
+    """A zigzag by the clock with white noise, and a random yaw acceleration of std ``force``."""
+    t = np.arange(0.0, 60.0, SAMPLE)
+    rudder = 0.5 * np.sign(np.sin(2 * np.pi * t / rng.uniform(14.0, 20.0))) * (t > 3)
+    outputs, state = np.empty((len(t), 2)), np.zeros(2)
+    force, memory = 0.0, np.exp(-SAMPLE)
+    for k, angle in enumerate(rudder):
+        outputs[k] = state
+        push = np.array([0.0, force])
+        for _ in range(5):
+            h = SAMPLE / 5
+            first = rates(state, angle, cubic) + push
+            middle = rates(state + h / 2 * first, angle, cubic) + push
+            state = state + h * middle
+        drive = noise.get("force", 0.0) * np.sqrt(1 - memory**2)
+        force = memory * force + drive * rng.standard_normal()
+    outputs += NOISE * rng.standard_normal(outputs.shape)
+    return Record(name, t, rudder[:, None], outputs, SHIP.channels)
+
+
+def dataset(seed: int, cubic: float = 0.0, n_records: int = 2, **noise: float) -> Dataset:
+    """Records of one ship."""
+    rng = np.random.default_rng(seed)
+    return Dataset([record(f"zigzag_{i}", rng, cubic, **noise) for i in range(n_records)])
