@@ -119,14 +119,19 @@ class SuperModel:
         A candidate that acts on signals the model does not have, or that the
         base already holds, is left out and listed in ``skipped``.
         """
-        joined, left, skipped = base, [], []
-        for effect in candidates:
-            try:
-                joined = joined + effect.absent()
-            except ModelError:
-                skipped.append(effect.name)
-            else:
-                left.append(effect.absent())
+        absent = [effect.absent() for effect in candidates]
+        skipped: list[str] = []
+        try:
+            joined, left = base + absent, absent
+        except ModelError:  # find out which ones do not fit
+            joined, left = base, []
+            for effect in absent:
+                try:
+                    joined = joined + effect
+                except ModelError:
+                    skipped.append(effect.name)
+                else:
+                    left.append(effect)
         return cls(base, tuple(left), joined, selectable_kernel(joined), tuple(skipped))
 
     def values(self, changes: Mapping[str, float]) -> np.ndarray:
