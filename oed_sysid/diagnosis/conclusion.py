@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate, whitened
+from oed_sysid.diagnosis.greybox import (
+    GreyBox,
+    Task,
+    estimate,
+    residuals,
+    whitened,
+    with_noise,
+)
+from oed_sysid.estimators.noise_levels import residual_levels
 from oed_sysid.information import Information
 
 
@@ -39,16 +46,29 @@ def parameter_table(task: Task, fit: GreyBox) -> tuple[Mapping[str, Any], ...]:
 
 
 def remainder(task: Task, fit: GreyBox) -> float:
-    """Gain in twice the log-likelihood that disturbances bring over white noise alone."""
-    quiet = replace(fit.noise, force=0 * fit.noise.force, colour=0 * fit.noise.colour)
+    """Gain in twice the log-likelihood that disturbances bring over white noise alone.
+
+    The white levels of the alternative are its own most likely ones, unless the
+    task declares them known.
+    """
     if fit.noise.is_white:
         return 0.0
-    white = estimate(
-        replace(task, units=replace(task.units, force=1e-9 * task.units.force)),
-        fit.names,
-        fit.values,
-        fit.initial,
-        quiet,
-        update_noise=False,
+    levels = fit.noise.white
+    alternative = fit
+    for _ in range(1 if task.known_noise else 3):
+        quiet = fit.noise.with_levels(levels, 0 * fit.noise.colour, 0 * fit.noise.force)
+        found = estimate(
+            task, fit.names, fit.values, fit.initial, quiet, update_noise=False, max_iterations=8
+        )
+        if found is None:
+            return np.inf
+        alternative = found
+        if not task.known_noise:
+            levels = residual_levels(residuals(task.dataset, found.outputs), 0)
+            levels = np.maximum(levels, 1e-6 * task.units.white)
+    best = with_noise(
+        task,
+        alternative,
+        fit.noise.with_levels(levels, 0 * fit.noise.colour, 0 * fit.noise.force),
     )
-    return np.inf if white is None else max(white.objective - fit.objective, 0.0)
+    return max(best.objective - fit.objective, 0.0)

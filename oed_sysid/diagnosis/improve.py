@@ -100,7 +100,7 @@ def improve(
             tell("reconsidering the effects added before")
             state, steps, fits = _review(state, steps, fits, base_fit)
     assert first is not None
-    sigma = _sigma(model, state.fit)
+    sigma = _sigma(model, state.fit, state.bench.train.units)
     return _result(state, model, base_fit, first, location, steps, fits, rejected, sigma)
 
 
@@ -200,13 +200,12 @@ def _loosened(noise: NoiseModel, units: NoiseModel) -> NoiseModel:
     return replace(noise, force=np.maximum(noise.force, 0.3 * units.force))
 
 
-def _sigma(model: Model, fit: GreyBox) -> np.ndarray:
-    """Noise level of every output: declared, else as the final fit estimates it."""
+def _sigma(model: Model, fit: GreyBox, units: NoiseModel) -> np.ndarray:
+    """Noise level of every output: declared, else all sensor noise of the final fit."""
+    estimated = np.maximum(np.hypot(fit.noise.white, fit.noise.colour), units.white)
+    declared = [output.noise_std for output in model.outputs]
     return np.array(
-        [
-            estimated if output.noise_std is None else output.noise_std
-            for output, estimated in zip(model.outputs, fit.noise.white, strict=True)
-        ]
+        [e if d is None else d for d, e in zip(declared, estimated, strict=True)], dtype=float
     )
 
 

@@ -17,7 +17,7 @@ from oed_sysid.gauss_newton import bounded_step
 from oed_sysid.information import autocorrelation
 
 # Smallest white variance, as a share of its unit: the filter must stay regular.
-WHITE_FLOOR = 1e-8
+WHITE_FLOOR = 1e-4
 # Finite-difference step, as a share of the variance and of its unit.
 RELATIVE_STEP, ABSOLUTE_STEP = 1e-4, 1e-5
 

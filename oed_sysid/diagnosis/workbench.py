@@ -14,10 +14,13 @@ from oed_sysid.diagnosis.linearise import SuperModel, deviations, disturbed_equa
 from oed_sysid.effects import Effect
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.estimators.multiple_shooting import MultipleShooting
-from oed_sysid.estimators.noise_levels import given_levels, noise_floor
+from oed_sysid.estimators.noise_levels import given_levels, noise_floor, signal_spread
 from oed_sysid.model import Model
 
 FORCE_TIME, COLOUR_TIME = 1.0, 0.4
+# Where a sensor's noise is not declared, it is not taken to be finer than this share of
+# the signal: filtered records would otherwise seem to be measured without any error.
+FINEST_NOISE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +56,8 @@ class Workbench:
                 f"The noise of {', '.join(unknown)} is not declared, so it cannot be taken as "
                 "known. Set noise_std on these outputs, or let the noise be estimated."
             )
-        white = np.where(np.isfinite(levels), levels, noise_floor(train))
+        floor = np.maximum(noise_floor(train), FINEST_NOISE * signal_spread(train))
+        white = np.where(np.isfinite(levels), levels, floor)
         super_model = SuperModel.build(model, candidates)
         n_forces = len(disturbed_equations(model))
         if n_forces == 0:
