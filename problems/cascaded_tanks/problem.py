@@ -1,0 +1,195 @@
+"""Cascaded tanks: a pump fills an upper tank, which drains into a lower one.
+
+Only the level of the lower tank is measured. The believed model is
+linear; water that drains by gravity is not, and tanks overflow.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed_sysid import (
+    Actuator,
+    Dataset,
+    Force,
+    Input,
+    Limits,
+    Model,
+    Output,
+    Parameter,
+    Problem,
+    Record,
+    State,
+    read_csv,
+)
+from oed_sysid.data_cache import fetch
+from oed_sysid.effects import actuator_lag, sensor_lag
+
+FULL = 10.0  # V, reading of a full tank, and end of the sensor's range
+MIDDLE = 5.0  # V, level at which linear and square-root outflow are made equal
+LOWEST = 0.01  # V, keeps the slope of the square root finite
+MIDDLE_OF_RECORD = 2048.0  # s
+
+
+def _root(level: str) -> str:
+    return f"sqrt(max({level}, {LOWEST}))"
+
+
+STATES = (
+    State("upper", "V", "level of the upper tank", scale=3.0),
+    State("lower", "V", "level of the lower tank", scale=3.0),
+)
+INPUTS = (Input("pump", "V", "pump voltage", column="u_V"),)
+OUTPUTS = (Output("level", "V", "level of the lower tank", "lower", column="y_V"),)
+INFLOW = Parameter("inflow", 0.05, "1/s", lower=0.0, description="inflow per pump voltage")
+
+torricelli = Model(
+    name="cascaded tanks, Torricelli",
+    states=STATES,
+    inputs=INPUTS,
+    outputs=OUTPUTS,
+    kinematics={
+        "upper": f"inflow*pump - drain_upper*{_root('upper')}",
+        "lower": f"drain_upper*{_root('upper')} - drain_lower*{_root('lower')}",
+    },
+    parameters=(
+        INFLOW,
+        Parameter("drain_upper", 0.045, "V^0.5/s", lower=0.0, description="upper outlet"),
+        Parameter("drain_lower", 0.05, "V^0.5/s", lower=0.0, description="lower outlet"),
+    ),
+    step=1.0,
+)
+
+model = Model(
+    name="cascaded tanks, linear",
+    states=STATES,
+    inputs=INPUTS,
+    outputs=OUTPUTS,
+    kinematics={
+        "upper": "inflow*pump - drain_upper*upper",
+        "lower": "drain_upper*upper - drain_lower*lower",
+    },
+    parameters=(
+        INFLOW,
+        Parameter("drain_upper", 0.01, "1/s", lower=0.0, description="upper outlet"),
+        Parameter("drain_lower", 0.01, "1/s", lower=0.0, description="lower outlet"),
+    ),
+    step=1.0,
+)
+
+
+def _gravity(level: str) -> str:
+    """Torricelli's outflow less the linear one."""
+    return f"({_root(f'{MIDDLE}*{level}')} - {level})"
+
+
+effects = (
+    Force(
+        "gravity_outflow",
+        {
+            "upper": f"-E_gravity*drain_upper*{_gravity('upper')}",
+            "lower": f"E_gravity*(drain_upper*{_gravity('upper')} - "
+            f"drain_lower*{_gravity('lower')})",
+        },
+        (
+            Parameter(
+                "E_gravity",
+                0.0,
+                "1",
+                lower=-1.0,
+                upper=3.0,
+                scale=0.5,
+                description="0: outflow proportional to the level, 1: to its square root",
+            ),
+        ),
+        description="tanks drain by gravity, as the square root of the level",
+        source="Torricelli (1644); Schoukens & Noel (2017)",
+        needs="levels from low to high",
+    ),
+    Force(
+        "dead_voltage",
+        {"upper": "-inflow*E_dead_voltage"},
+        (Parameter("E_dead_voltage", 0.0, "V", lower=-3.0, upper=3.0, scale=0.5),),
+        description="pump voltage without inflow",
+        needs="low and high voltages",
+    ),
+    Force(
+        "upper_overflow",
+        {
+            "upper": "-E_upper_overflow*max(upper - brim, 0)",
+            "lower": "E_upper_overflow*share*max(upper - brim, 0)",
+        },
+        (
+            Parameter("E_upper_overflow", 0.0, "1/s", lower=0.0, upper=0.5, scale=0.1),
+            Parameter("brim", FULL, "V", lower=6.0, upper=20.0, description="upper tank's brim"),
+            Parameter("share", 0.5, "1", lower=0.0, upper=1.0, description="caught below"),
+        ),
+        amplitudes=("E_upper_overflow",),
+        description="the upper tank overflows; a part of it falls into the lower one",
+        source="Schoukens & Noel (2017)",
+        needs="a pump voltage above five volts for a minute",
+    ),
+    Force(
+        "lower_overflow",
+        {"lower": f"-E_lower_overflow*max(lower - {FULL}, 0)"},
+        (Parameter("E_lower_overflow", 0.0, "1/s", lower=0.0, upper=1.0, scale=0.1),),
+        description="the lower tank overflows",
+        source="Schoukens & Noel (2017)",
+        needs="a level at the end of the range",
+    ),
+    Force(
+        "leak",
+        {"lower": "-E_leak"},
+        (Parameter("E_leak", 0.0, "V/s", scale=0.01),),
+        description="water lost, or gained, at a constant rate",
+        needs="several levels",
+    ),
+    Actuator(
+        "pump_curve",
+        {"pump": "pump + E_pump_curve*pump**2"},
+        (Parameter("E_pump_curve", 0.0, "1/V", lower=-0.1, upper=1.0, scale=0.05),),
+        description="pump whose flow is not proportional to its voltage",
+        needs="low and high voltages",
+    ),
+    actuator_lag("pump_lag", "pump", scale=5.0),
+    sensor_lag("level_lag", "level", scale=5.0),
+)
+
+
+def records() -> Dataset:
+    """First half of the record to learn from, second half to judge by.
+
+    At the end of its range the sensor says only that the level is not lower:
+    those samples are marked missing.
+    """
+    whole = read_csv(fetch("cascaded_tanks/estimation.csv"), model.channels)[0]
+    level = whole.output("level")
+    whole = whole.with_outputs(np.where(level < FULL, level, np.nan)[:, np.newaxis])
+    halves = {
+        "train_first_half": whole.window(0.0, MIDDLE_OF_RECORD - 1.0),
+        "test_second_half": whole.window(MIDDLE_OF_RECORD, whole.times[-1]),
+    }
+    return Dataset(
+        tuple(
+            Record(name, r.times - r.times[0], r.inputs, r.outputs, model.channels, r.source)
+            for name, r in halves.items()
+        )
+    )
+
+
+problem = Problem(
+    name="cascaded_tanks",
+    title="Cascaded tanks with overflow",
+    model=model,
+    models={"torricelli": torricelli},
+    effects=effects,
+    limits=Limits(inputs={"pump": (0.0, 7.0)}),
+    records=records,
+    references=(
+        "Schoukens, Mattsson, Wigren & Noel (2016), Cascaded tanks benchmark combining soft and "
+        "hard nonlinearities, Eindhoven University of Technology",
+        "Schoukens & Noel (2017), Three benchmarks addressing open challenges in nonlinear "
+        "system identification, IFAC World Congress",
+    ),
+    description="Two levels, one sensor: find how the tanks drain and what happens when they fill.",
+)
