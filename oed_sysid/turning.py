@@ -205,8 +205,7 @@ def turning_circle(
     100.0
     """
     fit = fit_or_model if isinstance(fit_or_model, Fit) else None
-    model = fit.model if fit is not None else fit_or_model
-    assert isinstance(model, Model)
+    model = fit_or_model.model if isinstance(fit_or_model, Fit) else fit_or_model
     wanted = SIDES if side == "both" else (side,)
     if not set(wanted) <= set(SIDES):
         raise ModelError(f"side is {side!r}. Choose starboard, port or both.")
@@ -217,7 +216,8 @@ def turning_circle(
     values = [model.value_vector]
     if fit is not None and n_draws > 0:
         values += list(_draw(fit, n_draws, rng or np.random.default_rng(0)))
-    table = np.array(values)
+    kept = [model.parameter_names.index(name) for name in tracked.parameter_names]
+    table = np.array(values)[:, kept]
     start = {"u": speed} if "u" in model.state_names else {}
     nominal: dict[str, dict[str, float]] = {}
     draws: dict[str, dict[str, np.ndarray]] = {}

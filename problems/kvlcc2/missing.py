@@ -55,13 +55,22 @@ LIFT_SHAPE = Environment(
 )
 # [1]: 1 + (1 - exp(-C_1 |beta_P|)) (C_2 - 1), C_1 = 2.0, C_2 = 1.6 and 1.1 by side, which is
 # 0.35 even and 0.25 odd. It levels off, so that it may be used beyond the drift of the data.
-WAKE_BY_DRIFT = Environment(
-    "wake_by_drift",
-    {"u_P": "u_P*(1 + (1 - exp(-2*abs(beta_P)))*(E_wake_even + E_wake_odd*tanh(beta_P/0.05)))"},
-    (small("wake_even", "1", 0.35), small("wake_odd", "1", 0.25)),
-    description="drift at the stern moves the propeller and the rudder out of the hull's wake",
+_OUT_OF_THE_WAKE = "(1 + (1 - exp(-2*abs(beta_P)))*(E_{0}_even + E_{0}_odd*tanh(beta_P/0.05)))"
+PROPELLER_WAKE = Environment(
+    "propeller_wake_by_drift",
+    {"u_P": f"u_P*{_OUT_OF_THE_WAKE.format('propeller_wake')}"},
+    (small("propeller_wake_even", "1", 0.35), small("propeller_wake_odd", "1", 0.25)),
+    description="drift at the stern moves the propeller out of the hull's wake: thrust changes",
     source=SOURCE,
     needs="large drift to both sides; the measured thrust shows it",
+)
+RUDDER_WAKE = Environment(
+    "rudder_wake_by_drift",
+    {"u_W": f"u_W*{_OUT_OF_THE_WAKE.format('rudder_wake')}"},
+    (small("rudder_wake_even", "1", 0.35), small("rudder_wake_odd", "1", 0.25)),
+    description="drift at the stern moves the rudder out of the hull's wake",
+    source=SOURCE,
+    needs="large drift to both sides",
 )
 STRAIGHTENING = Environment(
     "flow_straightening_by_side",
@@ -104,7 +113,8 @@ def manoeuvring_effects() -> tuple[Effect, ...]:
         HELM_ZERO,
         rudder_neutral_angle(scale=0.01),
         LIFT_SHAPE,
-        WAKE_BY_DRIFT,
+        PROPELLER_WAKE,
+        RUDDER_WAKE,
         STRAIGHTENING,
         HULL_ASYMMETRY,
         EVEN_HULL,
