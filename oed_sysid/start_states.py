@@ -9,6 +9,10 @@ from oed_sysid.errors import DataError, ModelError
 from oed_sysid.kernels import Kernel
 from oed_sysid.model import Model
 
+# Longest interval by default: over more samples a wrong model runs far from the
+# measurements, and iterations grow with the record.
+MOST_SAMPLES = 100
+
 
 def check_channels(model: Model, dataset: Dataset) -> None:
     """Raise :class:`DataError` where records and model name different signals."""
@@ -31,7 +35,7 @@ def cut(record: Record, interval: float | None) -> np.ndarray:
     """Index of the first sample of each shooting interval."""
     n = len(record.times)
     if interval is None:
-        length = max(5, int(np.ceil(n / 30)))
+        length = min(max(5, int(np.ceil(n / 30))), MOST_SAMPLES)
         return np.arange(0, max(n - length // 2, 1), length, dtype=np.intc)
     if not interval > 0:
         raise ModelError(f"Shooting interval is {interval} s. Give a positive length.")

@@ -51,7 +51,7 @@ class MultipleShooting:
     ----------
     interval : float or None
         Length of a shooting interval, s. ``None`` chooses about thirty per
-        record; infinity is single shooting.
+        record, of at most a hundred samples; infinity is single shooting.
     noise : str or sequence of float
         ``"auto"`` takes declared noise levels and estimates the others,
         ``"given"`` insists on declared ones, ``"estimate"`` estimates all; or
