@@ -15,6 +15,7 @@ from oed_sysid.effects import Effect
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.estimators.multiple_shooting import MultipleShooting
 from oed_sysid.estimators.noise_levels import given_levels, noise_floor, signal_spread
+from oed_sysid.fit import Fit
 from oed_sysid.model import Model
 
 FORCE_TIME, COLOUR_TIME = 1.0, 0.4
@@ -33,10 +34,13 @@ class Workbench:
         At the linearisation of the present model.
     test : Task or None
         The same on the untouched records.
+    plain : Fit or None
+        The believed model by plain least squares; None where that fails.
     """
 
     train: Task
     test: Task | None
+    plain: Fit | None = None
 
     @classmethod
     def build(
@@ -68,11 +72,13 @@ class Workbench:
         units = NoiseModel(
             white, white, np.ones(n_forces), colour_time=COLOUR_TIME, force_time=FORCE_TIME
         )
+        found = MultipleShooting(max_iterations=40, coloured="never").fit(model, train)
+        plain = found if np.isfinite(found.cost) else None
         settled, problem = [], None
-        for fit, task in _first_fits(super_model, train, units, known_noise):
+        for fit, task in _first_fits(super_model, train, units, known_noise, plain):
             untouched = None if test is None else replace(task, dataset=test, deviations=())
             try:
-                settled.append(cls(task, untouched).settle(fit))
+                settled.append(cls(task, untouched, plain).settle(fit))
             except SimulationError as error:
                 problem = error
         if problem is not None and not settled:
@@ -87,7 +93,7 @@ class Workbench:
             states = self.test_states(fit)
             base = self._base_at(fit)
             test = replace(test, deviations=deviations(base, test.dataset, states))
-        return Workbench(train, test)
+        return replace(self, train=train, test=test)
 
     def settle(self, fit: GreyBox) -> tuple[Workbench, GreyBox]:
         """Linearise along a fit and estimate once more in the new linearisation."""
@@ -137,9 +143,13 @@ class Workbench:
             ``train`` and ``test``; NaN without test records, infinite where the
             model diverges.
         """
-        names = fit.names
-        plain = least_squares(self.train, fit, names, fit.initial)
-        fitted = plain if plain is not None else fit
+        fits = [least_squares(self.train, fit, fit.names, fit.initial)]
+        if self.plain is not None and set(fit.names) == set(self.plain.model.free_names):
+            # Here least squares may have found a better, if absurd, place to start from.
+            values = dict(fit.values) | self.plain.model.values
+            own = replace(fit, values=values)
+            fits.append(least_squares(self.train, own, fit.names, self.plain.initial_states))
+        fitted = min((f for f in fits if f is not None), key=lambda f: f.objective, default=fit)
         found = {"train": _misfit(self.train, fitted, sigma), "test": np.nan}
         if self.test is not None:
             starts = starting_states(self.test.super_model.base, self.test.dataset)
@@ -200,7 +210,11 @@ def _linearise(task: Task, fit: GreyBox) -> list[Deviations]:
 
 
 def _first_fits(
-    super_model: SuperModel, train: Dataset, units: NoiseModel, known_noise: bool
+    super_model: SuperModel,
+    train: Dataset,
+    units: NoiseModel,
+    known_noise: bool,
+    plain: Fit | None,
 ) -> list[tuple[GreyBox, Task]]:
     """Fit the believed model roughly, from its own values and from a least-squares fit.
 
@@ -209,11 +223,10 @@ def _first_fits(
     linearisation along its own trajectories.
     """
     base = super_model.base
-    plain = MultipleShooting(max_iterations=40, coloured="never").fit(base, train)
     starts: list[tuple[Mapping[str, float], Sequence[np.ndarray]]] = [
         (base.values, starting_states(base, train))
     ]
-    if np.isfinite(plain.cost):
+    if plain is not None:
         starts.append((plain.model.values, plain.initial_states))
     free = base.free_names
     found: list[tuple[GreyBox, Task]] = []
