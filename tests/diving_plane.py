@@ -73,8 +73,12 @@ def simulate(
     thrust: float = 9.0,
     duration: float = 60.0,
     noise: float = 1.0,
+    boost: float = 1.25,
 ) -> Record:
-    """Zigzag in pitch (with ``switch``) or random fin steps (without), by classical Runge-Kutta."""
+    """Zigzag in pitch (with ``switch``) or random fin steps (without), by classical Runge-Kutta.
+
+    After half the time the thrust is multiplied by ``boost``.
+    """
     rng = np.random.default_rng(seed)
     times = np.arange(0.0, duration, 0.1)
     state = np.array([math.sqrt(thrust / 3.9), 0.0, 0.0, 0.0, 10.0])
@@ -90,7 +94,7 @@ def simulate(
             held = int(rng.integers(10, 40))
         held -= 1
         sent = command if t >= 2.0 else 0.0
-        push = thrust * (1.0 if t < duration / 2 else 1.25)
+        push = thrust * (1.0 if t < duration / 2 else boost)
         truth[k], inputs[k] = state, (sent, push)
         fin, step = fin_of(sent), 0.1 / SUBSTEPS
         for _ in range(SUBSTEPS):

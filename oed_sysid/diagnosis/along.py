@@ -23,8 +23,9 @@ from oed_sysid.errors import SimulationError
 from oed_sysid.kernels import kernel
 from oed_sysid.model import Model
 
-# Relinearisations; the second changes little where the first started near.
-ROUNDS = 2
+# Most relinearisations; they stop when the trajectory moves by less than this, as its outputs
+# show it in units of the noise (root mean square).
+ROUNDS, STILL = 8, 0.1
 # Smallest force that is let in, as a share of the one that moves an output by its noise.
 LEAST_FORCE = 0.1
 # Smallest white sensor noise, as a share of its unit: a level that colour has taken over
@@ -156,6 +157,12 @@ def _response(stretch: Stretch, white: np.ndarray, correlation_time: float) -> n
     return np.median(found, axis=0)
 
 
+def _shown(stretch: Stretch, states: np.ndarray, white: np.ndarray) -> float:
+    """How far new states are from those of a stretch, as its outputs show it, in noise."""
+    moved = np.einsum("kij,kj->ki", stretch.output, states - stretch.states) / white
+    return float(np.sqrt(np.mean(moved**2)))
+
+
 def fitted_model(task: Task, fit: GreyBox) -> Model:
     """The base model with the effects that a fit has, at its values."""
     names = set(fit.names) | {name for name, value in fit.values.items() if value}
@@ -185,10 +192,15 @@ def along(task: Task, fit: GreyBox) -> Along:
         white=np.maximum(fit.noise.white, LEAST_WHITE * task.units.white),
         force=np.maximum(fit.noise.force, LEAST_FORCE * task.units.force),
     )
-    for _ in range(ROUNDS - 1):
-        found = system.linearise(nodes, noise)
-        nodes = smoothed_states(found, noise, found.joint)
-    return system.linearise(nodes, noise)
+    found = system.linearise(nodes, noise)
+    for _ in range(ROUNDS):
+        moved = smoothed_states(found, noise, found.joint)
+        pairs = zip(found.stretches, moved, strict=True)
+        shown = max(_shown(stretch, states, noise.white) for stretch, states in pairs)
+        found = system.linearise(moved, noise)
+        if shown < STILL:
+            break
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,156 @@
+"""Terms proposed for what no known effect explains."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from diving_plane import PROBLEM, records
+
+from oed_sysid import Input, Model, Output, Parameter, State
+from oed_sysid.diagnosis.along import System
+from oed_sysid.diagnosis.dictionary import Signal, Term, signals_along, terms
+from oed_sysid.diagnosis.innovations import NoiseModel
+from oed_sysid.diagnosis.linearise import SuperModel
+from oed_sysid.diagnosis.propose import propose
+from oed_sysid.diagnosis.term_scores import term_scores
+from oed_sysid.diagnosis.workbench import Workbench
+from oed_sysid.units import same_dimension
+
+VEHICLE = (
+    Signal("u_r", "m/s", "motion", True),
+    Signal("w_r", "m/s", "motion", False),
+    Signal("q", "rad/s", "motion", False),
+    Signal("theta", "rad", "angle", False),
+    Signal("ds", "rad", "motion", False),
+    Signal("T", "N", "thrust", True),
+)
+UNITS = {signal.name: signal.unit for signal in VEHICLE}
+
+
+def test_dictionary_holds_what_engineers_write() -> None:
+    """Drag, lift, damping, thrust and restoring terms are all there, each once per equation."""
+    found = terms(PROBLEM.model, VEHICLE)
+    texts = [term.expression for term in found if term.equation == "M"]
+    assert len(set(texts)) == len(texts)
+    for text in ("1", "abs(q)*q", "q**3", "u_r*w_r", "u_r**2*ds", "T", "q*T"):
+        assert text in texts
+    assert "sin(theta)*cos(theta)" in texts
+    assert "abs(u_r)" not in texts
+    assert 300 < len(found) < 500
+    symbols = [term.symbol for term in found]
+    assert len(set(symbols)) == len(symbols)
+
+
+@pytest.mark.parametrize(
+    ("equation", "expression", "factors", "text", "unit"),
+    [
+        ("M", "q**3", (("q", False),) * 3, "M_qqq q^3", "N m s^3"),
+        ("Z", "abs(w_r)*w_r", (("w_r", True), ("w_r", False)), "Z_absww w|w|", "kg/m"),
+        ("M", "q*T", (("q", False), ("T", False)), "M_qT q T", "m s"),
+        ("M", "sin(theta)*cos(theta)", (), "M_sinthetacostheta sin(theta) cos(theta)", "N m"),
+        ("X", "1", (), "X_0", "N"),
+    ],
+)
+def test_terms_have_names_and_units(
+    equation: str,
+    expression: str,
+    factors: tuple,
+    text: str,
+    unit: str,  # type: ignore[type-arg]
+) -> None:
+    """Names follow the notation where it reaches, units follow from dimensions."""
+    term = Term(equation, expression, factors)
+    assert term.text == text
+    effect = term.effect(PROBLEM.model, UNITS, 1.0)
+    assert same_dimension(effect.parameters[0].unit, unit)
+    assert effect.terms[equation].endswith(expression) or expression == "1"
+    assert PROBLEM.model + effect
+
+
+def test_coefficients_get_another_name_where_theirs_is_taken() -> None:
+    """A term whose derivative the model has already does not collide with it."""
+    term = Term("M", "u_r*q", (("u_r", False), ("q", False)))
+    assert term.effect(PROBLEM.model, UNITS, 1.0).parameters[0].name == "E_M_uq"
+
+
+def test_responses_are_sensitivities() -> None:
+    """Along the model's own trajectory a term's column is the kernel's derivative by it."""
+    train, _, _ = records(1, duration=20.0)
+    term = Term("M", "abs(q)*q", (("q", True), ("q", False)))
+    effect = term.effect(PROBLEM.model, UNITS, 1.0)
+    bench, fit = Workbench.build(PROBLEM.model, train, None, (), known_noise=True)
+    system = System.of(bench.train, fit)
+    nodes = system.free_run([run.states[0] for run in fit.runs])
+    quiet = NoiseModel(fit.noise.white, np.zeros(5), np.zeros(3))
+    linear = system.linearise(nodes, quiet)
+    found = term_scores(linear, signals_along(system.model, train, nodes))
+    score = next(s for s in found.scores if s.term == term)
+    wide = SuperModel.build(PROBLEM.model, (effect,))
+    runs = wide.run(train, fit.initial, fit.values, (*fit.names, effect.parameters[0].name))
+    assert runs is not None
+    column = np.concatenate([(r.jacobian[:, :, -1] / quiet.white).ravel() for r in runs])  # type: ignore[index]
+    known = np.zeros((len(column) + len(fit.names), len(fit.names) + 10))
+    begin = 0
+    for index, run in enumerate(runs):
+        part = run.jacobian[:, :, :-1] / quiet.white[:, None]  # type: ignore[index]
+        rows = part.reshape(-1, part.shape[2])
+        block = slice(begin, begin + len(rows))
+        known[block, : len(fit.names)] = rows[:, 5:]
+        known[block, len(fit.names) + 5 * index : len(fit.names) + 5 * (index + 1)] = rows[:, :5]
+        begin += len(rows)
+    for position, name in enumerate(fit.names):
+        known[begin + position, position] = 1.0 / PROBLEM.model.parameter(name).prior_std  # type: ignore[operator]
+    column = np.concatenate([column, np.zeros(len(fit.names))])
+    scaled = known / np.linalg.norm(known, axis=0)
+    left = column - scaled @ np.linalg.lstsq(scaled, column, rcond=None)[0]
+    assert 1.0 / score.std_error == pytest.approx(np.linalg.norm(left), rel=0.02)
+
+
+def test_a_cubic_damping_is_proposed_with_its_value() -> None:
+    """The true term comes first, in its equation, near its value, and removes the misfit."""
+    train, _, _ = records(4, lambda u, w, q, *_: (0.0, 0.0, -250.0 * q**3), duration=45.0)
+    bench, fit = Workbench.build(PROBLEM.model, train, None, (), known_noise=False)
+    found = propose(bench.train, fit, n_refits=4)
+    assert found.best is not None
+    assert found.best.term.equation == "M"
+    assert "M_qqq q^3" in found.group
+    assert next(iter(found.equations)) == "M"
+    assert found.best.text in found.verdict
+    assert "gain" in found.report()
+    assert json.loads(json.dumps(found.to_dict()))["terms"][0]["equation"] == "M"
+    cubic = next(p for p in found.proposals if p.text == "M_qqq q^3")
+    assert cubic.value == pytest.approx(-250.0, rel=0.15)
+    assert PROBLEM.model + found.best.effect
+
+
+def test_nothing_is_proposed_where_nothing_is_missing() -> None:
+    """Noise alone gives no claim, however many terms are looked at."""
+    train, _, _ = records(5, duration=40.0)
+    bench, fit = Workbench.build(PROBLEM.model, train, None, (), known_noise=False)
+    found = propose(bench.train, fit, n_refits=3)
+    assert found.best is None
+    assert found.group == ()
+    assert "chance" in found.verdict
+
+
+def test_models_without_axes_have_a_dictionary() -> None:
+    """An ordinary differential equation is searched in the rates that hold parameters."""
+    model = Model(
+        "roll",
+        states=(State("phi", "rad"), State("p", "rad/s")),
+        inputs=(Input("moment", "N m"),),
+        outputs=(Output("phi", "rad", noise_std=0.001),),
+        kinematics={"phi": "p", "p": "-b*p - k*phi + moment"},
+        parameters=(Parameter("b", 0.1, "1/s"), Parameter("k", 1.0, "1/s^2")),
+    )
+    signals = (
+        Signal("phi", "rad", "motion", False),
+        Signal("p", "rad/s", "motion", False),
+        Signal("moment", "N m", "motion", False),
+    )
+    found = terms(model, signals)
+    assert {term.equation for term in found} == {"p"}
+    damping = next(term for term in found if term.expression == "abs(p)*p")
+    assert same_dimension(damping.effect(model, {"p": "rad/s"}, 1.0).parameters[0].unit, "1")
