@@ -42,6 +42,8 @@ class Prediction:
         The model's own initial states, per record.
     way : str
         Where these come from: ``fit``, ``first`` or ``given``.
+    local_values : tuple of mapping
+        Values of per-record parameters, per record.
     """
 
     dataset: Dataset
@@ -50,6 +52,7 @@ class Prediction:
     sigma: np.ndarray
     initial_states: tuple[Mapping[str, float], ...]
     way: str
+    local_values: tuple[Mapping[str, float], ...] = ()
 
     @property
     def residuals(self) -> tuple[np.ndarray, ...]:
@@ -142,8 +145,8 @@ def predict(
                 f"{', '.join(model.state_names)}."
             )
     parts = [_predict(model, record, covariance, sigma, initial, way) for record in dataset]
-    outputs, stds, starts = zip(*parts, strict=True)
-    return Prediction(dataset, outputs, stds, sigma.copy(), starts, way)
+    outputs, stds, starts, local = zip(*parts, strict=True)
+    return Prediction(dataset, outputs, stds, sigma.copy(), starts, way, local)
 
 
 def _predict(
@@ -153,7 +156,7 @@ def _predict(
     sigma: np.ndarray,
     initial: Initial,
     way: str,
-) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
+) -> tuple[np.ndarray, np.ndarray, dict[str, float], dict[str, float]]:
     guess = [dict(initial)] if isinstance(initial, Mapping) else None
     shooting = Shooting(model, Dataset((record,)), sigma, initial_states=guess)
     layout = shooting.layout
@@ -172,9 +175,11 @@ def _predict(
     smooth = shooting.continuous(point.unknowns)
     lin = shooting.linearise(smooth)
     states = dict(zip(model.state_names, map(float, point.unknowns[n_shared:]), strict=False))
+    own = point.unknowns[layout.record_columns(0)[n_own:]]
+    values = {layout.free_names[i]: float(own[i]) for i in layout.local}
     if lin is None:
         empty = np.full(record.outputs.shape, np.nan)
-        return empty, empty, states
+        return empty, empty, states, values
     jacobian = lin.jacobians[0]
     by_shared = jacobian[:, :, n_own + layout.shared]
     others = np.concatenate([np.arange(n_own), n_own + layout.local])
@@ -194,7 +199,7 @@ def _predict(
     else:
         other_covariance = np.diag([*own_variance, *np.zeros(len(layout.local))])
     variance = _carry(by_other, other_covariance) + _carry_uncertain(by_shared, covariance)
-    return _outputs(shooting, point.unknowns), np.sqrt(variance), states
+    return _outputs(shooting, point.unknowns), np.sqrt(variance), states, values
 
 
 def _outputs(shooting: Shooting, unknowns: np.ndarray) -> np.ndarray:
