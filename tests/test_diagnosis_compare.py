@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from oed_sysid import Force, Input, Model, MultipleShooting, Output, Parameter, State
+from oed_sysid import Force, Input, Model, MultipleShooting, Output, Parameter, Sensor, State
 from oed_sysid.dataset import Dataset, Record
 from oed_sysid.diagnosis.compare import Comparison, compare
 from oed_sysid.diagnosis.horizon import forecasts
@@ -188,3 +188,18 @@ def test_empty_comparisons_are_refused() -> None:
         compare([], data)
     with pytest.raises(DataError, match="above zero"):
         compare(BELIEVED, data, horizon=0.0)
+
+
+def test_what_differs_from_record_to_record_is_estimated_on_each() -> None:
+    """A gyro bias that is declared per record is neither misfit nor forecast error."""
+    bias = Sensor(
+        "bias", {"r": "r + b_r"}, (Parameter("b_r", 0.0, "rad/s", per_record=True, scale=0.01),)
+    )
+    first = record("a", 1, 0.0)
+    second = record("b", 2, 0.0)
+    shifted = second.with_outputs(second.outputs + np.array([0.0, 0.02]))
+    found = compare({"biased": BELIEVED + bias, "plain": BELIEVED}, Dataset((first, shifted)))
+    assert found["biased"].is_noise
+    assert found["biased"].forecasts.overall == pytest.approx(1.0, abs=0.08)
+    assert not found["plain"].is_noise
+    assert found["biased"].prediction.local_values[1]["b_r"] == pytest.approx(0.02, abs=0.002)

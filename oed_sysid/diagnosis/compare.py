@@ -264,7 +264,7 @@ def _misfit(
         )
         for column, output in enumerate(model.outputs)
     )
-    ahead = forecasts(model, dataset, sigma, horizon=horizon)
+    ahead = forecasts(model, dataset, sigma, horizon=horizon, local=prediction.local_values)
     return ModelMisfit(label, model, prediction, states, outputs, ahead)
 
 
@@ -280,9 +280,12 @@ def _distance(record: Any, predicted: np.ndarray, column: int) -> np.ndarray:
 
 
 def _states(model: Model, dataset: Dataset, prediction: Prediction) -> tuple[np.ndarray, ...]:
-    compiled, values = kernel(model), model.value_vector
+    compiled = kernel(model)
     result = []
-    for record, initial in zip(dataset, prediction.initial_states, strict=True):
+    for record, initial, local in zip(
+        dataset, prediction.initial_states, prediction.local_values, strict=True
+    ):
+        values = model.with_values(local).value_vector
         own = np.array([initial[name] for name in model.state_names])
         z0, _ = compiled.start(own, record.inputs[0], values, record.times[0])
         result.append(compiled.run(record.times, record.inputs, values, z0).states)
