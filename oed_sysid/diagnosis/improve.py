@@ -10,7 +10,7 @@ import numpy as np
 from oed_sysid.dataset import Dataset
 from oed_sysid.diagnosis.conclusion import parameter_table, remainder
 from oed_sysid.diagnosis.greybox import GreyBox, estimate
-from oed_sysid.diagnosis.improvement import Improvement, Step
+from oed_sysid.diagnosis.improvement import REMAINDER_LIMIT, Improvement, Step
 from oed_sysid.diagnosis.innovations import NoiseModel
 from oed_sysid.diagnosis.locate import Located, locate
 from oed_sysid.diagnosis.rank import (
@@ -21,6 +21,7 @@ from oed_sysid.diagnosis.rank import (
     rank,
     threshold,
 )
+from oed_sysid.diagnosis.unknown import Unknown, find_unknown
 from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.effects import Effect
 from oed_sysid.errors import DataError
@@ -28,6 +29,8 @@ from oed_sysid.model import Model
 
 # A rival must be this much more likely to take an earlier effect's place.
 SWAP_MARGIN = 6.0
+# Gain in twice the log-likelihood on untouched records that confirms a claim.
+CONFIRMED = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +103,13 @@ def improve(
             tell("reconsidering the effects added before")
             state, steps, fits = _review(state, steps, fits, base_fit)
     assert first is not None
+    unknown = None
+    if remainder(state.bench.train, state.fit) > REMAINDER_LIMIT:
+        tell("looking for a term that no known effect holds")
+        earlier = fits[-2] if len(fits) > 1 else base_fit
+        unknown = find_unknown(state.bench, state.added, state.fit, earlier)
     sigma = _sigma(model, state.fit, state.bench.train.units)
-    return _result(state, model, base_fit, first, location, steps, fits, rejected, sigma)
+    return _result(state, model, base_fit, first, location, steps, fits, rejected, sigma, unknown)
 
 
 def _left(state: _State) -> list[Effect]:
@@ -124,7 +132,7 @@ def _choose(state: _State, ranking: Ranking) -> tuple[Refit | None, float, list[
         if state.bench.test is None:
             return refit, np.nan, refused
         gain = before - state.bench.test_objective(refit.fit)
-        if gain > 0:
+        if gain > CONFIRMED:
             return refit, gain, refused
         refused.append(refit.name)
     return None, np.nan, refused
@@ -224,6 +232,7 @@ def _result(
     fits: list[GreyBox],
     rejected: list[str],
     sigma: np.ndarray,
+    unknown: Unknown | None,
 ) -> Improvement:
     bench = state.bench
 
@@ -242,6 +251,8 @@ def _result(
                 fit,
             )
         )
+    if unknown is not None:
+        bench, state, done = _with_unknown(unknown, state, done, sigma)
     known = set(model.parameter_names)
     base = model.with_values({k: v for k, v in base_fit.values.items() if k in known})
     final = (model + state.added).with_values(
@@ -266,4 +277,25 @@ def _result(
         remainder=remainder(bench.train, state.fit),
         parameters=parameter_table(bench.train, state.fit),
         rejected=tuple(rejected),
+        proposed=() if unknown is None else (unknown.to_dict(),),
     )
+
+
+def _with_unknown(
+    unknown: Unknown, state: _State, done: list[Step], sigma: np.ndarray
+) -> tuple[Workbench, _State, list[Step]]:
+    """The state with a proposed term in it, and the steps that led there."""
+    error = unknown.bench.errors(unknown.fit, sigma)
+    kept = [step for step in done if step.added not in unknown.replaces]
+    last = Step(
+        unknown.effect.name,
+        (unknown.effect.name,),
+        unknown.gain + sum(step.evidence for step in done if step not in kept),
+        unknown.proposals.needed,
+        unknown.test_gain,
+        error["train"],
+        error["test"],
+        unknown.fit,
+    )
+    joined = _State((*unknown.kept, unknown.effect), unknown.fit, unknown.bench)
+    return unknown.bench, joined, [*kept, last]

@@ -221,6 +221,21 @@ class Improvement:
         return f"{error['train']:.3f}", test
 
     def _closing(self) -> list[str]:
+        lines = []
+        for term in self.proposed:
+            lines.append(
+                f"No known effect explains it alone: proposed is {term['term']} in the "
+                f"{term['equation']} equation, {term['parameter']} = {term['value']:.4g} "
+                f"{term['unit']}."
+            )
+            others = [name for name in term["group"] if name != term["term"]]
+            if others:
+                lines.append("These records cannot tell it from " + ", ".join(others[:8]) + ".")
+            if term["replaces"]:
+                lines.append("It takes the place of " + ", ".join(term["replaces"]) + ".")
+        return lines + self._verdict()
+
+    def _verdict(self) -> list[str]:
         if self.explained:
             return ["Verdict: the remaining misfit is noise at this level."]
         return [
