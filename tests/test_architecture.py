@@ -17,6 +17,7 @@ PACKAGE = ROOT / "oed_sysid"
 # Bottom to top: a module imports from layers before its own, or from its own folder.
 LAYERS = (
     "errors",
+    "threads",
     "cell_store",
     "parallel",
     "channels",
@@ -56,6 +57,7 @@ LAYERS = (
     "sensitivity",
     "design",
     "diagnosis",
+    "benchmark",
     "report",
     "testing",
     "demo",

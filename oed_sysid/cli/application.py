@@ -6,7 +6,13 @@ from typing import Annotated
 
 import typer
 
-from oed_sysid.cli import commands_data, commands_fit, commands_improve, commands_plan
+from oed_sysid.cli import (
+    commands_benchmark,
+    commands_data,
+    commands_fit,
+    commands_improve,
+    commands_plan,
+)
 
 EPILOG = (
     "Exit codes: 0 done; 1 the work ended without a usable result, such as a fit that did not "
@@ -50,3 +56,4 @@ def _settings(
 for module in (commands_data, commands_plan, commands_fit, commands_improve):
     for command in module.COMMANDS:
         app.command(no_args_is_help=command.__name__ != "problems")(command)
+app.add_typer(commands_benchmark.app)

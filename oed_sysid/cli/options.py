@@ -8,7 +8,10 @@ from typing import Annotated
 import typer
 
 # Options that take several values after one flag; see oed_sysid.cli.arguments.
-SEVERAL = ("--train", "--test", "--experiment", "--records", "--with", "--discriminate")
+SEVERAL = (
+    *("--train", "--test", "--experiment", "--records", "--with", "--discriminate"),
+    *("--problems", "--estimators", "--noise", "--sampling"),
+)
 
 ProblemName = Annotated[
     str,

@@ -1,0 +1,154 @@
+"""Commands that compare methods where the truth is known: benchmark estimators, missing-physics."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from oed_sysid.cli.options import JsonFile
+from oed_sysid.cli.terminal import note, progress, say, store, write
+from oed_sysid.errors import OedSysidError
+
+app = typer.Typer(
+    name="benchmark",
+    help="Compare methods on problems whose truth is known.",
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+)
+
+
+def estimators(
+    problems: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--problems",
+            metavar="PROBLEM...",
+            help="Shipped problems or folders; by default the six with published methods.",
+            show_default=False,
+        ),
+    ] = None,
+    names: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--estimators",
+            metavar="NAME...",
+            help="By default all that do not search by whole populations; 'all' takes these too.",
+            show_default=False,
+        ),
+    ] = None,
+    noise: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--noise",
+            metavar="LEVEL...",
+            help="Per cent of each output's peak.",
+            show_default="0 0.5 1 3",
+        ),
+    ] = None,
+    declared: Annotated[
+        bool,
+        typer.Option("--declared", help="Noise in multiples of what the problem declares instead."),
+    ] = False,
+    sampling: Annotated[
+        list[int] | None,
+        typer.Option(
+            "--sampling",
+            metavar="FACTOR...",
+            help="Multiples of the problem's sample time.",
+            show_default="1",
+        ),
+    ] = None,
+    seeds: Annotated[int, typer.Option("--seeds", metavar="N", help="Repetitions.")] = 3,
+    jobs: Annotated[int, typer.Option("--jobs", metavar="N", help="Processes.")] = 2,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            metavar="FOLDER",
+            help="Tables, picture and finished runs, which are never run again.",
+        ),
+    ] = Path("out/benchmark"),
+    json_file: JsonFile = None,
+) -> None:
+    """Compare estimators: errors, bias, coverage, prediction, time, and who cannot or fails.
+
+    [bold]Example[/bold]: oed-sysid benchmark estimators --problems online_ship --noise 0.5 1
+    """
+    from oed_sysid.benchmark import CONTESTANTS, PROBLEMS, QUICK, benchmark
+    from oed_sysid.report.benchmark_plots import figure_benchmark
+
+    chosen = list(CONTESTANTS) if names == ["all"] else names or list(QUICK)
+    with progress("Running") as show:
+        result = benchmark(
+            problems or list(PROBLEMS),
+            chosen,
+            noise=[0.0, 0.5, 1.0, 3.0] if noise is None else noise,
+            noise_unit="declared" if declared else "peak",
+            sampling=sampling or [1],
+            seeds=seeds,
+            store=out / "runs",
+            n_jobs=jobs,
+            progress=lambda state: show.say(str(state)),
+        )
+    text = result.report()
+    say(text)
+    write(text, out / "benchmark.md")
+    write(result.to_csv(), out / "benchmark.csv")
+    if any(row.noise > 0 and not row.refused for row in result.rows):
+        figure_benchmark(result).savefig(out / "benchmark.png", dpi=110)
+        note(f"Written: {out / 'benchmark.png'}")
+    store(result.to_dict(), json_file)
+
+
+def missing_physics(
+    plan: Annotated[
+        str,
+        typer.Argument(
+            help="Kinds and numbers of cases, such as 'single/white:40 none/white:20'.",
+            show_default="all of the published benchmark, hours",
+        ),
+    ] = "",
+    jobs: Annotated[int, typer.Option("--jobs", metavar="N", help="Processes.")] = 2,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="FOLDER",
+            help="Where finished cases are kept, and the table; by default the checkout's own.",
+            show_default=False,
+        ),
+    ] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Hide effects in simulated vehicles and count how often the right one is found.
+
+    Needs a checkout: the independent simulator is not part of an installation.
+
+    [bold]Example[/bold]: oed-sysid benchmark missing-physics "single/white:20" --jobs 2
+    """
+    checkout = Path(__file__).resolve().parents[2]
+    if not (checkout / "benchmarks" / "missing_physics" / "run.py").is_file():
+        raise OedSysidError(
+            "The benchmark of hidden effects is part of the source checkout, not of an installed "
+            "package. Get the sources and run this command from there."
+        )
+    if str(checkout) not in sys.path:
+        sys.path.insert(0, str(checkout))
+    module = importlib.import_module("benchmarks.missing_physics.run")
+    tables = importlib.import_module("benchmarks.missing_physics.measures")
+    settings = {} if out is None else {"results": out / "missing_physics.jsonl"}
+    found = module.run(plan or module.PLAN, n_jobs=jobs, tell=note, **settings)
+    text = tables.as_markdown(found)
+    say(text)
+    if out is not None:
+        write(text + "\n", out / "missing_physics.md")
+    store(found, json_file)
+
+
+COMMANDS = (estimators, missing_physics)
+for command in COMMANDS:
+    app.command(name=command.__name__.replace("_", "-"))(command)
