@@ -71,6 +71,16 @@ def test_nothing_is_claimed_where_nothing_is_missing() -> None:
     assert claims == ["nothing_missing"] * 4
 
 
+def test_correlation_time_of_sensor_noise_is_found() -> None:
+    """Noise that remembers for two seconds is seen as such, and nothing is claimed from it."""
+    found = [dataset(seed, colour=0.9) for seed in (30, 31)]
+    _, fit = Workbench.build(SHIP, found[0], found[1], CANDIDATES, known_noise=False)
+    truth = -0.2 / np.log(0.9)
+    assert truth / 2 < fit.noise.colour_time < truth * 2
+    np.testing.assert_allclose(fit.noise.colour, [0.01, 0.004], rtol=0.3)
+    assert improve(SHIP, *found, candidates=CANDIDATES).verdict == "nothing_missing"
+
+
 def test_no_candidates_is_said() -> None:
     """Without candidates there is nothing to try, and the message says what to give."""
     with pytest.raises(DataError, match="no candidate effect"):

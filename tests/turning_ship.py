@@ -41,7 +41,11 @@ def rates(state: np.ndarray, rudder: float, cubic: float) -> np.ndarray:
 
 
 def record(name: str, rng: np.random.Generator, cubic: float = 0.0, **noise: float) -> Record:
-    """A zigzag by the clock with white noise, and a random yaw acceleration of std ``force``."""
+    """A zigzag by the clock, with sensor noise and a random yaw acceleration.
+
+    ``colour`` is the correlation of sensor noise from sample to sample; ``force`` the
+    standard deviation of the acceleration, correlated over one second.
+    """
     t = np.arange(0.0, 60.0, SAMPLE)
     rudder = 0.5 * np.sign(np.sin(2 * np.pi * t / rng.uniform(14.0, 20.0))) * (t > 3)
     outputs, state = np.empty((len(t), 2)), np.zeros(2)
@@ -56,7 +60,10 @@ def record(name: str, rng: np.random.Generator, cubic: float = 0.0, **noise: flo
             state = state + h * middle
         drive = noise.get("force", 0.0) * np.sqrt(1 - memory**2)
         force = memory * force + drive * rng.standard_normal()
-    outputs += NOISE * rng.standard_normal(outputs.shape)
+    error, colour = rng.standard_normal(outputs.shape), noise.get("colour", 0.0)
+    for k in range(1, len(t)):
+        error[k] = colour * error[k - 1] + np.sqrt(1 - colour**2) * error[k]
+    outputs += NOISE * error
     return Record(name, t, rudder[:, None], outputs, SHIP.channels)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.dataset import Dataset
+from oed_sysid.diagnosis.correlation_times import with_correlation_times
 from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate, with_noise
 from oed_sysid.diagnosis.innovations import Deviations, NoiseModel
 from oed_sysid.diagnosis.linearise import SuperModel, deviations, disturbed_equations
@@ -99,7 +100,12 @@ class Workbench:
         """Linearise along a fit and estimate once more in the new linearisation."""
         bench = self.at(fit)
         again = estimate(bench.train, fit.names, fit.values, fit.initial, fit.noise)
-        return bench, again if again is not None else with_noise(bench.train, fit, fit.noise)
+        again = again if again is not None else with_noise(bench.train, fit, fit.noise)
+        task, timed = with_correlation_times(bench.train, again)
+        if timed is again:
+            return bench, again
+        final = estimate(task, timed.names, timed.values, timed.initial, timed.noise)
+        return replace(bench, train=task), final if final is not None else timed
 
     def test_states(self, fit: GreyBox) -> list[np.ndarray]:
         """Trajectories of a fit on the test records, initial states fitted to them."""
