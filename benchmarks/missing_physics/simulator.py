@@ -14,8 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-SAMPLE, SUBSTEPS = 0.1, 10
-STEP = SAMPLE / SUBSTEPS
+from benchmarks.missing_physics.fin import SAMPLE, STEP, SUBSTEPS, Fin
 
 MASS, INERTIA = 30.48, 3.45
 X_UDOT, Z_WDOT, Z_QDOT, M_WDOT, M_QDOT = -0.93, -35.5, -1.93, -1.93, -4.88
@@ -206,7 +205,7 @@ def simulate(
     state[4] = state[6] = FIRST_DEPTH
     pilot = _Pilot([manoeuvre for _, manoeuvre in rows])
     given = None if commands is None else commands.reshape(len(rows), n_times, 2)
-    fin = _Fin(truth, np.zeros(len(rows)) if given is None else given[:, 0, 0])
+    fin = Fin(truth, np.zeros(len(rows)) if given is None else given[:, 0, 0])
     inputs = np.zeros((len(rows), n_times, 2))
     clean = np.zeros((len(rows), n_times, 5))
     for k, time in enumerate(times):
@@ -381,64 +380,3 @@ class _Truth:
                 z * (1 + self.of("scale_z")),
             ]
         )
-
-
-class _Fin:
-    """From fin command to fin angle: delay, dead band, play, rate limit, lag, offset, stall."""
-
-    def __init__(self, truth: _Truth, first: np.ndarray) -> None:
-        self.truth = truth
-        self.commands = [first]
-        self.play = self._dead(first)
-        self.angle = self.play.copy()
-
-    def command(self, command: np.ndarray) -> None:
-        """Take the command of the next sample."""
-        self.commands.append(command.copy())
-
-    def _dead(self, angle: np.ndarray) -> np.ndarray:
-        half = self.truth.of("fin_deadband")
-        return np.sign(angle) * np.maximum(abs(angle) - half, 0.0)
-
-    def _delayed(self, sub: int) -> np.ndarray:
-        """Mean over one substep of the command a delay ago."""
-        if not np.any(self.truth.of("fin_delay")):
-            return self.commands[-1]
-        history = np.stack(self.commands)
-        newest = len(self.commands) - 1
-        # Time since the newest command came, in samples, at both ends of the substep.
-        begin = newest + sub / SUBSTEPS - self.truth.of("fin_delay") / SAMPLE
-        end = begin + 1 / SUBSTEPS
-        early = np.clip(np.floor(begin + 1e-9).astype(int), 0, newest)
-        late = np.clip(np.floor(end - 1e-9).astype(int), 0, newest)
-        share = np.where(late > early, (end - late) * SUBSTEPS, 1.0)
-        every = np.arange(len(begin))
-        return share * history[late, every] + (1 - share) * history[early, every]
-
-    def advance(self, sub: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Fin angle at the start, middle and end of the next substep."""
-        of = self.truth.of
-        wanted = self._dead(self._delayed(sub))
-        half = of("fin_backlash")
-        self.play = np.clip(self.play, wanted - half, wanted + half)
-        lag, limit = of("fin_lag"), of("fin_rate_limit")
-        begin = self.angle
-        parts = [begin]
-        for share in (0.5, 1.0):
-            toward = np.where(lag > 0, 1 - np.exp(-share * STEP / np.maximum(lag, 1e-9)), 1.0) * (
-                self.play - begin
-            )
-            reach = np.where(limit > 0, share * STEP * limit, np.inf)
-            parts.append(begin + np.clip(toward, -reach, reach))
-        if not (np.any(lag) or np.any(limit)):
-            parts[0] = self.play
-        else:
-            held = (lag == 0) & (limit == 0)
-            parts[0] = np.where(held, self.play, begin)
-        self.angle = parts[2]
-        offset, stall = of("fin_offset"), of("fin_stall")
-        done = []
-        for part in parts:
-            angle = part + offset
-            done.append(angle * (1 - stall * angle**2))
-        return done[0], done[1], done[2]
