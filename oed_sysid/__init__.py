@@ -38,6 +38,7 @@ _HOME = {
     "list_problems": "problem",
     "load_problem": "problem",
     "new_problem": "problem",
+    "turning_circle": "turning",
     "AOptimal": "design",
     "DOptimal": "design",
     "DsOptimal": "design",
@@ -98,3 +99,4 @@ if TYPE_CHECKING:
         reduce_model,
         structural_identifiability,
     )
+    from oed_sysid.turning import turning_circle

@@ -14,7 +14,15 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # Examples that take more than a few seconds.
 SLOW: tuple[str, ...] = ()
 # Examples on measured data of third parties, which is not shipped.
-MEASURED = ("roll_decay", "silverbox", "cascaded_tanks", "slocum_glider")
+MEASURED = (
+    "roll_decay",
+    "silverbox",
+    "cascaded_tanks",
+    "slocum_glider",
+    "tanker_gain_and_time_constant",
+    "tanker_held_out_zigzag",
+    "tanker_turning_circle",
+)
 MAXIMUM_LINES = 80
 
 

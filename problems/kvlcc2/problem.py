@@ -29,6 +29,9 @@ PUBLISHED = {
     "T": 15.6816,  # s
     "K_T_source": "online incremental LS-SVM, 100 samples at 1.5 s, difference equation",
     "first_overshoot_repeat_deg": (0.2, 0.5),
+    # Free-running 7 m model of [2], table 4, in lengths: starboard, port. For comparison only.
+    "turning_35_advance": (3.25, 3.11),
+    "turning_35_tactical_diameter": (3.34, 3.08),
     "turning_35_error_advance": 0.02,  # Alexandersson et al. (2022), fitted to zigzags
     "turning_35_error_tactical_diameter": (0.03, 0.07),
 }
