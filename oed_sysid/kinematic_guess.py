@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from oed_sysid import expressions
 from oed_sysid.dataset import Record
@@ -80,6 +79,10 @@ def slope(times: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, float]:
     Local parabolas over a window; of several windows the one with the least
     sum of noise (from third differences) and bias (from the window before).
     """
+    # Here, not above: it takes longer to import than the whole package, and with every
+    # state measured nothing is guessed.
+    from scipy.signal import savgol_filter
+
     n = len(series)
     step = np.gradient(times)
     noise = np.median(np.abs(np.diff(series, 3))) / 0.6745 / np.sqrt(20.0) if n > 8 else 0.0

@@ -21,15 +21,12 @@ import traceback
 from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
-from joblib import Parallel, delayed
-from threadpoolctl import ThreadpoolController
-
 from oed_sysid.cell_store import CellStore
 from oed_sysid.errors import OedSysidError
+from oed_sysid.threads import one_thread
 
 Cell = TypeVar("Cell")
 Result = TypeVar("Result")
@@ -173,6 +170,8 @@ def _calculate(
     n_jobs: int,
 ) -> Generator[_Outcome[Result], None, None]:
     """Yield outcomes as they arrive."""
+    from joblib import Parallel, delayed  # a fifth of a second that most programs do not need
+
     elsewhere: dict[str, Result] = {}
 
     def tasks() -> Iterator[Any]:
@@ -192,19 +191,12 @@ def _calculate(
 def _call(work: Callable[[Cell], Result], key: str, cell: Cell) -> _Outcome[Result]:
     """One cell, on one thread; errors travel as text, which every process can read."""
     try:
-        with _linear_algebra().limit(limits=1):
+        with one_thread():
             return _Outcome(key, work(cell))
     except Exception as error:  # whatever the work raises
         where = traceback.extract_tb(error.__traceback__)[-1]
         place = f"{Path(where.filename).name}, line {where.lineno}"
         return _Outcome(key, None, f"{type(error).__name__}: {error} ({place})")
-
-
-@lru_cache(maxsize=1)
-def _linear_algebra() -> ThreadpoolController:
-    import scipy.linalg  # noqa: F401  (its own BLAS has to be loaded to be found)
-
-    return ThreadpoolController()
 
 
 def _lost_worker() -> tuple[type[BaseException], ...]:

@@ -31,6 +31,7 @@ from oed_sysid.gauss_newton import Progress, Solution, solve
 from oed_sysid.model import Model
 from oed_sysid.shooting import Point, Shooting
 from oed_sysid.start_states import check_channels
+from oed_sysid.threads import one_thread
 
 # Most alternations between noise levels and parameters; three or four suffice as a rule.
 NOISE_ROUNDS = 12
@@ -155,6 +156,16 @@ class MultipleShooting:
         DataError, ModelError
             If data and model do not belong together.
         """
+        with one_thread():
+            return self._fit(model, dataset, warm, initial_states)
+
+    def _fit(
+        self,
+        model: Model,
+        dataset: Dataset,
+        warm: Fit | None,
+        initial_states: Sequence[Mapping[str, float]] | None,
+    ) -> Fit:
         began = time.perf_counter()
         check_channels(model, dataset)
         check_initial_states(model, dataset, initial_states)
