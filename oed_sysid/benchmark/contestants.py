@@ -28,6 +28,9 @@ from oed_sysid.model import Model
 from oed_sysid.record import closest
 
 OURS = "multiple_shooting"
+OURS_BELIEVING = "multiple_shooting_prior"
+# Take start values as a prior by their nature.
+BELIEVERS = ("ekf", "ukf")
 # What a Kalman filter takes a start value's uncertainty to be, if it is not told.
 RELATIVE_PRIOR = 0.5
 
@@ -71,7 +74,7 @@ class Contestant:
 # swarm that runs beside others, and Gibbs draws enough for a mean and an interval.
 CONTESTANTS: Mapping[str, Contestant] = {
     OURS: Contestant(MultipleShooting()),
-    "multiple_shooting_prior": Contestant(MultipleShooting(), believes=True),
+    OURS_BELIEVING: Contestant(MultipleShooting(), believes=True),
     "output_error": Contestant(OutputError()),
     "equation_error": Contestant(EquationError()),
     "equation_error_simpson": Contestant(EquationError(rule="simpson")),

@@ -10,7 +10,7 @@ from dataclasses import fields
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-from oed_sysid.benchmark.contestants import OURS
+from oed_sysid.benchmark.contestants import BELIEVERS, OURS, OURS_BELIEVING
 from oed_sysid.benchmark.measures import Row, Verdict
 from oed_sysid.benchmark.scenarios import UNITS
 
@@ -29,6 +29,10 @@ HEADERS = (
     "time, s",
     "iterations",
 )
+LEGEND = (
+    "How many times larger the other's error of determined parameters is; in brackets where the "
+    "runs do not tell the two apart, **bold** where the other wins."
+)
 
 
 def as_markdown(result: Benchmark, ours: str = OURS) -> str:
@@ -40,17 +44,19 @@ def as_markdown(result: Benchmark, ours: str = OURS) -> str:
         for _, group in groupby(rows, key=lambda row: row.setting):
             lines += [*_setting_table([row for row in group if not row.refused]), ""]
         lines += [*_refusals(rows), *_reasons(rows)]
-    found = result.verdicts(ours)
-    if found:
+    if found := result.verdicts(ours):
         lines += [
             f"## {ours} against each of the others",
             "",
-            "How many times larger the other's error of determined parameters is; in brackets "
-            "where the runs do not tell the two apart, **bold** where the other wins.",
+            LEGEND,
             "",
             *verdict_table(found),
             "",
         ]
+    fair = [one for one in result.verdicts(OURS_BELIEVING) if one.other in BELIEVERS]
+    if fair:
+        lines += [f"## {OURS_BELIEVING} against those that believe start values too", ""]
+        lines += [*verdict_table(fair), ""]
     return "\n".join(lines).rstrip() + "\n"
 
 

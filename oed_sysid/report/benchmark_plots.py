@@ -8,9 +8,10 @@ from itertools import groupby
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from oed_sysid.benchmark import OURS, UNITS, Benchmark, Row
-from oed_sysid.report.style import NEUTRAL, clean, model_style, new_axes, new_figure, spread_legend
+from oed_sysid.report.style import NEUTRAL, clean, model_style, new_axes, new_figure
 
 # Errors beyond these are drawn at the edge, in per cent.
 LEAST, MOST = 1e-2, 1e4
@@ -41,15 +42,19 @@ def plot_errors(rows: Sequence[Row], *, ax: Axes | None = None) -> Axes:
         colour = model_style(number).colour
         of_level = {row.estimator: row for row in able if row.noise == level}
         bound = next(iter(of_level.values())).bound
-        height = (number - (len(levels) - 1) / 2) * 0.22
+        shift = (number - (len(levels) - 1) / 2) * 0.22
         ax.axvline(100.0 * bound, color=colour, lw=1.0, alpha=0.6, linestyle=":")
         for name, row in of_level.items():
             error = np.clip(100.0 * row.rmse_determined, LEAST, MOST)
             ax.plot(
-                error, names.index(name) - height, MARKERS[number % len(MARKERS)], ms=5.5,
+                error, names.index(name) + shift, MARKERS[number % len(MARKERS)], ms=5.5,
                 color=colour, mfc="none" if row.n_failed else colour, clip_on=False,
-                label=f"noise {level:g} {UNITS[row.noise_unit]}",
             )  # fmt: skip
+        # The legend shows full marks, whichever estimator comes first.
+        unit = UNITS[able[0].noise_unit]
+        ax.plot(
+            [], [], MARKERS[number % len(MARKERS)], color=colour, label=f"noise {level:g} {unit}"
+        )
     if OURS in names:
         place = names.index(OURS)
         ax.axhspan(place - 0.45, place + 0.45, color=NEUTRAL, alpha=0.18, lw=0)
@@ -76,7 +81,14 @@ def figure_benchmark(result: Benchmark) -> Figure:
         ax.set_title(problem.replace("_", " ") + rare)
     for ax in axes.flat[len(panels) :]:
         ax.axis("off")
-    spread_legend(axes.flat[0], loc="lower left", bbox_to_anchor=(0.0, 1.06), ncols=4, fontsize=8)
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    note = Line2D([], [], marker="o", ls="", color=NEUTRAL, mfc="none")
+    bound = Line2D([], [], ls=":", color=NEUTRAL)
+    figure.legend(
+        [*handles, note, bound],
+        [*labels, "some runs did not converge", "Cramér-Rao bound"],
+        loc="outside upper center", ncols=len(labels) + 2, frameon=False, fontsize=9,
+    )  # fmt: skip
     return figure
 
 
