@@ -14,6 +14,7 @@ def counts() -> set[int]:
 
 def test_one_thread_inside_and_as_before_outside() -> None:
     """The limit holds within the context only, also after an error."""
+    one_thread()  # loads the libraries that are counted
     with threadpool_limits(2):
         before = counts()
         try:
