@@ -10,6 +10,7 @@ import pytest
 from oed_sysid import Dataset, MultipleShooting, data_cache, load_problem
 from oed_sysid.estimators import IncrementalLSSVM
 from oed_sysid.simulate import simulate_inputs
+from oed_sysid.testing import check_effect
 from oed_sysid.turning import turning_circle
 
 HEADING = load_problem("kvlcc2")
@@ -59,6 +60,39 @@ def test_effects_are_absent_at_zero(variant: str) -> None:
     )
     assert np.abs(plain).max() > 0.1
     assert loaded == pytest.approx(plain, abs=1e-9)
+
+
+OWN = (
+    *(("default", name) for name in ("second_order", "norrbin", "bech")),
+    *(
+        ("linear_hull", name)
+        for name in (
+            "hull_cubic",
+            "helm_zero",
+            "rudder_lift_shape",
+            "propeller_wake_by_drift",
+            "rudder_wake_by_drift",
+            "flow_straightening_by_side",
+            "hull_asymmetry",
+            "even_hull_forces",
+        )
+    ),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("variant", "name"), OWN)
+def test_effects_keep_the_contract(variant: str, name: str) -> None:
+    """The effects written for this ship promise what the library's do."""
+    problem = load_problem("kvlcc2", variant=variant)
+    initial = {"u": SPEED} if "u" in problem.model.state_names else {}
+    check_effect(
+        problem.effect(name),
+        problem.model,
+        rng=np.random.default_rng(1),
+        initial=initial,
+        inputs={"delta": (-0.4, 0.4)},
+    )
 
 
 def test_second_order_is_two_first_orders_in_a_row() -> None:
