@@ -79,12 +79,13 @@ class Workbench:
         for fit, task in _first_fits(super_model, train, units, known_noise, plain):
             untouched = None if test is None else replace(task, dataset=test, deviations=())
             try:
-                settled.append(cls(task, untouched, plain).settle(fit))
+                settled.append(cls(task, untouched, plain).resettle(fit))
             except SimulationError as error:
                 problem = error
         if problem is not None and not settled:
             raise problem
-        return min(settled, key=lambda pair: pair[1].objective)
+        bench, best = min(settled, key=lambda pair: pair[1].objective)
+        return bench.timed(best)
 
     def at(self, fit: GreyBox) -> Workbench:
         """Return the bench linearised along the trajectories of a fit."""
@@ -97,15 +98,23 @@ class Workbench:
         return replace(self, train=train, test=test)
 
     def settle(self, fit: GreyBox) -> tuple[Workbench, GreyBox]:
+        """Linearise along a fit and estimate once more, correlation times included."""
+        bench, again = self.resettle(fit)
+        return bench.timed(again)
+
+    def resettle(self, fit: GreyBox) -> tuple[Workbench, GreyBox]:
         """Linearise along a fit and estimate once more in the new linearisation."""
         bench = self.at(fit)
         again = estimate(bench.train, fit.names, fit.values, fit.initial, fit.noise)
-        again = again if again is not None else with_noise(bench.train, fit, fit.noise)
-        task, timed = with_correlation_times(bench.train, again)
-        if timed is again:
-            return bench, again
-        final = estimate(task, timed.names, timed.values, timed.initial, timed.noise)
-        return replace(bench, train=task), final if final is not None else timed
+        return bench, again if again is not None else with_noise(bench.train, fit, fit.noise)
+
+    def timed(self, fit: GreyBox) -> tuple[Workbench, GreyBox]:
+        """Look for better correlation times, and estimate once more where there are."""
+        task, judged = with_correlation_times(self.train, fit)
+        if judged is fit:
+            return self, fit
+        final = estimate(task, judged.names, judged.values, judged.initial, judged.noise)
+        return replace(self, train=task), final if final is not None else judged
 
     def test_states(self, fit: GreyBox) -> list[np.ndarray]:
         """Trajectories of a fit on the test records, initial states fitted to them."""
