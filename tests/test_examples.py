@@ -21,6 +21,7 @@ MEASURED = (
     "slocum_glider",
     "tanker_gain_and_time_constant",
     "tanker_held_out_zigzag",
+    "tanker_on_line",
     "tanker_turning_circle",
 )
 MAXIMUM_LINES = 80
