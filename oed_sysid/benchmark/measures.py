@@ -15,6 +15,8 @@ from oed_sysid.benchmark.cell import Cell, Outcome
 DETERMINED = 0.25
 # Two estimators are not told apart where their errors differ by less than this share.
 EQUAL = 0.05
+# From so many runs on their scatter is known well enough to be used.
+MANY = 5
 # Less than this no measurement is about.
 EXACT = 1e-6
 
@@ -96,8 +98,10 @@ class Verdict:
     """One estimator against another in one setting.
 
     ``outcome`` is ``better`` or ``worse`` if the errors of determined parameters
-    differ by more than 5 % and in the same sense in every single run, else
-    ``equal``; ``ratio`` is the other's error over ours.
+    differ by more than 5 % and the runs agree about it, else ``equal``. Fewer than
+    five runs agree if none says the contrary by more than 5 %; more do if the mean
+    logarithm of the ratio, run by run, is two standard errors from zero.
+    ``ratio`` is the other's error over ours.
     """
 
     problem: str
@@ -137,16 +141,23 @@ def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
             continue
         own = mine[row.setting]
         ratio = max(row.rmse_determined, EXACT) / max(own.rmse_determined, EXACT)
-        pairs = list(zip(own.by_seed, row.by_seed, strict=True))
         outcome = "equal"
-        if ratio > 1 + EQUAL and all(a <= b for a, b in pairs):
-            outcome = "better"
-        elif ratio < 1 / (1 + EQUAL) and all(a >= b for a, b in pairs):
-            outcome = "worse"
+        if abs(np.log(ratio)) > np.log(1 + EQUAL) and _told_apart(own.by_seed, row.by_seed):
+            outcome = "better" if ratio > 1 else "worse"
         found.append(
             Verdict(row.problem, row.noise, row.sampling, ours, row.estimator, outcome, ratio)
         )
     return tuple(found)
+
+
+def _told_apart(ours: Sequence[float], others: Sequence[float]) -> bool:
+    """Whether paired runs on the same data say who is better."""
+    logs = np.log(np.maximum(others, EXACT) / np.maximum(ours, EXACT))
+    if len(logs) >= MANY:
+        error = float(np.std(logs, ddof=1)) / np.sqrt(len(logs))
+        return bool(abs(np.mean(logs)) > 2.0 * error)
+    slack = np.log(1 + EQUAL)
+    return bool((logs >= -slack).all() or (logs <= slack).all())
 
 
 def _setting(cell: Cell) -> tuple[str, int, float]:
