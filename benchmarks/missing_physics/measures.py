@@ -148,7 +148,9 @@ def _share(name: str, is_so: Callable[[Entry], Any], entries: Sequence[Entry], t
     z = 1.96
     centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z * np.sqrt(share * (1 - share) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
-    return Rate(name, share, n, float(centre - half), float(centre + half), target)
+    return Rate(
+        name, share, n, max(float(centre - half), 0.0), min(float(centre + half), 1.0), target
+    )
 
 
 def _number(name: str, values: np.ndarray, percentile: float, target: str) -> Rate:

@@ -11,13 +11,13 @@ import argparse
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from joblib import Parallel, delayed
 
-from benchmarks.missing_physics.cases import draws, simulate_draws
+from benchmarks.missing_physics.cases import Draw, draws, simulate_draws
 from benchmarks.missing_physics.judge import judge
 from benchmarks.missing_physics.measures import as_markdown, measures
 
@@ -72,7 +72,7 @@ def run(
     n_jobs : int
         Processes.
     deadline : float, optional
-        Time of day (seconds since the epoch) after which no batch is begun.
+        Time of day (seconds since the epoch) after which no result is waited for.
     tell : callable
         Told about the progress.
 
@@ -87,30 +87,32 @@ def run(
     left = [draw for draw in wanted if draw.key not in done]
     tell(f"{len(wanted)} cases, {len(wanted) - len(left)} of them done")
     began = time.perf_counter()
-    finished = 0
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    with Parallel(n_jobs=n_jobs, return_as="generator_unordered") as workers:
-        for first in range(0, len(left), BATCH):
-            if deadline is not None and time.time() > deadline:
-                tell("out of time: the rest is left for the next run")
-                break
-            batch = left[first : first + BATCH]
-            simulated = simulate_draws(batch)
-            jobs = (
-                delayed(judge)(draw, case, records)
-                for draw, (case, records) in zip(batch, simulated, strict=True)
-            )
-            for entry in workers(jobs):
-                with results.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(entry) + "\n")
-                finished += 1
-                pace = (time.perf_counter() - began) / finished
-                tell(
-                    f"{finished}/{len(left)} {entry['key']} {_summary(entry)} "
-                    f"({pace:.1f} s per case, {pace * (len(left) - finished) / 60:.0f} min left)"
-                )
+    for finished, entry in enumerate(_entries(left, n_jobs), start=1):
+        with results.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(entry) + "\n")
+        pace = (time.perf_counter() - began) / finished
+        tell(
+            f"{finished}/{len(left)} {entry['key']} {_summary(entry)} "
+            f"({pace:.1f} s per case, {pace * (len(left) - finished) / 60:.0f} min left)"
+        )
+        if deadline is not None and time.time() > deadline:
+            tell("out of time: the rest is left for the next run")
+            break
     keys = {draw.key for draw in wanted}
     return measures([entry for entry in load(results) if entry["key"] in keys])
+
+
+def _entries(left: Sequence[Draw], n_jobs: int) -> Iterator[dict[str, Any]]:
+    """Judge cases in parallel, simulated a batch at a time, as they finish."""
+    with Parallel(n_jobs=n_jobs, return_as="generator_unordered") as workers:
+        for first in range(0, len(left), BATCH):
+            batch = left[first : first + BATCH]
+            jobs = (
+                delayed(judge)(draw, case, records)
+                for draw, (case, records) in zip(batch, simulate_draws(batch), strict=True)
+            )
+            yield from workers(jobs)
 
 
 def load(results: Path) -> list[dict[str, Any]]:
