@@ -1,6 +1,6 @@
 """Designed manoeuvres against zigzags of the same duration and limits.
 
-    OMP_NUM_THREADS=1 python benchmarks/design.py [remus nps mariner] [--confirm 60] [--robust]
+    OMP_NUM_THREADS=1 python -m benchmarks.design [remus nps mariner] [--confirm 60] [--robust]
 
 Two comparisons: within the *envelope* of the zigzag N/N the design gets the
 zigzag's own actuator amplitude, rate and largest attitude as limits; within
@@ -16,8 +16,8 @@ import argparse
 import time
 
 import numpy as np
-from design_systems import SYSTEMS, System
 
+from benchmarks.design_systems import SYSTEMS, System
 from oed_sysid.design import Design, DOptimal, Levels, Robust, design_experiment
 from oed_sysid.errors import SimulationError
 from oed_sysid.experiment import Experiment

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.missing_physics``: see :mod:`benchmarks.missing_physics.run`."""
+"""Hidden effects: how often the improvement finds them (:mod:`benchmarks.missing_physics.run`)."""
 
 from benchmarks.missing_physics.run import main
 
