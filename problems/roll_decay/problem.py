@@ -85,7 +85,8 @@ def decay(start: float, stop: float, name: str) -> Record:
     """Part of the test between two times in s."""
     whole = read_csv(fetch("kvlcc2_roll_decay/model_test_21337.csv"), model.channels)[0]
     part = whole.window(start, stop).thin(THIN).rename(name)
-    return Record(name, part.times - part.times[0], [], part.outputs, model.channels, part.source)
+    times = part.times - part.times[0]
+    return Record(name, times, part.inputs, part.outputs, model.channels, part.source)
 
 
 def records() -> Dataset:
