@@ -47,7 +47,7 @@ def main() -> None:
         horizon.x0, horizon.p_est0 = outputs[0], np.full(8, share())
         horizon.set_initial_guess()
         for y, u in zip(outputs[:-1], inputs[:-1], strict=True):
-            horizon._data.update(_y=np.concatenate([y, u]))
+            horizon.data.update(_y=np.concatenate([y, u]))
         horizon.make_step(np.concatenate([outputs[-1], inputs[-1]]))
         return np.array(horizon.p_est0.cat).ravel() * TRUE
 
