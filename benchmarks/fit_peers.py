@@ -6,7 +6,8 @@ One record of 2,400 samples of five outputs, eight derivatives 30 % too small
 (``--share 0.7``) and five unknown initial states
 (:mod:`benchmarks.peers.task`). Every peer runs in a process of its own, with the
 interpreter of ``--python``; what is not installed there is left out and said
-so (``pip install "oed-sysid[bench]"``). Times are processor times of the solution alone; building a solver is listed beside it.
+so (``pip install "oed-sysid[bench]"``). Times are processor
+times of the solution alone; building a solver is listed beside it.
 *Off* is the largest distance from our estimates in our standard errors: the
 optimum is the same, so more than about one means that it was not found, and
 the time of such a peer says nothing.
