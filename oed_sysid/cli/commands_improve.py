@@ -37,6 +37,7 @@ def improve(
     from oed_sysid.dataset import read_csv
     from oed_sysid.diagnosis.compare import compare
     from oed_sysid.diagnosis.improve import improve
+    from oed_sysid.estimators import MultipleShooting
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
@@ -57,11 +58,14 @@ def improve(
     if html_file is not None:
         from oed_sysid.report import improvement_page
 
-        models = {"as believed": result.base}
-        if result.steps:
-            models["improved"] = result.model
-        comparison = compare(models, untouched or training)
-        page = improvement_page(result, comparison, title=chosen.title)
+        # As any user would fit them: the same plain fits that the errors above are from.
+        models = {"as believed": chosen.model} | (
+            {"improved": result.model} if result.steps else {}
+        )
+        plain = MultipleShooting(noise="given" if known_noise else "auto")
+        fits = {name: plain.fit(one, training) for name, one in models.items()}
+        comparison = compare(fits, untouched or training)
+        page = improvement_page(result, comparison, train=training, title=chosen.title)
         note(f"Written: {page.write(html_file)}")
 
 

@@ -24,6 +24,11 @@ from oed_sysid.report.fit_plots import (
     plot_output,
     plot_residual,
 )
+from oed_sysid.report.force_plots import (
+    figure_force,
+    plot_force_against,
+    plot_residual_force,
+)
 from oed_sysid.report.improvement_page import improvement_page
 from oed_sysid.report.improvement_plots import plot_error_fall, plot_located, plot_ranking
 from oed_sysid.report.page import Page, Picture, Section, Table
@@ -44,6 +49,7 @@ __all__ = [
     "comparison_page",
     "figure_design",
     "figure_fit",
+    "figure_force",
     "figure_predictions",
     "figure_whiteness",
     "fit_page",
@@ -56,6 +62,7 @@ __all__ = [
     "plot_comparison",
     "plot_correlation",
     "plot_error_fall",
+    "plot_force_against",
     "plot_input",
     "plot_intervals",
     "plot_located",
@@ -64,6 +71,7 @@ __all__ = [
     "plot_prediction_error",
     "plot_ranking",
     "plot_residual",
+    "plot_residual_force",
     "plot_sensitivity",
     "plot_track",
     "plot_zigzag",

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
+from oed_sysid.dataset import Dataset
 from oed_sysid.diagnosis.compare import Comparison
 from oed_sysid.diagnosis.improvement import Improvement
 from oed_sysid.report.comparison_page import comparison_sections
+from oed_sysid.report.force_plots import figure_force
 from oed_sysid.report.improvement_plots import plot_error_fall, plot_located, plot_ranking
 from oed_sysid.report.page import Page, Picture, Section, Table
 from oed_sysid.report.style import new_figure
 
 
 def improvement_page(
-    improvement: Improvement, comparison: Comparison | None = None, *, title: str = ""
+    improvement: Improvement,
+    comparison: Comparison | None = None,
+    *,
+    train: Dataset | None = None,
+    title: str = "",
 ) -> Page:
     """Compose the report on a search: verdict, steps, evidence, predictions, estimates.
 
@@ -23,13 +29,15 @@ def improvement_page(
         The search.
     comparison : Comparison, optional
         Of the believed and the improved model, best on untouched records.
+    train : Dataset, optional
+        The training records, to draw residual forces against their signals.
     title : str
         Heading; by default the name of the model.
     """
     before, after = improvement.base_error, improvement.final_error
     which = "test" if np.isfinite(after["test"]) else "train"
     records = "untouched" if which == "test" else "training"
-    sections = [_steps(improvement), *_located(improvement), _evidence(improvement)]
+    sections = [_steps(improvement), _located(improvement, train), _evidence(improvement)]
     if comparison is not None:
         sections += comparison_sections(comparison)
     sections += [
@@ -101,12 +109,13 @@ def _steps(improvement: Improvement) -> Section:
     plot_error_fall(improvement, ax=axes[0, 0])
     picture = Picture.of(
         figure,
-        "Prediction error over whole records, in units of the noise. One is a right model.",
+        "Prediction error over whole records, in units of the noise. A right model has one.",
     )
     words = [
         "Evidence is the gain in twice the log-likelihood after all parameters and noise levels "
-        "were estimated again; chance exceeds the needed gain once in a hundred searches. "
-        "Nothing was fitted to the untouched records but their initial states."
+        "were estimated again; chance rarely exceeds the needed gain, however many candidates were "
+        "tried. Errors are those of plain least squares on the training records. Nothing was "
+        "fitted to the untouched records but their initial states."
     ]
     if improvement.rejected:
         refused = ", ".join(dict.fromkeys(improvement.rejected))
@@ -115,17 +124,33 @@ def _steps(improvement: Improvement) -> Section:
     return Section("What is missing", tuple(words), tables=tables, pictures=(picture,))
 
 
-def _located(improvement: Improvement) -> tuple[Section, ...]:
-    if not improvement.located:
-        return ()
-    figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.3 * len(improvement.located)))
-    plot_located(improvement, ax=axes[0, 0])
-    picture = Picture.of(
-        figure,
-        "Evidence that each equation or sensor of the believed model is disturbed. Beyond the "
-        "line it is more than chance. A force and a sensor can imitate each other.",
-    )
-    return (Section("Where the believed model fails", pictures=(picture,)),)
+def _located(improvement: Improvement, train: Dataset | None) -> Section:
+    located = improvement.location
+    figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.3 * len(located.evidence)))
+    plot_located(located, ax=axes[0, 0])
+    pictures = [
+        Picture.of(
+            figure,
+            "Gain that a disturbance at each place of the signal chain brings over noise alone. "
+            "Beyond the line it is more than chance.",
+        )
+    ]
+    words = [located.verdict]
+    if located.best is not None and train is not None and located.force_names:
+        equation = max(located.force_names, key=lambda n: located.evidence.get(f"force {n}", 0.0))
+        pictures.append(
+            Picture.of(
+                figure_force(located, equation, train),
+                f"Residual force of the {equation} equation: over time with its 95 % band, and "
+                "against measured signals and commands (points: means with 95 % intervals). A "
+                "curve that repeats itself is a law that the model lacks.",
+            )
+        )
+        words.append(
+            "A residual force is the part of the missing force that the free parameters could not "
+            "absorb, not the missing force itself."
+        )
+    return Section("Where the believed model fails", tuple(words), pictures=tuple(pictures))
 
 
 def _evidence(improvement: Improvement) -> Section:

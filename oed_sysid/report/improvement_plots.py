@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from oed_sysid.diagnosis.improvement import REMAINDER_LIMIT, Improvement
+from oed_sysid.diagnosis.improvement import Improvement
+from oed_sysid.diagnosis.locate import CLEAR, Located
 from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.report.style import (
     COLOURS,
@@ -25,8 +26,8 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
 
     Bars are the gain in twice the log-likelihood after all parameters were
     estimated again with the candidate; candidates that were not refitted show
-    their score as a dot only. The line is the gain that chance exceeds once in
-    a hundred searches; hatched bars cannot be told from the best.
+    their score only. The line is the gain that chance rarely exceeds, however
+    many candidates there are; hatched bars cannot be told from the best.
 
     Parameters
     ----------
@@ -130,28 +131,32 @@ def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes
     return ax
 
 
-def plot_located(improvement: Improvement, *, ax: Axes | None = None) -> Axes:
-    """Plot where the believed model fails: evidence for a disturbance at each place.
+def plot_located(located: Located, *, ax: Axes | None = None) -> Axes:
+    """Plot where a model fails: evidence for a disturbance at each place of the signal chain.
+
+    The line is what chance rarely exceeds; hatched places cannot be told from
+    the best.
 
     Parameters
     ----------
-    improvement : Improvement
-        The search.
+    located : Located
+        The finding.
     ax : Axes, optional
         Where to draw.
     """
-    places = sorted(improvement.located.items(), key=lambda item: -item[1])
+    places = sorted(located.evidence.items(), key=lambda item: -item[1])
     ax = new_axes(ax, size=(6.4, 1.2 + 0.3 * len(places)))
     rows = np.arange(len(places))[::-1]
-    values = np.array([max(value, 0.0) for _, value in places])
-    clear = values > REMAINDER_LIMIT
-    ax.barh(
-        rows, values, height=0.62, color=np.where(clear, COLOURS[0], "0.8"), edgecolor="0.25",
-        lw=0.6,
-    )  # fmt: skip
-    ax.axvline(REMAINDER_LIMIT, color=TRUTH, ls="--", lw=1.0)
-    _readable_scale(ax, values.max(initial=1.0))
-    ax.set_yticks(rows, [name.replace("_", " ") for name, _ in places])
+    for (name, value), row in zip(places, rows, strict=True):
+        alike = name in located.group and name != located.best
+        colour = COLOURS[0] if name == located.best else "#f0b48a" if alike else "0.8"
+        ax.barh(
+            row, max(value, 0.0), height=0.62, color=colour, edgecolor="0.25", lw=0.6,
+            hatch="///" if alike else None,
+        )  # fmt: skip
+    ax.axvline(CLEAR, color=TRUTH, ls="--", lw=1.0)
+    _readable_scale(ax, max([value for _, value in places], default=1.0))
+    ax.set_yticks(rows, [name for name, _ in places])
     ax.set(xlabel="evidence: gain in twice the log-likelihood [-]")
     clean(ax)
     ax.grid(False, axis="y")

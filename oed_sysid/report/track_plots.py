@@ -11,6 +11,7 @@ from oed_sysid.dataset import Record
 from oed_sysid.errors import DataError
 from oed_sysid.fit import Fit
 from oed_sysid.manoeuvres.indices import zigzag_indices
+from oed_sysid.prediction import Prediction
 from oed_sysid.report.style import (
     DATA,
     DEGREE,
@@ -28,7 +29,7 @@ from oed_sysid.report.style import (
 
 def plot_track(
     record: Record,
-    fits: Sequence[Fit] = (),
+    models: Sequence[Fit | Prediction] = (),
     *,
     along: str = "x",
     across: str = "y",
@@ -41,35 +42,34 @@ def plot_track(
     ----------
     record : Record
         What was measured.
-    fits : sequence of Fit
-        Fits that contain a record of this name.
+    models : sequence of Fit or Prediction
+        What models say about a record of this name.
     along, across : str
         Outputs on the upward and on the rightward axis: north and east, or
         depth (drawn downwards) and distance.
     labels : sequence of str, optional
-        Names of the fits.
+        Names of the models.
     ax : Axes, optional
         Where to draw.
     """
     ax = new_axes(ax, size=(5.4, 5.4))
     up, right = record.output(along), record.output(across)
     ax.plot(right, up, ".", color=DATA, ms=3, label="measured", rasterized=True)
-    for index, fit in enumerate(fits):
+    names = record.channels.output_names
+    for index, one in enumerate(models):
         look = model_style(index)
-        rows = fit.predictions[fit.dataset.names.index(record.name)]
-        names = fit.model.output_names
+        rows, _ = _said(one, record)
         ax.plot(
             rows[:, names.index(across)],
             rows[:, names.index(along)],
             color=look.colour,
             linestyle=look.dashes,
             lw=1.6,
-            label=labels[index] if labels else fit.model.name,
+            label=labels[index] if labels else f"model {index + 1}",
         )
     start = np.flatnonzero(np.isfinite(up + right))[:1]
     ax.plot(right[start], up[start], "o", mfc="white", mec=TRUTH, ms=7, label="start")
     channels = record.channels.outputs
-    names = record.channels.output_names
     ax.set(xlabel=label(channels[names.index(across)]), ylabel=label(channels[names.index(along)]))
     ax.set_aspect("equal", adjustable="datalim")
     if along == "z" and not ax.yaxis_inverted():
@@ -80,7 +80,7 @@ def plot_track(
 
 def plot_zigzag(
     record: Record,
-    fits: Sequence[Fit] = (),
+    models: Sequence[Fit | Prediction] = (),
     *,
     heading: str = "psi",
     rudder: str = "rudder",
@@ -89,21 +89,22 @@ def plot_zigzag(
 ) -> Axes:
     """Plot heading and rudder of a zigzag in degrees, with the overshoot angles.
 
-    The band around each model's heading holds 95 % of the measurement noise.
+    The band around each model's heading holds 95 % of the noise, and of a
+    prediction's uncertainty as well.
     Overshoots are written where the manoeuvre is one (two executes or more).
 
     Parameters
     ----------
     record : Record
         What was measured.
-    fits : sequence of Fit
-        Fits that contain a record of this name.
+    models : sequence of Fit or Prediction
+        What models say about a record of this name.
     heading : str
         Output that the zigzag reverses on: heading, or pitch in the diving plane.
     rudder : str
         Commanded input, or an output that holds the measured angle.
     labels : sequence of str, optional
-        Names of the fits.
+        Names of the models.
     ax : Axes, optional
         Where to draw.
     """
@@ -119,17 +120,17 @@ def plot_zigzag(
         record.times, turned * DEGREE, ".", color=DATA, ms=2.5, rasterized=True,
         label=f"{symbol_of(heading)} measured",
     )  # fmt: skip
-    for index, fit in enumerate(fits):
+    column = record.channels.output_names.index(heading)
+    for index, one in enumerate(models):
         look = model_style(index)
-        column = fit.model.output_names.index(heading)
-        model = fit.predictions[fit.dataset.names.index(record.name)][:, column] * DEGREE
-        half = TWO_SIDED_95 * fit.sigma[column] * DEGREE
+        rows, std = _said(one, record)
+        model, half = rows[:, column] * DEGREE, TWO_SIDED_95 * std[:, column] * DEGREE
         ax.fill_between(
             record.times, model - half, model + half, color=look.colour, alpha=0.25, lw=0
         )
         ax.plot(
             record.times, model, color=look.colour, linestyle=look.dashes, lw=1.5,
-            label=labels[index] if labels else fit.model.name,
+            label=labels[index] if labels else f"model {index + 1}",
         )  # fmt: skip
     ax.axhline(0.0, color=TRUTH, lw=0.8)
     _write_overshoots(ax, record, turned, angle)
@@ -137,6 +138,14 @@ def plot_zigzag(
     clean(ax)
     spread_legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=4, markerscale=3)
     return ax
+
+
+def _said(model: Fit | Prediction, record: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Outputs of a model on a record and their standard deviation, ``(n_times, n_outputs)``."""
+    row = model.dataset.names.index(record.name)
+    if isinstance(model, Fit):
+        return model.predictions[row], np.broadcast_to(model.sigma, model.predictions[row].shape)
+    return model.outputs[row], model.std[row]
 
 
 def _write_overshoots(ax: Axes, record: Record, turned: np.ndarray, angle: np.ndarray) -> None:
