@@ -94,10 +94,11 @@ def _setting_table(rows: Sequence[Row]) -> list[str]:
     if not rows:
         return []
     first = rows[0]
+    runs = "one run" if first.n_runs == 1 else f"{first.n_runs} runs"
     title = (
         f"{_sampled('Noise', first.sampling)} {first.noise:g} {UNITS[first.noise_unit]}, "
-        f"{'one run' if first.n_runs == 1 else f'{first.n_runs} runs'} each; the data determine {first.n_determined} of "
-        f"{first.n_parameters} parameters, at best to {_percent(first.bound)} %:"
+        f"{runs} each; the data determine {first.n_determined} of {first.n_parameters} parameters, "
+        f"at best to {_percent(first.bound)} %:"
     )
     table = [title, "", markdown_row(HEADERS), markdown_row(["---"] * len(HEADERS))]
     for row in rows:
