@@ -80,7 +80,7 @@ def test_improve_needs_candidates(ship: Path, tmp_path: Path, capsys) -> None:
 
 
 def test_compare_judges_models_on_untouched_records(ship: Path, tmp_path: Path, capsys) -> None:
-    """The believed model misses the circle; with the right effect hardly more than noise is left."""
+    """The believed model misses the circle; with the right effect only noise is left."""
     stored = tmp_path / "compare.json"
     page = tmp_path / "compare.html"
     extra = [
