@@ -329,9 +329,15 @@ def _stretch(system: System, record: Record, states: np.ndarray) -> Stretch:
     moved = np.zeros((n, size, len(names) + n_own + 1))
     moved[0, :, : len(names)] = first[:, [n_own + free[name] - size for name in names]]
     moved[0, :, len(names) : -1] = first[:, :n_own]
-    for k in range(n - 1):
-        moved[k + 1] = transition[k] @ moved[k] + drive[k]
-    columns = output @ moved
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(n - 1):
+            moved[k + 1] = transition[k] @ moved[k] + drive[k]
+        columns = output @ moved
+    if not np.isfinite(columns).all():
+        raise SimulationError(
+            f"Small deviations of model {model.name!r} grow without bound along record "
+            f"{record.name!r}. Bound its parameters."
+        )
     columns[:, :, : len(names)] += run.output_sensitivities[:, :, by_name]
     columns[:, :, -1] = record.outputs - run.outputs - columns[:, :, -1]
     return Stretch(

@@ -15,8 +15,8 @@ from oed_sysid.diagnosis.residual_forces import ResidualForces, Series, agreemen
 from oed_sysid.diagnosis.stages import Place
 from oed_sysid.fit import align
 
-# Correlation time of the disturbances, s.
-CORRELATION_TIME = 1.0
+# Correlation times of the disturbances that are tried, s: passing and lasting.
+CORRELATION_TIMES = (1.0, 20.0)
 # Places that are judged once more where they themselves are disturbed.
 N_REFINED = 4
 # Gain in twice the log-likelihood below which no place is accused: chance gives more in
@@ -155,7 +155,7 @@ def locate(
     fit: GreyBox,
     rivals: Mapping[str, GreyBox] | None = None,
     *,
-    correlation_time: float = CORRELATION_TIME,
+    correlation_times: Sequence[float] = CORRELATION_TIMES,
 ) -> Located:
     """Locate where a model fails.
 
@@ -173,18 +173,22 @@ def locate(
     rivals : mapping of str to GreyBox, optional
         Fits of models that may be right, as a ranking's refits hold them;
         their signatures are put beside the residual forces.
-    correlation_time : float
-        Of the disturbances, s.
+    correlation_times : sequence of float
+        Of the disturbances, s; for every place the likelier one counts.
     """
     linear = along(task, fit)
-    first = evidence(linear, correlation_time=correlation_time)
+    first: dict[Place, Evidence] = {}
+    for time in correlation_times:
+        for part in evidence(linear, correlation_time=time):
+            if part.place not in first or part.gain > first[part.place].gain:
+                first[part.place] = part
+    ordered = sorted(first.values(), key=lambda part: -part.gain)
     found = [
-        refined(linear, part, correlation_time=correlation_time)
-        if position < N_REFINED and part.gain > CLEAR
-        else part
-        for position, part in enumerate(first)
+        refined(linear, part) if position < N_REFINED and part.gain > CLEAR else part
+        for position, part in enumerate(ordered)
     ]
-    found.sort(key=lambda part: -part.gain)
+    # Of places that are one and the same to the records, the equation is named first.
+    found.sort(key=lambda part: (-round(part.gain), part.place.stage != "force"))
     times = [record.times for record in task.dataset]
     smoother = residual_forces(linear)
     forces = smoother.series(times)

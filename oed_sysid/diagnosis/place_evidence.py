@@ -16,11 +16,14 @@ from oed_sysid.diagnosis.along import Along, smoothed_states
 from oed_sysid.diagnosis.innovations import Deviations, NoiseModel
 from oed_sysid.diagnosis.restricted import Grounds, Restricted, restricted
 from oed_sysid.diagnosis.stages import Place
+from oed_sysid.errors import SimulationError
 
 # Levels that are tried first, in units that move some output by its noise, and the
 # ratio within which the best is settled.
 LEVELS = (0.03, 0.12, 0.5, 2.0, 8.0)
 SETTLED = 1.15
+# Relinearisations of the most likely places.
+REFINEMENTS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,23 +102,41 @@ def evidence(
     return sorted(result, key=lambda e: -e.gain)
 
 
-def refined(found: Along, first: Evidence, *, correlation_time: float) -> Evidence:
+def refined(found: Along, first: Evidence) -> Evidence:
     """Evidence for one place where the model is linearised with that disturbance let in.
 
     The parameters bend to a missing effect; where the right place is disturbed
-    they straighten, and what a disturbance there does changes with them.
+    they straighten, and what a disturbance there does changes with them. At
+    the wrong place they may bend further still: of what is found on the way
+    the least counts, so that no place profits from a linearisation that does
+    not settle.
     """
-    n_names = len(found.system.names)
-    nodes = smoothed_states(found, first.noise, first.records)
-    system = found.system.moved(first.solution.correction[:n_names])
-    again = system.linearise(nodes, found.noise)
-    index = again.where.index(first.place)
-    second = evidence(again, [index], correlation_time=correlation_time)[0]
-    if not np.isfinite(second.solution.objective):
-        return first
     base = first.solution.objective + first.gain
-    gain = max(base - second.solution.objective, 0.0)
-    return replace(second, gain=gain)
+    settled = first
+    linear, present = found, first
+    gains = []
+    for _ in range(REFINEMENTS):
+        try:
+            linear, present = _relinearised(linear, present)
+        except (SimulationError, np.linalg.LinAlgError):
+            gains.append(first.gain)
+            break
+        gain = base - present.solution.objective
+        if not np.isfinite(gain):
+            gains.append(first.gain)
+            break
+        gains.append(max(gain, 0.0))
+        settled = present
+    return replace(settled, gain=min(gains))
+
+
+def _relinearised(linear: Along, present: Evidence) -> tuple[Along, Evidence]:
+    """One step of :func:`refined`."""
+    nodes = smoothed_states(linear, present.noise, present.records)
+    system = linear.system.moved(present.solution.correction[: len(linear.system.names)])
+    again = system.linearise(nodes, linear.noise)
+    index = again.where.index(present.place)
+    return again, evidence(again, [index], correlation_time=present.noise.force_time)[0]
 
 
 def _best(table: dict[float, Restricted]) -> float:
