@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 OUT = Path("out") / "demo"
 AUV_TEST = ("test_steps", "test_zigzag_15_12")
 # Rudder angle and switch heading of the tanker's zigzags, degrees.
-TANKER_TRAIN = ("10_05", "20_05", "25_05")
-TANKER_TEST = ("15_05", "30_05")
+TANKER_TRAIN = ("10_05", "20_05", "30_05")
+TANKER_TEST = ("15_05", "25_05")
 TANKER_DATA = "kvlcc2_hsva_zigzag/"
 
 
@@ -128,17 +128,21 @@ def _search(
 def _conclude(found: Improvement, comparison: Comparison) -> None:
     """Say what was missing, how large it is, and what the model predicts with it."""
     print()
+    known = {score.effect.name for score in found.ranking.scores}
     for step in found.steps:
         effect = found.model.effect(step.added)
-        print(f"Missing was {step.added}: {effect.description}.")
+        what = "Missing was" if step.added in known else "No known effect; a guess is"
+        print(f"{what} {step.added}: {effect.description}.")
         for one in found.parameters:
             if one["name"] in effect.amplitude_names:
                 half = 1.96 * one["std_error"]
-                print(f"    {one['name']} = {one['value']:.4g} ± {half:.2g} {one['unit']} (95 %)")
-    print("On the records that nothing was fitted to:")
-    for part in comparison.models:
-        print(f"    {part.label:12} error {part.relative:.3g} x noise")
-    print(f"    {comparison.best.verdict}")
+                unit = "" if one["unit"] in ("", "1") else f"{one['unit']} "
+                print(f"    {one['name']} = {one['value']:.4g} ± {half:.2g} {unit}(95 %)")
+    before, after = found.base_error["test"], found.final_error["test"]
+    print(
+        f"On records that nothing was fitted to, the error falls from {before:.3g} to {after:.3g}"
+    )
+    print(f"times the noise. {comparison.best.verdict}")
 
 
 def _write(

@@ -67,8 +67,12 @@ def improvement_verdict(improvement: Improvement) -> tuple[str, ...]:
         f"As believed, the model predicts the {records} with an error of {before[which]:.3g} times "
         "the noise."
     ]
+    known = {score.effect.name for score in improvement.ranking.scores}
     for step in improvement.steps:
         words = improvement.model.effect(step.added).description
+        if step.added not in known:
+            says.append(f"No known effect explains the rest alone; a term may: {words}.")
+            continue
         meaning = f" ({words})" if words else ""
         rivals = [name for name in step.group if name != step.added]
         if rivals:
@@ -126,7 +130,7 @@ def _steps(improvement: Improvement) -> Section:
 
 def _located(improvement: Improvement, train: Dataset | None) -> Section:
     located = improvement.location
-    figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.3 * len(located.evidence)))
+    figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.3 * min(len(located.evidence), 14)))
     plot_located(located, ax=axes[0, 0])
     pictures = [
         Picture.of(

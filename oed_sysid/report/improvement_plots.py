@@ -26,7 +26,7 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
 
     Bars are the gain in twice the log-likelihood after all parameters were
     estimated again with the candidate; candidates that were not refitted show
-    their score only. The line is the gain that chance rarely exceeds, however
+    their score only. The strokes are the gain that chance rarely exceeds, however
     many candidates there are; hatched bars cannot be told from the best.
 
     Parameters
@@ -53,13 +53,10 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
                 hatch="///" if alike and name != group[0] else None,
             )  # fmt: skip
         ax.plot(score[name], row, "D", ms=4.5, mfc="white", mec=TRUTH, zorder=3)
-    if ranking.refits:
-        needed = ranking.needed(ranking.refits[0])
-        ax.axvline(needed, color=TRUTH, ls="--", lw=1.0)
-        ax.annotate(
-            "needed for a claim", (needed, 0.0), xycoords=("data", "axes fraction"),
-            xytext=(3, 4), textcoords="offset points", fontsize=8, rotation=90, va="bottom",
-        )  # fmt: skip
+    for refit in ranking.refits:
+        if refit.name in names:
+            row, needed = rows[names.index(refit.name)], ranking.needed(refit)
+            ax.plot([needed, needed], [row - 0.42, row + 0.42], color=TRUTH, lw=1.8, zorder=4)
     ax.set_yticks(rows, [name.replace("_", " ") for name in names])
     largest = max([*gain.values(), *(score[name] for name in names), 1.0])
     _readable_scale(ax, largest)
@@ -71,11 +68,12 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
         Patch(fc=_GROUP, ec="0.25", hatch="///", label="cannot be told from the best"),
         Patch(fc="0.8", ec="0.25", label="other refits"),
         ax.plot([], [], "D", ms=4.5, mfc="white", mec=TRUTH, label="score before refit")[0],
+        ax.plot([], [], "|", ms=11, mew=1.8, color=TRUTH, label="needed for a claim")[0],
     ]
     if len(group) < 2:
         handles.pop(1)
     ax.legend(
-        handles=handles, frameon=False, fontsize=8.5, ncols=4, loc="upper center",
+        handles=handles, frameon=False, fontsize=8.5, ncols=3, loc="upper center",
         bbox_to_anchor=(0.5, -0.18 - 0.4 / len(names)),
     )  # fmt: skip
     return ax
@@ -131,7 +129,7 @@ def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes
     return ax
 
 
-def plot_located(located: Located, *, ax: Axes | None = None) -> Axes:
+def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None) -> Axes:
     """Plot where a model fails: evidence for a disturbance at each place of the signal chain.
 
     The line is what chance rarely exceeds; hatched places cannot be told from
@@ -141,10 +139,12 @@ def plot_located(located: Located, *, ax: Axes | None = None) -> Axes:
     ----------
     located : Located
         The finding.
+    n_shown : int
+        How many places.
     ax : Axes, optional
         Where to draw.
     """
-    places = sorted(located.evidence.items(), key=lambda item: -item[1])
+    places = sorted(located.evidence.items(), key=lambda item: -item[1])[:n_shown]
     ax = new_axes(ax, size=(6.4, 1.2 + 0.3 * len(places)))
     rows = np.arange(len(places))[::-1]
     for (name, value), row in zip(places, rows, strict=True):

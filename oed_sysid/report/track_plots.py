@@ -109,12 +109,13 @@ def plot_zigzag(
         Where to draw.
     """
     ax = new_axes(ax, size=(7.6, 4.2))
-    commanded = rudder in record.channels.input_names
-    angle = record.input(rudder) if commanded else record.output(rudder)
+    commands = {channel.name: channel for channel in record.channels.inputs}
+    angle = record.input(rudder) if rudder in commands else record.output(rudder)
+    held = rudder in commands and commands[rudder].interpolation == "hold"
     turned = record.output(heading)
     ax.plot(
         record.times, angle * DEGREE, color=NEUTRAL, lw=1.2, label=symbol_of(rudder),
-        drawstyle="steps-post" if commanded else "default",
+        drawstyle="steps-post" if held else "default",
     )  # fmt: skip
     ax.plot(
         record.times, turned * DEGREE, ".", color=DATA, ms=2.5, rasterized=True,
