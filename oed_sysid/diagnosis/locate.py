@@ -24,6 +24,9 @@ N_REFINED = 4
 CLEAR = 12.0
 # Places whose gain is this near the best cannot be told from it.
 GROUP_WIDTH = 6.0
+# Share of its gain that a kinematic relation has to be ahead of other places: it is exact, and
+# mostly stands for two sensors that disagree.
+IDENTITY = 0.01
 # Places that a report lists.
 LISTED = 8
 
@@ -85,7 +88,8 @@ class Located:
         if self.best is None:
             return ()
         top = self.evidence[self.best]
-        return tuple(name for name, gain in self.evidence.items() if top - gain < GROUP_WIDTH)
+        near = (name for name, gain in self.evidence.items() if abs(top - gain) < GROUP_WIDTH)
+        return tuple(near)
 
     @property
     def verdict(self) -> str:
@@ -100,7 +104,7 @@ class Located:
         later = [name for name in self.evidence if name not in self.group]
         if later:
             lag = self.evidence[self.best] - self.evidence[later[0]]
-            text += f" (next: {later[0]}, {lag:.0f} less likely)"
+            text += f" (next: {later[0]}, {lag:.0f} less likely)" if lag > 0 else ""
         return text + "."
 
     def report(self) -> str:
@@ -188,7 +192,7 @@ def locate(
         for position, part in enumerate(ordered)
     ]
     # Of places that are one and the same to the records, the equation is named first.
-    found.sort(key=lambda part: (-round(part.gain), part.place.stage != "force"))
+    found.sort(key=lambda part: (-round(_weight(part)), part.place.stage != "force"))
     times = [record.times for record in task.dataset]
     smoother = residual_forces(linear)
     forces = smoother.series(times)
@@ -210,6 +214,11 @@ def locate(
         signatures=signatures,
         agreement={name: agreement(forces, parts) for name, parts in signatures.items()},
     )
+
+
+def _weight(part: Evidence) -> float:
+    """Gain by which places are ordered; a geometric identity has to be accused clearly."""
+    return part.gain * (1.0 - IDENTITY if part.place.stage == "kinematics" else 1.0)
 
 
 def _discrepancy(part: Evidence, times: Sequence[np.ndarray]) -> tuple[Series, ...]:

@@ -95,7 +95,9 @@ def restricted(
 
 def _gram(white: np.ndarray) -> np.ndarray:
     rows = white.reshape(-1, white.shape[2])
-    return rows.T @ rows
+    # What overflows is not likely: its objective becomes infinite.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return rows.T @ rows
 
 
 def _restricted(
@@ -116,6 +118,9 @@ def _restricted(
         # Without a disturbance that holds it, an unstable linear model leaves the numbers.
         nothing = np.zeros(n_unknowns)
         return Restricted(np.inf, nothing, np.outer(nothing, nothing))
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all() and np.isfinite(square)):
+        nothing = np.zeros(n_unknowns)
+        return Restricted(np.inf, nothing, np.diag(nothing))
     size = np.sqrt(np.diag(matrix))
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(matrix / size[:, None] / size)
