@@ -46,6 +46,8 @@ _HOME = {
     "GOptimal": "design",
     "ModifiedE": "design",
     "VOptimal": "design",
+    "compare": "diagnosis.compare",
+    "improve": "diagnosis.improve",
     "Discriminate": "design",
     "Robust": "design",
     "design_experiment": "design",
@@ -85,6 +87,8 @@ if TYPE_CHECKING:
         design_experiment,
         design_series,
     )
+    from oed_sysid.diagnosis.compare import compare
+    from oed_sysid.diagnosis.improve import improve
     from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
     from oed_sysid.errors import OedSysidError
     from oed_sysid.estimators import MultipleShooting
