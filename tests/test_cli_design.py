@@ -21,8 +21,10 @@ def _ship(tmp_path_factory) -> Path:
 
 def test_design_keeps_limits_and_beats_the_zigzags(ship: Path, tmp_path: Path, capsys) -> None:
     """The commands stay in range, and the expected errors are below those of a zigzag."""
-    commands, card, stored = (tmp_path / name for name in ("next.csv", "card.txt", "next.json"))
+    names = ("next.csv", "card.txt", "next.json", "next.html")
+    commands, card, stored, page = (tmp_path / name for name in names)
     files = ["--out", str(commands), "--card", str(card), "--json", str(stored)]
+    files += ["--html", str(page)]
     arguments = ["design", str(ship), "--like", "zigzag_10_10", "--duration", "60", *files]
     assert main(arguments) == DONE
     assert "limits met" in capsys.readouterr().out
@@ -32,6 +34,7 @@ def test_design_keeps_limits_and_beats_the_zigzags(ship: Path, tmp_path: Path, c
     assert np.abs(rudder).max() <= np.radians(35) * (1 + 1e-6)
     assert np.abs(np.diff(rudder) / np.diff(times)).max() <= np.radians(5) * (1 + 1e-6)
     assert "SEA TRIAL CARD" in card.read_text()
+    assert "SEA TRIAL CARD" in page.read_text(encoding="utf-8")
     result = json.loads(stored.read_text())
     assert all(one["after"] < one["before"] for one in result["parameters"])
     assert all(reference["mean_gain"] > 1.0 for reference in result["references"])

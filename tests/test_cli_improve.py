@@ -117,3 +117,20 @@ def test_saved_fit_and_report_of_a_fit(ship: Path, tmp_path: Path) -> None:
     assert main(arguments) == DONE
     assert "K" in Fit.load(saved).values
     assert page.read_text(encoding="utf-8").startswith("<!doctype html>")
+
+
+def test_report_of_a_saved_fit_predicts_other_records(ship: Path, tmp_path: Path, capsys) -> None:
+    """`report` needs nothing but the saved fit, and adds the records it is shown."""
+    saved, page = tmp_path / "fit.json", tmp_path / "fit.html"
+    zigzag, circle = (
+        str(ship / "data" / f"{name}.csv") for name in ("zigzag_10_10", "turning_circle")
+    )
+    assert main(["fit", str(ship), zigzag, "--save", str(saved)]) == DONE
+    capsys.readouterr()
+    assert main(["report", str(saved), "--test", circle, "--out", str(page)]) == DONE
+    assert "heading deviates" in capsys.readouterr().out
+    text = page.read_text(encoding="utf-8")
+    assert "zigzag_10_10" in text
+    assert "turning_circle" in text
+    assert main(["report", str(tmp_path / "missing.json")]) == BAD_INPUT
+    assert main(["report", zigzag]) == BAD_INPUT

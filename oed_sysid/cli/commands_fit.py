@@ -1,4 +1,4 @@
-"""Commands that estimate and judge: fit, compare."""
+"""Commands that estimate and judge: fit, compare, report."""
 
 from __future__ import annotations
 
@@ -116,6 +116,43 @@ def compare(
         raise typer.Exit(1)
 
 
+def report(
+    saved: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FIT", help="What `oed-sysid fit --save FIT` kept.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="The report, one HTML file.")
+    ] = Path("report.html"),
+    test: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--test",
+            metavar="CSV...",
+            help="Also show what the fit predicts for these records.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Write the report on a saved fit, with its predictions of other records.
+
+    [bold]Example[/bold]: oed-sysid report fit.json --test validation.csv --out fit.html
+    """
+    from oed_sysid.dataset import read_csv
+    from oed_sysid.diagnosis.compare import compare as compare_models
+    from oed_sysid.fit import Fit
+    from oed_sysid.report import fit_page
+
+    kept = Fit.load(saved)
+    comparison = None
+    if test:
+        comparison = compare_models({kept.model.name: kept}, read_csv(test, kept.model.channels))
+        say(comparison.verdict)
+    note(f"Written: {fit_page(kept, comparison).write(out)}")
+
+
 def _models(problem: Problem, added: list[str]) -> dict[str, Model]:
     """The believed model, and one for each group of candidates added to it."""
     models = {"as believed": problem.model}
@@ -125,4 +162,4 @@ def _models(problem: Problem, added: list[str]) -> dict[str, Model]:
     return models
 
 
-COMMANDS = (fit, compare)
+COMMANDS = (fit, compare, report)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from oed_sysid.cli.options import JsonFile, ProblemName, Variant
+from oed_sysid.cli.options import HtmlFile, JsonFile, ProblemName, Variant
 from oed_sysid.cli.terminal import note, progress, say, store, write
 from oed_sysid.errors import DesignError, ProblemError
 
@@ -125,6 +125,7 @@ def design(
     model: Variant = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the search.")] = 0,
     json_file: JsonFile = None,
+    html_file: HtmlFile = None,
 ) -> None:
     """Design the manoeuvre that tells most about the parameters, within the limits.
 
@@ -165,6 +166,10 @@ def design(
     if card is not None:
         write(found.sea_trial_card() + "\n", card)
     store(found.to_dict(), json_file)
+    if html_file is not None:
+        from oed_sysid.report import design_page
+
+        note(f"Written: {design_page(found, title=chosen.title).write(html_file)}")
 
 
 def _pattern(problem: Problem, name: str | None) -> Experiment:

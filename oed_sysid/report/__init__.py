@@ -7,6 +7,7 @@ report in one file.
 """
 
 from oed_sysid.report.comparison_page import comparison_page
+from oed_sysid.report.design_page import design_page
 from oed_sysid.report.design_plots import (
     figure_design,
     plot_accuracy,
@@ -47,6 +48,7 @@ __all__ = [
     "Section",
     "Table",
     "comparison_page",
+    "design_page",
     "figure_design",
     "figure_fit",
     "figure_force",

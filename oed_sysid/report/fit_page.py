@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from oed_sysid.diagnosis.compare import Comparison
 from oed_sysid.fit import Fit
+from oed_sysid.report.comparison_page import comparison_sections
 from oed_sysid.report.fit_plots import (
     figure_fit,
     figure_whiteness,
@@ -21,13 +23,15 @@ _MAX_RECORDS = 8
 _SURPRISING = 3.0
 
 
-def fit_page(fit: Fit, *, style: int = 0) -> Page:
+def fit_page(fit: Fit, comparison: Comparison | None = None, *, style: int = 0) -> Page:
     """Compose the report on a fit: verdict, estimates, records, residuals, equations.
 
     Parameters
     ----------
     fit : Fit
         The fit.
+    comparison : Comparison, optional
+        Of the fit with other records.
     style : int
         Position of the model in a comparison, for its colour.
 
@@ -39,7 +43,7 @@ def fit_page(fit: Fit, *, style: int = 0) -> Page:
     return Page(
         title=fit.model.name,
         subtitle=f"Fitted by {fit.estimator} to {', '.join(fit.dataset.names)}",
-        verdict=fit_verdict(fit),
+        verdict=(*fit_verdict(fit), *(comparison.verdict.splitlines() if comparison else ())),
         numbers=(
             ("misfit", f"{fit.normalised_rms:.3g} × noise"),
             ("parameters", str(len(fit.names))),
@@ -51,6 +55,7 @@ def fit_page(fit: Fit, *, style: int = 0) -> Page:
             _estimates(fit),
             *record_sections(fit, style=style),
             residual_section(fit, style=style),
+            *(comparison_sections(comparison) if comparison is not None else ()),
             Section("Equations", listing=fit.model.equations()),
         ),
     )
