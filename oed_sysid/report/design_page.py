@@ -5,21 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from oed_sysid.design import Design
-from oed_sysid.report.design_plots import figure_design, plot_accuracy
+from oed_sysid.report.design_plots import figure_design
 from oed_sysid.report.page import Page, Picture, Section
-from oed_sysid.report.style import new_figure
 
 
 def design_page(design: Design, *, title: str = "") -> Page:
     """Compose the report on a design: what it will tell, commands, motion, sea-trial card."""
-    figure, axes = new_figure(1, 1, size=(8.0, 1.6 + 0.3 * len(design.names)))
-    plot_accuracy(design, ax=axes[0, 0])
-    accuracy = Picture.of(
-        figure, "Expected relative standard errors: before, after the design, after zigzags."
-    )
     motion = Picture.of(
         figure_design(design),
-        "Commands and the motion that the model predicts, with their limits.",
+        "Left: commands and the motion that the model predicts, with their limits. Right: expected "
+        "relative standard errors before, after the design, and after zigzags.",
     )
     best, worst = np.nanargmin(design.relative_errors), np.nanargmax(design.relative_errors)
     errors = design.relative_errors
@@ -36,8 +31,7 @@ def design_page(design: Design, *, title: str = "") -> Page:
             (f"worst: {design.names[worst]}", f"{100 * errors[worst]:.2g} %"),
         ),
         sections=(
-            Section("What it will tell", pictures=(accuracy,)),
-            Section("What to run", pictures=(motion,)),
+            Section("What to run, and what it will tell", pictures=(motion,)),
             Section("Sea-trial card", listing=design.sea_trial_card()),
         ),
     )
