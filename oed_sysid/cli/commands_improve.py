@@ -1,4 +1,4 @@
-"""Commands that find missing physics: improve."""
+"""Commands that find missing physics: diagnose, improve."""
 
 from __future__ import annotations
 
@@ -8,6 +8,29 @@ import typer
 
 from oed_sysid.cli.options import HtmlFile, JsonFile, KnownNoise, ProblemName, Train, Variant
 from oed_sysid.cli.terminal import note, progress, say, store
+
+
+def diagnose(
+    problem: ProblemName,
+    train: Train,
+    model: Variant = None,
+    known_noise: KnownNoise = False,
+    json_file: JsonFile = None,
+) -> None:
+    """Say where a model fails and which effects may be missing, without adding any.
+
+    [bold]Example[/bold]: oed-sysid diagnose remus_diving_plane --train train_*.csv
+    """
+    from oed_sysid.dataset import read_csv
+    from oed_sysid.diagnosis.diagnose import diagnose as look
+    from oed_sysid.problem import load_problem
+
+    chosen = load_problem(problem, variant=model)
+    records = read_csv(train, chosen.channels)
+    with progress("Looking"):
+        result = look(chosen.model, records, candidates=chosen.effects, known_noise=known_noise)
+    say(result.report())
+    store(result.to_dict(), json_file)
 
 
 def improve(
@@ -69,4 +92,4 @@ def improve(
         note(f"Written: {page.write(html_file)}")
 
 
-COMMANDS = (improve,)
+COMMANDS = (diagnose, improve)

@@ -121,7 +121,7 @@ class Improvement:
             ],
             "ranking": [
                 {"effect": name, "statistic": statistic}
-                for name, statistic in self._first_statistics()
+                for name, statistic in self.ranking.statistics()
             ],
             "located": self.located,
             "base_error": dict(self.base_error),
@@ -129,12 +129,6 @@ class Improvement:
             "proposed_terms": [dict(term) for term in self.proposed],
             "parameters": [dict(parameter) for parameter in self.parameters],
         }
-
-    def _first_statistics(self) -> list[tuple[str, float]]:
-        """Gain after refitting where refitted, score statistic elsewhere; best first."""
-        gains = {refit.name: refit.gain for refit in self.ranking.refits}
-        scores = {score.effect.name: score.statistic for score in self.ranking.scores}
-        return [(name, gains.get(name, scores[name])) for name in self.ranking.order]
 
     def report(self) -> str:
         """Return the improvement as a story with numbers."""
@@ -144,7 +138,7 @@ class Improvement:
                 "",
                 self.location.report(),
                 "",
-                *self._candidates(),
+                self.ranking.report(),
                 "",
                 *self._story(),
                 "",
@@ -159,24 +153,6 @@ class Improvement:
             f"  as believed, it misses the training records by {error['train']:.2f} x noise"
             + ("" if np.isnan(error["test"]) else f", the untouched ones by {error['test']:.2f}"),
         ]
-
-    def _candidates(self) -> list[str]:
-        rows = [("candidate effect", "score", "gain", "needed", "distinct")]
-        refits = {refit.name: refit for refit in self.ranking.refits}
-        scores = {score.effect.name: score for score in self.ranking.scores}
-        for name in self.ranking.order[:8]:
-            score = scores[name]
-            gain = f"{refits[name].gain:.1f}" if name in refits else "-"
-            needed = f"{self.ranking.needed_by(score):.1f}"
-            rows.append((name, f"{score.statistic:.1f}", gain, needed, f"{score.distinct:.2f}"))
-        hidden = self.ranking.undetectable()
-        lines = align(rows)
-        if hidden:
-            lines += [
-                "",
-                "These records would not show the typical size of: " + ", ".join(sorted(hidden)),
-            ]
-        return lines
 
     def _story(self) -> list[str]:
         if not self.steps:

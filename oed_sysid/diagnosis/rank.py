@@ -11,6 +11,7 @@ from scipy.special import chdtri
 from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
 from oed_sysid.diagnosis.score import Score, scores, two_sided
 from oed_sysid.effects import Effect
+from oed_sysid.fit import align
 
 # Candidates refitted in each round.
 N_REFITS = 7
@@ -114,6 +115,29 @@ class Ranking:
                 return 0.0
             bases.append(np.linalg.qr(refit.score.signature)[0])
         return float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0])
+
+    def report(self) -> str:
+        """Return the best candidates and what these records cannot show, as text."""
+        rows = [("candidate effect", "score", "gain", "needed", "distinct")]
+        refits = {refit.name: refit for refit in self.refits}
+        scores = {score.effect.name: score for score in self.scores}
+        for name in self.order[:8]:
+            score = scores[name]
+            gain = f"{refits[name].gain:.1f}" if name in refits else "-"
+            needed = f"{self.needed_by(score):.1f}"
+            rows.append((name, f"{score.statistic:.1f}", gain, needed, f"{score.distinct:.2f}"))
+        lines = align(rows)
+        hidden = self.undetectable()
+        if hidden:
+            text = "These records would not show the typical size of: "
+            lines += ["", text + ", ".join(sorted(hidden))]
+        return "\n".join(lines)
+
+    def statistics(self) -> list[tuple[str, float]]:
+        """Gain after refitting where refitted, score statistic elsewhere; best first."""
+        gains = {refit.name: refit.gain for refit in self.refits}
+        scored = {score.effect.name: score.statistic for score in self.scores}
+        return [(name, gains.get(name, scored[name])) for name in self.order]
 
     def undetectable(self) -> dict[str, dict[str, float]]:
         """Effects whose typical size these data would not show, with the size they would."""

@@ -1,0 +1,94 @@
+"""One look without adding anything: where a model fails and what might be missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from oed_sysid.dataset import Dataset
+from oed_sysid.diagnosis.locate import Located, locate
+from oed_sysid.diagnosis.rank import Ranking, rank
+from oed_sysid.diagnosis.workbench import Workbench
+from oed_sysid.effects import Effect
+from oed_sysid.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Where a model fails on some records, and which effects would explain it.
+
+    Attributes
+    ----------
+    model : Model
+        As believed.
+    location : Located
+    ranking : Ranking
+    """
+
+    model: Model
+    location: Located
+    ranking: Ranking
+
+    @property
+    def best(self) -> Effect | None:
+        """The likeliest effect, ready to be added; None where chance explains its gain."""
+        for refit in self.ranking.refits[:1]:
+            if refit.gain >= self.ranking.needed(refit):
+                return refit.score.effect.with_values(refit.fit.values)
+        return None
+
+    @property
+    def group(self) -> tuple[str, ...]:
+        """Identifiers of the best effect and of those that cannot be told from it here."""
+        if self.best is None:
+            return ()
+        return tuple(refit.name for refit in self.ranking.group())
+
+    def report(self) -> str:
+        """Return the diagnosis as text."""
+        group = self.group
+        if not group:
+            verdict = "No candidate explains more than chance does."
+        elif len(group) == 1:
+            verdict = f"Missing, as far as these records can tell: {group[0]}."
+        else:
+            verdict = f"Missing, and these records cannot tell which: {', '.join(group)}."
+        note = "Nothing has been added, and no untouched record been asked: that is `improve`."
+        return "\n".join(
+            [self.model.name, self.location.report(), "", self.ranking.report(), "", verdict, note]
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the diagnosis as plain data for JSON."""
+        return {
+            "best": None if self.best is None else self.best.name,
+            "group": list(self.group),
+            "located": dict(self.location.evidence),
+            "ranking": [
+                {"effect": name, "statistic": statistic}
+                for name, statistic in self.ranking.statistics()
+            ],
+            "undetectable": self.ranking.undetectable(),
+        }
+
+
+def diagnose(
+    model: Model, dataset: Dataset, *, candidates: Sequence[Effect], known_noise: bool = False
+) -> Diagnosis:
+    """Locate where a model fails and rank what may be missing, adding nothing.
+
+    Parameters
+    ----------
+    model : Model
+        What is believed.
+    dataset : Dataset
+        Measured records.
+    candidates : sequence of Effect
+        What may be missing.
+    known_noise : bool
+        See :func:`oed_sysid.diagnosis.improve.improve`.
+    """
+    bench, fit = Workbench.build(model, dataset, None, candidates, known_noise=known_noise)
+    location = locate(bench.train, fit)
+    return Diagnosis(model, location, rank(bench.train, fit, bench.train.super_model.candidates))
