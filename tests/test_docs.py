@@ -1,0 +1,130 @@
+"""What the documentation says is so: commands run, code works, links lead somewhere."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from oed_sysid import load_problem, write_csv
+from oed_sysid.cli import DONE, main
+from oed_sysid.simulate import simulate_inputs
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted(
+    path
+    for pattern in ("*.md", "docs/*.md", "problems/**/*.md", "oed_sysid/*.md")
+    for path in ROOT.glob(pattern)
+)
+
+
+def blocks(path: Path, language: str) -> list[str]:
+    """Fenced blocks of a page."""
+    return re.findall(rf"```{language}\n(.*?)```", path.read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(path: Path) -> None:
+    """Every relative link names a file that exists."""
+    text = re.sub(r"```.*?```|`[^`]*`", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    targets = [target.partition("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", text)]
+    lost = [
+        target
+        for target in targets
+        if target and not re.match(r"\w+:", target) and not (path.parent / target).exists()
+    ]
+    assert not lost
+
+
+def test_index_names_every_page() -> None:
+    """docs/README.md lists all pages beside it."""
+    index = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
+    missing = [p.name for p in (ROOT / "docs").glob("*.md") if f"({p.name})" not in index]
+    assert missing == ["README.md"]
+
+
+def test_command_line_page_names_every_command() -> None:
+    """The table of commands is that of the program."""
+    import typer
+
+    from oed_sysid.cli.application import app
+
+    page = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
+    table = page.split("## The JSON")[0]
+    documented = set(re.findall(r"`([a-z]+) [^`]*`", "\n".join(re.findall(r"^\|.*", table, re.M))))
+    assert set(typer.main.get_command(app).commands) == documented
+
+
+def test_map_names_every_module() -> None:
+    """oed_sysid/README.md, the map, has every module and folder of the package."""
+    text = (ROOT / "oed_sysid" / "README.md").read_text(encoding="utf-8")
+    entries = {
+        path.stem
+        for path in (ROOT / "oed_sysid").iterdir()
+        if (path.suffix == ".py" or (path / "__init__.py").exists() or any(path.glob("*.py")))
+        and not path.name.startswith("_")
+    }
+    assert [name for name in sorted(entries) if not re.search(rf"`{name}/?`", text)] == []
+
+
+def test_quick_start_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    """The first code of the README works on files as it describes them."""
+    monkeypatch.chdir(tmp_path)
+    code = blocks(ROOT / "README.md", "python")[0]
+    names: dict = {}
+    exec(code.split("train = ")[0], names)
+    _zigzags(names["ship"], tmp_path)
+    exec(code, names)
+    assert abs(names["fit"].values["K"] - 0.1) < 5 * names["fit"].std_errors["K"]
+    assert "converged" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_search_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    """The second code of the README finds something in the records that are shipped."""
+    monkeypatch.chdir(tmp_path)
+    for record in load_problem("remus_diving_plane").data():
+        write_csv(record, tmp_path / f"{record.name}.csv")
+    names: dict = {}
+    exec(blocks(ROOT / "README.md", "python")[1], names)
+    assert names["found"].steps
+    assert set(names["better"].effect_names) > set(names["problem"].model.effect_names)
+    assert "effect added" in capsys.readouterr().out
+
+
+def _zigzags(model, folder: Path) -> None:
+    """Two records with a little noise, as the quick start reads them."""
+    import numpy as np
+
+    from oed_sysid import Record
+
+    rng = np.random.default_rng(2)
+    times = np.arange(0.0, 100.0, 0.5)
+    for angle in (10, 20):
+        rudder = np.radians(angle) * np.sign(np.sin(2 * np.pi * times / 40 + 1e-9))[:, None]
+        run = simulate_inputs(model.with_values({"K": 0.1, "T": 12.0}), times, inputs=rudder)
+        noisy = run.outputs + rng.standard_normal(run.outputs.shape) * (0.002, 0.001)
+        record = Record(f"zigzag_{angle}", times, rudder, noisy, model.channels)
+        write_csv(record, folder / f"zigzag_{angle}.csv")
+
+
+@pytest.mark.slow
+def test_tutorial_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    """Every command of the tutorial ends well and prints the numbers that the page shows."""
+    monkeypatch.chdir(tmp_path)
+    page = ROOT / "docs" / "tutorial.md"
+    lines = "\n".join(blocks(page, "")).replace("\\\n", " ").splitlines()
+    commands = [shlex.split(line) for line in lines if line.startswith("oed-sysid ")]
+    assert len(commands) >= 6
+    for command in commands:
+        assert main(command[1:]) == DONE, command
+    printed = capsys.readouterr().out
+    for name in ("K", "T"):
+        row = re.search(rf"^  {name} +([\d.]+) ", page.read_text(encoding="utf-8"), re.MULTILINE)
+        assert row is not None
+        assert re.search(rf"^  {name} +{row[1][:6]}", printed, re.MULTILINE)
+    (code,) = blocks(page, "python")
+    exec(code, {})
+    assert "yaw_quadratic_damping" in capsys.readouterr().out
