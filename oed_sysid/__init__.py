@@ -47,6 +47,7 @@ _HOME = {
     "ModifiedE": "design",
     "VOptimal": "design",
     "compare": "diagnosis.compare",
+    "diagnose": "diagnosis.diagnose",
     "improve": "diagnosis.improve",
     "Discriminate": "design",
     "Robust": "design",
@@ -88,6 +89,7 @@ if TYPE_CHECKING:
         design_series,
     )
     from oed_sysid.diagnosis.compare import compare
+    from oed_sysid.diagnosis.diagnose import diagnose
     from oed_sysid.diagnosis.improve import improve
     from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
     from oed_sysid.errors import OedSysidError

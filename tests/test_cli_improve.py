@@ -134,3 +134,14 @@ def test_report_of_a_saved_fit_predicts_other_records(ship: Path, tmp_path: Path
     assert "turning_circle" in text
     assert main(["report", str(tmp_path / "missing.json")]) == BAD_INPUT
     assert main(["report", zigzag]) == BAD_INPUT
+
+
+def test_diagnose_locates_and_ranks_without_adding(ship: Path, tmp_path: Path, capsys) -> None:
+    """`diagnose` names the candidate from the training records alone, on paper and page."""
+    given = split(ship)
+    stored, page = tmp_path / "look.json", tmp_path / "look.html"
+    files = ["--json", str(stored), "--html", str(page), "--known-noise"]
+    assert main(["diagnose", str(ship), *given[: given.index("--test")], *files]) == DONE
+    assert json.loads(stored.read_text())["best"] == HIDDEN
+    assert HIDDEN in capsys.readouterr().out
+    assert "as far as these records can tell" in page.read_text(encoding="utf-8")

@@ -16,6 +16,7 @@ def diagnose(
     model: Variant = None,
     known_noise: KnownNoise = False,
     json_file: JsonFile = None,
+    html_file: HtmlFile = None,
 ) -> None:
     """Say where a model fails and which effects may be missing, without adding any.
 
@@ -31,6 +32,10 @@ def diagnose(
         result = look(chosen.model, records, candidates=chosen.effects, known_noise=known_noise)
     say(result.report())
     store(result.to_dict(), json_file)
+    if html_file is not None:
+        from oed_sysid.report import diagnosis_page
+
+        note(f"Written: {diagnosis_page(result, records, title=chosen.title).write(html_file)}")
 
 
 def improve(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from oed_sysid.dataset import Dataset
-from oed_sysid.diagnosis.locate import Located, locate
+from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.rank import Ranking, rank
 from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.effects import Effect
@@ -90,5 +90,5 @@ def diagnose(
         See :func:`oed_sysid.diagnosis.improve.improve`.
     """
     bench, fit = Workbench.build(model, dataset, None, candidates, known_noise=known_noise)
-    location = locate(bench.train, fit)
-    return Diagnosis(model, location, rank(bench.train, fit, bench.train.super_model.candidates))
+    ranking = rank(bench.train, fit, bench.train.super_model.candidates)
+    return Diagnosis(model, locate(bench.train, fit, likeliest(ranking)), ranking)

@@ -12,7 +12,7 @@ from oed_sysid.diagnosis.conclusion import parameter_table, remainder
 from oed_sysid.diagnosis.greybox import GreyBox, estimate
 from oed_sysid.diagnosis.improvement import REMAINDER_LIMIT, Improvement, Step
 from oed_sysid.diagnosis.innovations import NoiseModel
-from oed_sysid.diagnosis.locate import Located, locate
+from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.rank import (
     FALSE_CLAIMS,
     FALSE_CLAIMS_BEFORE_TEST,
@@ -80,8 +80,6 @@ def improve(
         )
     tell("fitting the model as it is believed")
     bench, base_fit = Workbench.build(model, train, test, candidates, known_noise=known_noise)
-    tell("locating where it fails")
-    location = locate(bench.train, base_fit)
     state = _State((), base_fit, bench)
     first: Ranking | None = None
     steps: list[tuple[Refit, Ranking, float]] = []
@@ -103,6 +101,8 @@ def improve(
             tell("reconsidering the effects added before")
             state, steps, fits = _review(state, steps, fits, base_fit)
     assert first is not None
+    tell("locating where the believed model fails")
+    location = locate(bench.train, base_fit, likeliest(first))
     unknown = None
     if remainder(state.bench.train, state.fit) > REMAINDER_LIMIT:
         tell("looking for a term that no known effect holds")

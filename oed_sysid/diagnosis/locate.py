@@ -11,6 +11,7 @@ import numpy as np
 from oed_sysid.diagnosis.along import along
 from oed_sysid.diagnosis.greybox import GreyBox, Task, residuals
 from oed_sysid.diagnosis.place_evidence import Evidence, evidence, refined
+from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.diagnosis.residual_forces import ResidualForces, Series, agreement, residual_forces
 from oed_sysid.diagnosis.stages import Place
 from oed_sysid.fit import align
@@ -27,6 +28,8 @@ GROUP_WIDTH = 6.0
 # Share of its gain that a kinematic relation has to be ahead of other places: it is exact, and
 # mostly stands for two sensors that disagree.
 IDENTITY = 0.01
+# Candidates whose signatures are put beside the residual forces.
+N_RIVALS = 2
 # Places that a report lists.
 LISTED = 8
 
@@ -219,6 +222,11 @@ def locate(
 def _weight(part: Evidence) -> float:
     """Gain by which places are ordered; a geometric identity has to be accused clearly."""
     return part.gain * (1.0 - IDENTITY if part.place.stage == "kinematics" else 1.0)
+
+
+def likeliest(ranking: Ranking) -> dict[str, GreyBox]:
+    """Fits with each of the best candidates, for their signatures."""
+    return {refit.name: refit.fit for refit in ranking.refits[:N_RIVALS]}
 
 
 def _discrepancy(part: Evidence, times: Sequence[np.ndarray]) -> tuple[Series, ...]:

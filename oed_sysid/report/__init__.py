@@ -14,6 +14,7 @@ from oed_sysid.report.design_plots import (
     plot_bode,
     plot_sensitivity,
 )
+from oed_sysid.report.diagnosis_page import diagnosis_page
 from oed_sysid.report.fit_page import fit_page
 from oed_sysid.report.fit_plots import (
     figure_fit,
@@ -49,6 +50,7 @@ __all__ = [
     "Table",
     "comparison_page",
     "design_page",
+    "diagnosis_page",
     "figure_design",
     "figure_fit",
     "figure_force",

@@ -68,7 +68,8 @@ def plot_residual_force(
         )  # fmt: skip
     ax.set(xlabel="time $t$ [s]", ylabel=f"residual {_name(located, equation)}")
     clean(ax)
-    spread_legend(ax, loc="upper right", ncols=3, fontsize=8)
+    legend = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "borderaxespad": 0.0}
+    spread_legend(ax, ncols=3, fontsize=8, **legend)
     return ax
 
 

@@ -8,8 +8,8 @@ from oed_sysid.dataset import Dataset
 from oed_sysid.diagnosis.compare import Comparison
 from oed_sysid.diagnosis.improvement import Improvement
 from oed_sysid.report.comparison_page import comparison_sections
-from oed_sysid.report.force_plots import figure_force
-from oed_sysid.report.improvement_plots import plot_error_fall, plot_located, plot_ranking
+from oed_sysid.report.diagnosis_page import evidence_section, located_section
+from oed_sysid.report.improvement_plots import plot_error_fall
 from oed_sysid.report.page import Page, Picture, Section, Table
 from oed_sysid.report.style import new_figure
 
@@ -37,7 +37,11 @@ def improvement_page(
     before, after = improvement.base_error, improvement.final_error
     which = "test" if np.isfinite(after["test"]) else "train"
     records = "untouched" if which == "test" else "training"
-    sections = [_steps(improvement), _located(improvement, train), _evidence(improvement)]
+    sections = [
+        _steps(improvement),
+        located_section(improvement.location, train),
+        evidence_section(improvement.ranking),
+    ]
     if comparison is not None:
         sections += comparison_sections(comparison)
     sections += [
@@ -126,61 +130,6 @@ def _steps(improvement: Improvement) -> Section:
         words.append(f"Refused, because the untouched records became less likely: {refused}.")
     tables = (Table(headers, rows, words=(6,)),) if rows else ()
     return Section("What is missing", tuple(words), tables=tables, pictures=(picture,))
-
-
-def _located(improvement: Improvement, train: Dataset | None) -> Section:
-    located = improvement.location
-    figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.3 * min(len(located.evidence), 14)))
-    plot_located(located, ax=axes[0, 0])
-    pictures = [
-        Picture.of(
-            figure,
-            "Gain that a disturbance at each place of the signal chain brings over noise alone. "
-            "Beyond the line it is more than chance.",
-        )
-    ]
-    words = [located.verdict]
-    if located.best is not None and train is not None and located.force_names:
-        equation = max(located.force_names, key=lambda n: located.evidence.get(f"force {n}", 0.0))
-        pictures.append(
-            Picture.of(
-                figure_force(located, equation, train),
-                f"Residual force of the {equation} equation: over time with its 95 % band, and "
-                "against measured signals and commands (points: means with 95 % intervals). A "
-                "curve that repeats itself is a law that the model lacks.",
-            )
-        )
-        words.append(
-            "A residual force is the part of the missing force that the free parameters could not "
-            "absorb, not the missing force itself."
-        )
-    return Section("Where the believed model fails", tuple(words), pictures=tuple(pictures))
-
-
-def _evidence(improvement: Improvement) -> Section:
-    ranking = improvement.ranking
-    figure, axes = new_figure(1, 1, size=(8.4, 5.2))
-    plot_ranking(ranking, ax=axes[0, 0])
-    picture = Picture.of(
-        figure,
-        "The candidates in the first round. The score is computed without refitting; the most "
-        "promising candidates are then refitted.",
-    )
-    hidden = ranking.undetectable()
-    words = []
-    tables = []
-    if hidden:
-        words.append(
-            f"{len(hidden)} of {len(ranking.scores)} candidates would not be seen in these "
-            "records at their typical size. That they were not found says nothing about them."
-        )
-        rows = tuple(
-            (name, ", ".join(f"{key} {value:.3g}" for key, value in limits.items()) or "any size")
-            for name, limits in hidden.items()
-        )
-        headers = ("candidate", "would be seen from")
-        tables.append(Table(headers, rows, caption="Invisible at typical size", words=(1,)))
-    return Section("Evidence", tuple(words), tuple(tables), (picture,))
 
 
 def _estimates(improvement: Improvement) -> Section:

@@ -1,0 +1,98 @@
+"""The report on a diagnosis: where a model fails, and which effects would explain it."""
+
+from __future__ import annotations
+
+from oed_sysid.dataset import Dataset
+from oed_sysid.diagnosis.diagnose import Diagnosis
+from oed_sysid.diagnosis.locate import Located
+from oed_sysid.diagnosis.rank import Ranking
+from oed_sysid.report.force_plots import figure_force
+from oed_sysid.report.improvement_plots import plot_located, plot_ranking
+from oed_sysid.report.page import Page, Picture, Section, Table
+from oed_sysid.report.style import new_figure
+
+
+def diagnosis_page(diagnosis: Diagnosis, train: Dataset | None = None, *, title: str = "") -> Page:
+    """Compose the report on a diagnosis.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        The finding.
+    train : Dataset, optional
+        Its records, to draw residual forces against their signals.
+    title : str
+        Heading; by default the name of the model.
+    """
+    group = diagnosis.group
+    if not group:
+        missing = "No candidate explains more than chance does."
+    elif len(group) == 1:
+        missing = f"Missing, as far as these records can tell: {group[0]}."
+    else:
+        missing = f"Missing, and these records cannot tell which: {', '.join(group)}."
+    return Page(
+        title=title or diagnosis.model.name,
+        subtitle="Where the model fails and what may be missing; nothing was added",
+        verdict=(diagnosis.location.verdict, missing),
+        sections=(
+            located_section(diagnosis.location, train),
+            evidence_section(diagnosis.ranking),
+            Section("Equations of the believed model", listing=diagnosis.model.equations()),
+        ),
+    )
+
+
+def located_section(located: Located, train: Dataset | None) -> Section:
+    """Where the believed model fails, with residual forces where the records are given."""
+    figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.3 * min(len(located.evidence), 14)))
+    plot_located(located, ax=axes[0, 0])
+    pictures = [
+        Picture.of(
+            figure,
+            "Gain that a disturbance at each place of the signal chain brings over noise alone. "
+            "Beyond the line it is more than chance.",
+        )
+    ]
+    words = [located.verdict]
+    if located.best is not None and train is not None and located.force_names:
+        equation = max(located.force_names, key=lambda n: located.evidence.get(f"force {n}", 0.0))
+        pictures.append(
+            Picture.of(
+                figure_force(located, equation, train),
+                f"Residual force of the {equation} equation: over time with its 95 % band, and "
+                "against measured signals and commands (points: means with 95 % intervals). A "
+                "curve that repeats itself is a law that the model lacks.",
+            )
+        )
+        words.append(
+            "A residual force is the part of the missing force that the free parameters could not "
+            "absorb, not the missing force itself."
+        )
+    return Section("Where the believed model fails", tuple(words), pictures=tuple(pictures))
+
+
+def evidence_section(ranking: Ranking) -> Section:
+    """Candidates by evidence, and those that the records would not show."""
+    figure, axes = new_figure(1, 1, size=(8.4, 5.2))
+    plot_ranking(ranking, ax=axes[0, 0])
+    picture = Picture.of(
+        figure,
+        "The candidates in the first round. The score is computed without refitting; the most "
+        "promising candidates are then refitted.",
+    )
+    hidden = ranking.undetectable()
+    words = []
+    tables = []
+    if hidden:
+        words.append(
+            f"{len(hidden)} of {len(ranking.scores)} candidates would not be seen in these "
+            "records at their typical size. That they were not found says nothing about them."
+        )
+        rows = tuple(
+            (name, ", ".join(f"{key} {value:.3g}" for key, value in limits.items()) or "any size")
+            for name, limits in hidden.items()
+        )
+        headers = ("candidate", "would be seen from")
+        tables.append(Table(headers, rows, caption="Invisible at typical size", words=(1,)))
+    return Section("Evidence", tuple(words), tuple(tables), (picture,))
