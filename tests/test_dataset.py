@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -315,8 +314,8 @@ def test_round_trip(tmp_path: Path) -> None:
     assert after.missing_outputs == ("q",)
 
 
-def test_reading_is_quick(tmp_path: Path) -> None:
-    """10 000 rows of 14 columns are read in a fraction of a second."""
+def test_a_long_file_is_read_whole(tmp_path: Path) -> None:
+    """10 000 rows of 14 columns, some cells empty, come back as they were written."""
     n_rows = 10_000
     outputs = tuple(Output(f"y{i}", "m") for i in range(13))
     values = np.random.default_rng(2).normal(size=(n_rows, 13))
@@ -324,14 +323,9 @@ def test_reading_is_quick(tmp_path: Path) -> None:
     channels = Channels((), outputs)
     path = tmp_path / "long.csv"
     write_csv(Record("long", 0.05 * np.arange(n_rows), [], values, channels), path)
-    durations = []
-    for _ in range(3):
-        start = time.perf_counter()
-        data = read_csv(path, channels)
-        durations.append(time.perf_counter() - start)
+    data = read_csv(path, channels)
     assert data[0].outputs.shape == (n_rows, 13)
-    # Around 0.08 s on a quiet machine; the margin is for busy ones.
-    assert min(durations) < 0.5
+    np.testing.assert_allclose(data[0].outputs, values, rtol=1e-11)
 
 
 def test_dataset_access() -> None:
