@@ -7,11 +7,15 @@ estimation was measured to take up to five times as long with two threads.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
-from functools import lru_cache
-from typing import Any
+from functools import lru_cache, wraps
+from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
 
 
 def one_thread() -> AbstractContextManager[Any]:
@@ -21,6 +25,24 @@ def one_thread() -> AbstractContextManager[Any]:
     ...     pass
     """
     return _controller().limit(limits=1)
+
+
+def single_threaded(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
+    """Let a function run with one thread for linear algebra.
+
+    >>> @single_threaded
+    ... def half(value: float) -> float:
+    ...     return value / 2
+    >>> half(3.0)
+    1.5
+    """
+
+    @wraps(function)
+    def run(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
+        with one_thread():
+            return function(*args, **kwargs)
+
+    return run
 
 
 @lru_cache(maxsize=1)

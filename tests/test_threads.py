@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from oed_sysid.threads import one_thread
+import oed_sysid
+from oed_sysid.threads import one_thread, single_threaded
 
 
 def counts() -> set[int]:
@@ -24,3 +25,23 @@ def test_one_thread_inside_and_as_before_outside() -> None:
         except KeyError:
             pass
         assert counts() == before
+
+
+def test_decorated_function_runs_on_one_thread() -> None:
+    """The limit holds during the call, results and names pass through."""
+
+    @single_threaded
+    def inside(value: float) -> tuple[float, set[int]]:
+        return value, counts()
+
+    one_thread()
+    with threadpool_limits(2):
+        assert inside(3.0) == (3.0, {1})
+        assert counts() != {1}
+    assert inside.__name__ == "inside"
+
+
+def test_long_public_calls_are_single_threaded() -> None:
+    """What a user calls and waits for does not let threads compete for small matrices."""
+    for verb in ("improve", "diagnose", "compare", "design_experiment", "rank_parameters"):
+        assert hasattr(getattr(oed_sysid, verb), "__wrapped__"), verb

@@ -27,8 +27,10 @@ from oed_sysid.model import Model
 
 from oed_sysid.sensitivity.noise import Colour, Levels as NoiseLevels  # isort: skip
 from oed_sysid.simulate import simulate_inputs
+from oed_sysid.threads import single_threaded
 
 
+@single_threaded
 def design_experiment(
     model: Model | Fit,
     *,

@@ -18,6 +18,7 @@ from oed_sysid.fit import Fit, align
 from oed_sysid.kernels import kernel
 from oed_sysid.model import Model
 from oed_sysid.prediction import WAYS, Initial, Prediction, predict
+from oed_sysid.threads import single_threaded
 
 TWO_SIDED_95 = 1.959964
 # An estimated noise level this far above what the fastest wiggles show is suspect.
@@ -176,6 +177,7 @@ class Comparison:
         }
 
 
+@single_threaded
 def compare(
     fits: Fit | Model | Sequence[Fit | Model] | Mapping[str, Fit | Model],
     dataset: Dataset,

@@ -12,6 +12,7 @@ from oed_sysid.diagnosis.rank import Ranking, rank
 from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.effects import Effect
 from oed_sysid.model import Model
+from oed_sysid.threads import single_threaded
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,7 @@ class Diagnosis:
         }
 
 
+@single_threaded
 def diagnose(
     model: Model, dataset: Dataset, *, candidates: Sequence[Effect], known_noise: bool = False
 ) -> Diagnosis:

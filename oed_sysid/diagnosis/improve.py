@@ -26,6 +26,7 @@ from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.effects import Effect
 from oed_sysid.errors import DataError
 from oed_sysid.model import Model
+from oed_sysid.threads import single_threaded
 
 # A rival must be this much more likely to take an earlier effect's place.
 SWAP_MARGIN = 6.0
@@ -42,6 +43,7 @@ class _State:
     bench: Workbench
 
 
+@single_threaded
 def improve(
     model: Model,
     train: Dataset,

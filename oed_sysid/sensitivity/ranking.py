@@ -17,6 +17,7 @@ from oed_sysid.sensitivity.bound import information_of
 from oed_sysid.sensitivity.noise import Colour, Levels
 from oed_sysid.sensitivity.response import Play, Run, plays
 from oed_sysid.simulate.trajectory import state_names
+from oed_sysid.threads import single_threaded
 
 # An error of the estimate beyond this share of the value counts as not determined.
 POOR = 0.5
@@ -159,6 +160,7 @@ class SensitivityRanking:
         }
 
 
+@single_threaded
 def rank_parameters(
     model: Model,
     runs: Run | Dataset | Iterable[Run],
