@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # Examples that take more than a few seconds.
-SLOW: tuple[str, ...] = ("slocum_glider",)
+SLOW: tuple[str, ...] = ("find_missing_physics", "slocum_glider")
 # Examples on measured data of third parties, which is not shipped.
 MEASURED = (
     "roll_decay",
