@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from oed_sysid.native import compile as compiling
 
 ROOT = Path(__file__).resolve().parent.parent
 PROGRAM = """
@@ -94,3 +97,32 @@ def test_cache_that_cannot_be_written(tmp_path: Path) -> None:
     result, said = finish(begin(occupied))
     assert result.startswith("False")
     assert "cannot be written" in said
+
+
+def test_changed_source_is_another_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Text and flags of a source enter its name: neither a stale nor a needless compilation."""
+    monkeypatch.setenv("OED_SYSID_CACHE", str(tmp_path))
+
+    def answer(text: str, *flags: str) -> int:
+        library = compiling.load_source("answer", lambda: text, what="a number", flags=flags)
+        assert library is not None
+        return library.answer()
+
+    assert answer("int answer(void) { return 1; }") == 1
+    assert answer("int answer(void) { return 2; }") == 2
+    assert answer("int answer(void) { return ANSWER; }", "-DANSWER=3") == 3
+    assert answer("int answer(void) { return ANSWER; }", "-DANSWER=4") == 4
+    assert capfd.readouterr().err.count("compiling") == 4
+    assert answer("int answer(void) { return 1; }") == 1
+    assert "compiling" not in capfd.readouterr().err
+
+
+def test_models_depend_on_their_own_source_only() -> None:
+    """The name of a model's library depends on the C file it includes and on no other."""
+    native = ROOT / "oed_sysid" / "native"
+    included = set(re.findall(r'"(\w+\.c)"', (native / "generate.py").read_text()))
+    included &= {path.name for path in native.glob("*.c")}
+    counted = {Path(name).name for name in compiling._GENERATOR if name.endswith(".c")}
+    assert counted == included == {"trajectory.c"}

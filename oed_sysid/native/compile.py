@@ -45,27 +45,31 @@ def _compiler() -> str | None:
     return None
 
 
+# What the code of a model is generated from.
+_GENERATOR = ("graph.py", "expressions.py", "native/generate.py", "native/trajectory.c")
+
+
 @lru_cache(maxsize=1)
-def _tool_digest() -> str:
-    """Digest of the generator, the libraries and the machine the code is for."""
+def _machine_digest() -> str:
+    """Digest of the compiler and the processor the code is for."""
     digest = hashlib.sha256()
-    package = files("oed_sysid")
-    for name in (
-        "graph.py",
-        "expressions.py",
-        "native/generate.py",
-        "native/trajectory.c",
-        "native/innovations.c",
-        "native/smoother.c",
-    ):
-        digest.update(package.joinpath(name).read_bytes())
     digest.update(repr((ca.CasadiMeta.version(), _FLAGS, _compiler(), platform.machine())).encode())
     try:  # -march=native: another processor needs its own code
         with open("/proc/cpuinfo") as handle:
             digest.update(next((line for line in handle if line.startswith("flags")), "").encode())
     except OSError:
         digest.update(platform.processor().encode())
-    return digest.hexdigest()[:16]
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _generator_digest() -> str:
+    """Digest of the files that turn a model's structure into code."""
+    digest = hashlib.sha256()
+    package = files("oed_sysid")
+    for name in _GENERATOR:
+        digest.update(package.joinpath(name).read_bytes())
+    return digest.hexdigest()
 
 
 def load(model: Model, *, selectable: bool = False) -> ctypes.CDLL | None:
@@ -79,30 +83,45 @@ def load(model: Model, *, selectable: bool = False) -> ctypes.CDLL | None:
         lambda: source(build(model)),
         what=f"the equations of {model.name!r}",
         flags=flags,
+        made_by=_generator_digest(),
     )
 
 
 def load_source(
-    key: str, write: Callable[[], str], *, what: str, flags: tuple[str, ...] = ()
+    key: str,
+    write: Callable[[], str],
+    *,
+    what: str,
+    flags: tuple[str, ...] = (),
+    made_by: str | None = None,
 ) -> ctypes.CDLL | None:
     """Return the library of any generated C source, compiling it if need be.
+
+    A library is found again under a name that holds the key and digests of its
+    source, the flags, the compiler and the processor; another library's source
+    does not enter, so that a change of one recompiles no other.
 
     Parameters
     ----------
     key : str
-        Digest of whatever shapes the source.
+        What the source is, and digest of whatever shapes it.
     write : callable
-        Returns the source; called only when it has to be compiled.
+        Returns the source; with ``made_by`` called only when it has to be compiled.
     what : str
         Words for the message while compiling.
     flags : tuple of str
         Further compiler flags.
+    made_by : str, optional
+        Digest of what writes the source, where writing takes long; by default
+        the source itself is digested.
     """
     compiler = _compiler()
     if compiler is None:
         _say_interpreted("no C compiler (gcc or clang) was found")
         return None
-    library = cache_folder() / f"{key}-{_tool_digest()}.so"
+    shape = (_machine_digest(), flags, made_by or write())
+    digest = hashlib.sha256(repr(shape).encode()).hexdigest()[:16]
+    library = cache_folder() / f"{key}-{digest}.so"
     if not _intact(library):
         try:
             _compile(write, what, compiler, flags, library)
