@@ -7,6 +7,7 @@ import pytest
 
 from oed_sysid.diagnosis import innovations as filters
 from oed_sysid.diagnosis.innovations import Deviations, NoiseModel, whiten
+from oed_sysid.diagnosis.lanes import innovations_by_model
 from oed_sysid.diagnosis.noise import estimate_noise
 
 N_TIMES, N_STATES, N_FORCES, N_OUTPUTS = 9, 3, 2, 2
@@ -82,6 +83,38 @@ def test_jobs_side_by_side_are_those_one_by_one() -> None:
     together = filters.innovations(jobs)
     for job, found in zip(jobs, together, strict=True):
         np.testing.assert_array_equal(found.white, filters.innovations([job])[0].white)
+
+
+@pytest.mark.parametrize("n_models", [3, 11])
+def test_models_in_lanes_are_those_one_by_one(n_models: int) -> None:
+    """Residuals filtered under many noise models at once give what each model gives alone."""
+    rng = np.random.default_rng(3)
+    models = [
+        noise_model("coloured").with_levels(
+            WHITE * rng.uniform(0.5, 2), COLOUR * (i % 3), FORCE * (i % 4)
+        )
+        for i in range(n_models)
+    ]
+    records = [small_record(seed) for seed in range(2)]
+    series = [rng.standard_normal((N_TIMES, N_OUTPUTS, 1)) for _ in records]
+    series[1][5] = np.nan
+    together = innovations_by_model(models, records, series)
+    for model, row in zip(models, together, strict=True):
+        for record, column, found in zip(records, series, row, strict=True):
+            alone = filters.innovations([(model, record, column)])[0]
+            np.testing.assert_allclose(found.white, alone.white, rtol=1e-10, atol=1e-12)
+            np.testing.assert_allclose(found.roots, alone.roots, rtol=1e-12)
+
+
+def test_a_lane_that_breaks_down_leaves_the_others_alone() -> None:
+    """A covariance that is not positive definite is infinite for its own model only."""
+    good = noise_model("coloured")
+    bad = good.with_levels(0 * WHITE, 0 * COLOUR, 0 * FORCE + [0.0, 1e-9])
+    column = np.random.default_rng(4).standard_normal((N_TIMES, N_OUTPUTS, 1))
+    found = innovations_by_model([good, bad, good], [small_record()], [column])
+    assert np.isfinite(found[0][0].log_determinant)
+    assert found[2][0].log_determinant == pytest.approx(found[0][0].log_determinant)
+    assert not np.isfinite(found[1][0].log_determinant)
 
 
 def long_record(n_times: int) -> Deviations:

@@ -120,7 +120,7 @@ def innovations(jobs: Sequence[Job]) -> list[Innovations]:
     """
     if len(jobs) == 1:
         return [_filter(jobs[0])]
-    return list(_pool().map(_filter, jobs))
+    return list(pool().map(_filter, jobs))
 
 
 def whiten(
@@ -140,7 +140,8 @@ def whiten(
 
 
 @lru_cache(maxsize=1)
-def _pool() -> ThreadPoolExecutor:
+def pool() -> ThreadPoolExecutor:
+    """Threads that run compiled filters side by side."""
     return ThreadPoolExecutor(max_workers=os.cpu_count() or 1)
 
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.diagnosis.innovations import Deviations, Innovations, NoiseModel, innovations
+from oed_sysid.diagnosis.innovations import Deviations, Innovations, NoiseModel
+from oed_sysid.diagnosis.lanes import innovations_by_model
 from oed_sysid.gauss_newton import bounded_step
 from oed_sysid.information import autocorrelation
 
@@ -29,6 +30,7 @@ def estimate_noise(
     residuals: Sequence[np.ndarray],
     *,
     known: bool,
+    least_white: np.ndarray | None = None,
     tolerance: float = 0.01,
     max_iterations: int = 25,
 ) -> NoiseModel:
@@ -48,18 +50,23 @@ def estimate_noise(
         NaN where nothing was measured.
     known : bool
         Whether white levels are given and sensors have no other noise.
+    least_white : ndarray (n_outputs,), optional
+        Smallest white levels, in their unit: what disturbances may not explain away.
     tolerance : float
         Stop when minus twice the log-likelihood would fall by less.
     max_iterations : int
         Most scoring steps, without and with colour.
     """
     series = [residual[:, :, None] for residual in residuals]
-    search = _Search(units, deviations, series, known=known, coloured=start.has_colour)
+    floor = np.full(len(units.white), WHITE_FLOOR)
+    if least_white is not None:
+        floor = np.maximum(floor, (least_white / units.white) ** 2)
+    search = _Search(units, deviations, series, floor, known=known, coloured=start.has_colour)
     noise = search.run(start, tolerance, max_iterations)
     if known or noise.has_colour or not search.is_coloured(noise):
         return noise
     colour = np.where(noise.colour > 0, noise.colour, 0.3 * units.colour)
-    search = _Search(units, deviations, series, known=known, coloured=True)
+    search = _Search(units, deviations, series, floor, known=known, coloured=True)
     admitted = noise.with_levels(noise.white, colour, noise.force)
     return search.run(admitted, tolerance, max_iterations)
 
@@ -72,6 +79,7 @@ class _Search:
         units: NoiseModel,
         deviations: Sequence[Deviations],
         series: Sequence[np.ndarray],
+        white_floor: np.ndarray,
         *,
         known: bool,
         coloured: bool,
@@ -81,7 +89,7 @@ class _Search:
         self.n_forces, self.n_outputs = len(units.force), len(units.white)
         lower = [np.zeros(self.n_forces)]
         if not known:
-            lower.append(np.full(self.n_outputs, WHITE_FLOOR))
+            lower.append(white_floor)
         if coloured:
             lower.append(np.zeros(self.n_outputs))
         self.lower = np.concatenate(lower)
@@ -109,15 +117,9 @@ class _Search:
 
     def filter(self, variances: Sequence[np.ndarray]) -> list[list[Innovations]]:
         """Innovations of every record under several noise models, side by side."""
-        models = [self.model(v) for v in variances]
-        jobs = [
-            (noise, record, column)
-            for noise in models
-            for record, column in zip(self.deviations, self.series, strict=True)
-        ]
-        found = innovations(jobs)
-        n = len(self.series)
-        return [found[i * n : (i + 1) * n] for i in range(len(models))]
+        return innovations_by_model(
+            [self.model(v) for v in variances], self.deviations, self.series
+        )
 
     def run(self, start: NoiseModel, tolerance: float, max_iterations: int) -> NoiseModel:
         """Iterate until minus twice the log-likelihood would fall by less than the tolerance.
