@@ -119,6 +119,7 @@ def parse(expression: str) -> ast.expr:
     return tree
 
 
+@lru_cache(maxsize=4096)
 def names(expression: str) -> frozenset[str]:
     """Names that an expression refers to, functions excluded.
 
@@ -134,8 +135,14 @@ def names(expression: str) -> frozenset[str]:
 
 def functions(expression: str) -> frozenset[str]:
     """Names of the functions that an expression calls."""
-    return frozenset(
-        node.func.id
+    return frozenset(name for name, _ in _calls(expression))
+
+
+@lru_cache(maxsize=4096)
+def _calls(expression: str) -> tuple[tuple[str, int], ...]:
+    """Name and number of arguments of every call in an expression."""
+    return tuple(
+        (node.func.id, len(node.args))
         for node in ast.walk(parse(expression))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
     )
@@ -156,14 +163,12 @@ def check(expression: str, known: Iterable[str], *, where: str, tables: Iterable
             f"{where}: expression {expression!r} calls the unknown function {name!r}. "
             f"Known functions: {', '.join(FUNCTIONS)}."
         )
-    for node in ast.walk(parse(expression)):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-            expected = _ARGUMENT_COUNT.get(node.func.id, 1)
-            if len(node.args) != expected:
-                raise ModelError(
-                    f"{where}: {node.func.id} in {expression!r} got {len(node.args)} arguments, "
-                    f"expected {expected}."
-                )
+    for name, count in _calls(expression):
+        expected = _ARGUMENT_COUNT.get(name, 1)
+        if count != expected:
+            raise ModelError(
+                f"{where}: {name} in {expression!r} got {count} arguments, expected {expected}."
+            )
 
 
 _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {

@@ -22,6 +22,10 @@ from oed_sysid.errors import SimulationError
 # ratio within which the best is settled.
 LEVELS = (0.03, 0.12, 0.5, 2.0, 8.0)
 SETTLED = 1.15
+# At the edge of the levels tried, so small a gain is not followed.
+FLAT = 0.2
+# Levels tried beyond the first ones, at most.
+MOST_ROUNDS = 6
 # Relinearisations of the most likely places.
 REFINEMENTS = 2
 
@@ -82,15 +86,17 @@ def evidence(
         {float(x): s for x, s in zip(logs, solutions, strict=True)}
         for solutions in _at_levels(grounds, quiet, records, np.outer(units, LEVELS))
     ]
+    for _ in range(MOST_ROUNDS):
+        trials = {i: x for i, x in enumerate(map(_next_level, tables)) if x is not None}
+        if not trials:
+            break
+        wanted = [records[i] for i in trials]
+        sizes = np.array([[units[i] * np.exp(x)] for i, x in trials.items()])
+        for (i, x), parts in zip(
+            trials.items(), _at_levels(grounds, quiet, wanted, sizes), strict=True
+        ):
+            tables[i][x] = parts[0]
     best = [_best(table) for table in tables]
-    step = logs[1] - logs[0]
-    while step > np.log(SETTLED):
-        step /= 2.0
-        trials = np.array([[centre - step, centre + step] for centre in best])
-        solutions = _at_levels(grounds, quiet, records, units[:, None] * np.exp(trials))
-        for table, at, parts in zip(tables, trials, solutions, strict=True):
-            table.update({float(x): s for x, s in zip(at, parts, strict=True)})
-        best = [_best(table) for table in tables]
     result = []
     for position, index in enumerate(chosen):
         solution = tables[position][best[position]]
@@ -137,6 +143,29 @@ def _relinearised(linear: Along, present: Evidence) -> tuple[Along, Evidence]:
     again = system.linearise(nodes, linear.noise)
     index = again.where.index(present.place)
     return again, evidence(again, [index], correlation_time=present.noise.force_time)[0]
+
+
+def _next_level(table: dict[float, Restricted]) -> float | None:
+    """Logarithm of the level to try next; None where the best one is settled.
+
+    The vertex of the parabola through the best level and its neighbours, or
+    further out where the best one has a neighbour on one side only.
+    """
+    known = sorted(table)
+    index = known.index(_best(table))
+    if index in (0, len(known) - 1):
+        inward = known[1] if index == 0 else known[-2]
+        flat = table[inward].objective - table[known[index]].objective < FLAT
+        return None if flat else 2.0 * known[index] - inward
+    low, centre, high = known[index - 1 : index + 2]
+    left, right = centre - low, high - centre
+    below = (table[low].objective - table[centre].objective) / left
+    above = (table[high].objective - table[centre].objective) / right
+    if not np.isfinite(below + above):
+        trial = centre - 0.5 * left if np.isfinite(below) else centre + 0.5 * right
+    else:
+        trial = centre + 0.5 * (below * right - above * left) / max(below + above, 1e-12)
+    return None if min(abs(trial - x) for x in known) < np.log(SETTLED) else float(trial)
 
 
 def _best(table: dict[float, Restricted]) -> float:

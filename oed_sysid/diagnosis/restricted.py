@@ -114,11 +114,8 @@ def _restricted(
         matrix[np.ix_(where, where)] += gram[:-1, :-1]
         right[where] += gram[:-1, -1]
         square += float(gram[-1, -1])
-    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
-        # Without a disturbance that holds it, an unstable linear model leaves the numbers.
-        nothing = np.zeros(n_unknowns)
-        return Restricted(np.inf, nothing, np.outer(nothing, nothing))
     if not (np.isfinite(matrix).all() and np.isfinite(right).all() and np.isfinite(square)):
+        # Without a disturbance that holds it, an unstable linear model leaves the numbers.
         nothing = np.zeros(n_unknowns)
         return Restricted(np.inf, nothing, np.diag(nothing))
     size = np.sqrt(np.diag(matrix))
