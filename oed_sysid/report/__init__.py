@@ -33,13 +33,15 @@ from oed_sysid.report.force_plots import (
 )
 from oed_sysid.report.improvement_page import improvement_page
 from oed_sysid.report.improvement_plots import plot_error_fall, plot_located, plot_ranking
-from oed_sysid.report.page import Page, Picture, Section, Table
+from oed_sysid.report.page import Page, Picture, Section, Table, style_sheet
 from oed_sysid.report.prediction_plots import (
     figure_predictions,
     plot_comparison,
     plot_prediction,
     plot_prediction_error,
 )
+from oed_sysid.report.ranking_page import ranking_page
+from oed_sysid.report.record_plots import figure_record
 from oed_sysid.report.style import model_style, new_figure
 from oed_sysid.report.track_plots import plot_track, plot_zigzag
 
@@ -55,6 +57,7 @@ __all__ = [
     "figure_fit",
     "figure_force",
     "figure_predictions",
+    "figure_record",
     "figure_whiteness",
     "fit_page",
     "improvement_page",
@@ -79,4 +82,6 @@ __all__ = [
     "plot_sensitivity",
     "plot_track",
     "plot_zigzag",
+    "ranking_page",
+    "style_sheet",
 ]

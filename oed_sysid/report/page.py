@@ -65,6 +65,10 @@ class Section:
     pictures: tuple[Picture, ...] = ()
     listing: str = ""
 
+    def html(self) -> str:
+        """Return the part below the heading as HTML, to be put inside another page."""
+        return _template("section").render(section=self)
+
 
 @dataclass(frozen=True)
 class Page:
@@ -96,7 +100,11 @@ class Page:
 
     def html(self) -> str:
         """Return the page as HTML that refers to nothing outside itself."""
-        return _template().render(page=self, version=__version__)
+        return _template("page").render(page=self, version=__version__)
+
+    def summary_html(self) -> str:
+        """Return verdict and numbers as HTML, to be put inside another page."""
+        return _template("summary").render(page=self)
 
     def write(self, path: str | Path) -> Path:
         """Write the page and return its path.
@@ -117,11 +125,20 @@ class Page:
         return target
 
 
+def style_sheet() -> str:
+    """Return the rules (CSS) that pages and their parts are drawn with."""
+    text: str = _environment().get_template("style.css.j2").render()
+    return text
+
+
+def _template(name: str) -> jinja2.Template:
+    return _environment().get_template(f"{name}.html.j2")
+
+
 @cache
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
+def _environment() -> jinja2.Environment:
+    return jinja2.Environment(
         loader=jinja2.PackageLoader("oed_sysid.report", "templates"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
     )
-    return environment.get_template("page.html.j2")

@@ -1,0 +1,45 @@
+"""A measured record before anything is done with it."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from oed_sysid.channels import Input, Output
+from oed_sysid.record import Record
+from oed_sysid.report.style import DATA, DEGREE, TRUTH, clean, label, new_figure
+
+
+def figure_record(record: Record) -> Figure:
+    """Draw every input and output of a record over time; angles in degrees.
+
+    Commands are lines as they act between samples, measurements are dots; an
+    output that was not measured is left out.
+
+    Parameters
+    ----------
+    record : Record
+        The record.
+    """
+    measured = [o for o in record.channels.outputs if np.isfinite(record.output(o.name)).any()]
+    shown: list[Input | Output] = [*record.channels.inputs, *measured]
+    columns = 1 if len(shown) < 4 else 2
+    rows = -(-len(shown) // columns)
+    figure, grid = new_figure(rows, columns, size=(5.4 * columns, 1.9 * rows), sharex=True)
+    for ax, channel in zip(grid.T.flat, shown, strict=False):
+        turn = DEGREE if channel.unit in ("rad", "rad/s") else 1.0
+        if isinstance(channel, Input):
+            style = "steps-post" if channel.interpolation == "hold" else "default"
+            values = turn * record.input(channel.name)
+            ax.plot(record.times, values, color=TRUTH, lw=1.0, drawstyle=style)
+        else:
+            values = turn * record.output(channel.name)
+            ax.plot(record.times, values, ".", color=DATA, ms=2.0, rasterized=True)
+        text = label(channel, lines=2)
+        ax.set_ylabel(text.replace("[rad", "[deg") if turn != 1.0 else text)
+        clean(ax)
+    for ax in list(grid.T.flat)[len(shown) :]:
+        ax.set_visible(False)
+    for ax in grid[-1]:
+        ax.set_xlabel("time $t$ [s]")
+    return figure
