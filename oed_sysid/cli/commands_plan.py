@@ -43,6 +43,7 @@ def rank(
     ] = None,
     model: Variant = None,
     json_file: JsonFile = None,
+    html_file: HtmlFile = None,
 ) -> None:
     """Rank parameters by what experiments tell about them, before fitting anything.
 
@@ -61,6 +62,11 @@ def rank(
     say()
     say(subset.report())
     store({"ranking": ranking.to_dict(), "subset": subset.to_dict()}, json_file)
+    if html_file is not None:
+        from oed_sysid.report import ranking_page
+
+        page = ranking_page(ranking, subset, title=chosen.title)
+        note(f"Written: {page.write(html_file)}")
 
 
 def design(
@@ -77,6 +83,24 @@ def design(
     duration: Annotated[
         float | None,
         typer.Option("--duration", metavar="S", help="Length of the run, s.", show_default=False),
+    ] = None,
+    ranges: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--range",
+            metavar="LIMIT...",
+            help='Other limits of a command, as "rudder [deg]=-10:10".',
+            show_default=False,
+        ),
+    ] = None,
+    rates: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--rate",
+            metavar="LIMIT...",
+            help='How fast a command may change, as "rudder [deg/s]=5".',
+            show_default=False,
+        ),
     ] = None,
     criterion: Annotated[
         str, typer.Option("--criterion", metavar="D|A|E", help="What is good: see docs.")
@@ -133,6 +157,7 @@ def design(
     """
     import numpy as np
 
+    from oed_sysid.cli.limits import narrowed
     from oed_sysid.design import design_experiment
     from oed_sysid.fit import Fit
     from oed_sysid.problem import load_problem
@@ -143,7 +168,7 @@ def design(
     with progress("Designing") as show:
         found = design_experiment(
             Fit.load(after) if after else chosen.model,
-            limits=chosen.limits,
+            limits=narrowed(chosen.limits, chosen.model, ranges or [], rates or []),
             duration=duration or float(pattern.duration or 0.0),
             sample_time=pattern.sample_time,
             rng=np.random.default_rng(seed),

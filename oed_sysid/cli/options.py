@@ -10,6 +10,7 @@ import typer
 # Options that take several values after one flag; see oed_sysid.cli.arguments.
 SEVERAL = (
     *("--train", "--test", "--experiment", "--records", "--with", "--discriminate"),
+    *("--range", "--rate"),
     *("--problems", "--estimators", "--noise", "--sampling"),
 )
 
