@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from oed_sysid.cli import (
+    commands_app,
     commands_benchmark,
     commands_data,
     commands_fit,
@@ -53,7 +54,7 @@ def _settings(
     pass  # --debug is taken out of the command line before, in oed_sysid.cli.main
 
 
-for module in (commands_data, commands_plan, commands_fit, commands_improve):
+for module in (commands_data, commands_plan, commands_fit, commands_improve, commands_app):
     for command in module.COMMANDS:
-        app.command(no_args_is_help=command.__name__ != "problems")(command)
+        app.command(no_args_is_help=command.__name__ not in ("problems", "app"))(command)
 app.add_typer(commands_benchmark.app)

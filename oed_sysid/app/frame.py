@@ -1,0 +1,102 @@
+"""The frame around the pages: navigation, what is being studied, errors in words."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from functools import partial
+
+import streamlit as st
+
+from oed_sysid.app import (
+    choices,
+    page_compare,
+    page_fit,
+    page_improve,
+    page_plan,
+    page_problem,
+    page_report,
+)
+from oed_sysid.app.jobs import unexpected
+from oed_sysid.app.panels import message, style
+from oed_sysid.app.study import Study
+from oed_sysid.errors import OedSysidError
+
+# Title, address and symbol of each page, in the order of the work.
+PAGES: tuple[tuple[str, str, str, Callable[[Study], None]], ...] = (
+    ("Fit", "fit", "tune", page_fit.show),
+    ("Compare and diagnose", "compare", "compare_arrows", page_compare.show),
+    ("Improve", "improve", "add_circle", page_improve.show),
+    ("Plan the next trial", "plan", "route", page_plan.show),
+    ("Report", "report", "description", page_report.show),
+)
+
+
+def show(initial: str | None = None) -> None:
+    """Draw the application.
+
+    Parameters
+    ----------
+    initial : str, optional
+        Problem to begin with.
+    """
+    st.set_page_config("oed_sysid", ":material/sailing:", layout="wide")
+    choices.begin(initial)
+    style()
+    first = st.Page(
+        _guarded(page_problem.show),
+        title="Problem",
+        url_path="problem",
+        icon=":material/directions_boat:",
+        default=True,
+    )
+    others = [
+        st.Page(
+            _guarded(partial(_draw, draw)),
+            title=title,
+            url_path=address,
+            icon=f":material/{symbol}:",
+        )
+        for title, address, symbol, draw in PAGES
+    ]
+    st.session_state["pages"] = {page.title: page for page in (first, *others)}
+    page = st.navigation([first, *others])
+    page.run()
+    if page in (order := [first, *others][:-1]):
+        following = others[order.index(page)]
+        if st.button(f"Next: {following.title}", icon=":material/arrow_forward:", key="next"):
+            st.switch_page(following)
+    with st.sidebar:
+        _guarded(_aside)()
+
+
+def _draw(page: Callable[[Study], None]) -> None:
+    page(choices.study())
+
+
+def _aside() -> None:
+    """Say what is being studied; what is wrong with it, the page says."""
+    try:
+        study = choices.study()
+    except OedSysidError:
+        return
+    st.divider()
+    st.markdown(f"**{study.problem.title}**")
+    parts = (("Learn from", study.train), ("Judge with", study.test))
+    for words, records in parts:
+        st.caption(f"{words}: {', '.join(records.names) if records else 'none'}")
+
+
+def _guarded(draw: Callable[[], None]) -> Callable[[], None]:
+    """Draw, and say in words what cannot be drawn."""
+
+    def drawn() -> None:
+        try:
+            draw()
+        except OedSysidError as error:
+            message(str(error))
+        except Exception as error:
+            traceback.print_exc()  # for the terminal
+            message(unexpected(error))
+
+    return drawn

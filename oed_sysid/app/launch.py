@@ -1,0 +1,78 @@
+"""Start the application: one local server, no telemetry, nothing fetched."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+from oed_sysid.errors import OedSysidError
+from oed_sysid.problem import load_problem
+
+_SCRIPT = Path(__file__).with_name("flow.py")
+_LARGEST_UPLOAD = 200  # MB
+
+
+def command(problem: str | None = None, *, port: int = 8501, browser: bool = True) -> list[str]:
+    """Return the command line that runs the server.
+
+    Parameters
+    ----------
+    problem : str, optional
+        Problem to begin with: a shipped name or a folder.
+    port : int
+        Port of this computer; the server answers nobody else.
+    browser : bool
+        Whether to open a browser.
+
+    Raises
+    ------
+    OedSysidError
+        If the port or the problem cannot be, or streamlit is not installed.
+    """
+    if not 1024 <= port <= 65535:
+        raise OedSysidError(f"The port is {port}. Give one from 1024 to 65535, such as 8501.")
+    if find_spec("streamlit") is None:
+        raise OedSysidError(
+            "The application needs the library streamlit, which is not installed. Install it with: "
+            'pip install "oed_sysid[app]"'
+        )
+    if problem is not None:
+        load_problem(problem)  # said here, before a browser opens, if it cannot be
+    settings = {
+        "server.address": "localhost",
+        "server.port": str(port),
+        "server.headless": "false" if browser else "true",
+        "server.showEmailPrompt": "false",
+        "server.fileWatcherType": "none",
+        "server.maxUploadSize": str(_LARGEST_UPLOAD),
+        "browser.gatherUsageStats": "false",
+        "client.toolbarMode": "minimal",
+        "client.showErrorDetails": "none",
+        # The pictures are drawn on white.
+        "theme.base": "light",
+        "theme.primaryColor": "#0072B2",
+        "theme.textColor": "#1b1f24",
+        "theme.secondaryBackgroundColor": "#f4f6f8",
+    }
+    options = [f"--{name}={value}" for name, value in settings.items()]
+    given = [] if problem is None else ["--", problem]
+    return [sys.executable, "-m", "streamlit", "run", str(_SCRIPT), *options, *given]
+
+
+def start(problem: str | None = None, *, port: int = 8501, browser: bool = True) -> int:
+    """Run the server until it is interrupted; parameters as for :func:`command`.
+
+    Returns
+    -------
+    int
+        Its exit code, zero when it was interrupted.
+    """
+    process = subprocess.Popen(command(problem, port=port, browser=browser))
+    try:
+        return process.wait()
+    except KeyboardInterrupt:
+        process.terminate()
+        process.wait()
+        return 0

@@ -1,0 +1,103 @@
+"""What is being studied: a problem, the records to learn from and those to judge with."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.dataset import Dataset
+from oed_sysid.errors import DataError
+from oed_sysid.problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A problem and the records that were chosen for it.
+
+    Parameters
+    ----------
+    source : str
+        Shipped name or folder of the problem, as the user gave it.
+    variant : str
+        Which of its models is believed.
+    problem : Problem
+        The problem, that model believed.
+    train, test : Dataset or None
+        Records to learn from; untouched records.
+    known_noise : bool
+        Whether the declared noise levels are trusted.
+    """
+
+    source: str
+    variant: str
+    problem: Problem
+    train: Dataset | None = None
+    test: Dataset | None = None
+    known_noise: bool = False
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """What it is, by content: equal studies have equal results."""
+        return (
+            self.source,
+            self.variant,
+            digest(repr(self.problem.model), repr(self.problem.effects), repr(self.problem.limits)),
+            content(self.train),
+            content(self.test),
+            str(self.known_noise),
+        )
+
+    @property
+    def noise(self) -> str:
+        """The estimator's setting for noise levels."""
+        return "given" if self.known_noise else "auto"
+
+    def training(self) -> Dataset:
+        """Return the records to learn from.
+
+        Raises
+        ------
+        DataError
+            If none were chosen.
+        """
+        if self.train is None:
+            raise DataError("There is no record to learn from. Choose one on the page Problem.")
+        return self.train
+
+    def untouched(self) -> Dataset:
+        """Return the untouched records.
+
+        Raises
+        ------
+        DataError
+            If none were chosen.
+        """
+        if self.test is None:
+            raise DataError("There is no untouched record. Choose one on the page Problem.")
+        return self.test
+
+
+def content(dataset: Dataset | None) -> str:
+    """Digest of the names and numbers of records."""
+    if dataset is None:
+        return "none"
+    parts: list[str | bytes] = []
+    for record in dataset:
+        parts.append(record.name)
+        parts += [_bytes(part) for part in (record.times, record.inputs, record.outputs)]
+    return digest(*parts)
+
+
+def digest(*parts: str | bytes) -> str:
+    """Short hash of texts or bytes."""
+    total = hashlib.sha256()
+    for part in parts:
+        total.update(part.encode() if isinstance(part, str) else part)
+        total.update(b"\0")
+    return total.hexdigest()[:16]
+
+
+def _bytes(values: np.ndarray) -> bytes:
+    return np.ascontiguousarray(values).tobytes()

@@ -1,0 +1,216 @@
+"""What the pages ask for: each task calls the package and composes the page on its result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from oed_sysid.app.jobs import Tell
+from oed_sysid.app.study import Study
+from oed_sysid.errors import DesignError
+from oed_sysid.estimators import MultipleShooting
+from oed_sysid.experiment import Limits
+
+if TYPE_CHECKING:
+    from oed_sysid.fit import Fit
+    from oed_sysid.model import Model
+    from oed_sysid.report import Page
+
+BELIEVED = "as believed"
+_DRAWING = "drawing"
+# Starts that are refined, rough manoeuvres tried, and steps of refinement.
+EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A result of the package, and the page on it."""
+
+    result: Any
+    page: Page
+
+
+@dataclass(frozen=True)
+class DesignWish:
+    """What a designed experiment shall be; as the options of ``oed-sysid design``.
+
+    Parameters
+    ----------
+    like : str
+        Experiment that lends sampling, constant inputs and start state.
+    duration : float
+        Length, s.
+    ranges : tuple of (str, float, float)
+        Input, least and largest command, SI.
+    rates : tuple of (str, float)
+        Input and largest slope, SI per second.
+    criterion, family, effort : str
+        As on the command line.
+    rivals : tuple of str
+        Candidates to tell apart; then no criterion is needed.
+    after_fit : bool
+        Whether to complete what the training records told already.
+    seed : int
+        Of the search.
+    """
+
+    like: str
+    duration: float
+    ranges: tuple[tuple[str, float, float], ...] = ()
+    rates: tuple[tuple[str, float], ...] = ()
+    criterion: str = "D"
+    family: str = "levels"
+    effort: str = "quick"
+    rivals: tuple[str, ...] = ()
+    after_fit: bool = False
+    seed: int = 0
+
+
+def fit(study: Study, tell: Tell) -> Outcome:
+    """Estimate the parameters of the believed model."""
+    from oed_sysid.report import fit_page
+
+    result = _fit(study, study.problem.model, tell)
+    tell(_DRAWING)
+    return Outcome(result, fit_page(result))
+
+
+def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outcome:
+    """Fit the believed model, and with each group of effects added; judge on untouched records."""
+    from oed_sysid.diagnosis.compare import compare as compare_models
+    from oed_sysid.report import comparison_page
+
+    untouched = study.untouched()
+    models = {BELIEVED: study.problem.model}
+    for names in groups:
+        effects = [study.problem.effect(name) for name in names]
+        models[f"with {' and '.join(names)}"] = study.problem.model + effects
+    fits = {name: _fit(study, model, tell) for name, model in models.items()}
+    tell("predicting the untouched records")
+    result = compare_models(fits, untouched)
+    tell(_DRAWING)
+    return Outcome(result, comparison_page(result, title=study.problem.title))
+
+
+def diagnose(study: Study, tell: Tell) -> Outcome:
+    """Say where the believed model fails and what may be missing."""
+    from oed_sysid.diagnosis.diagnose import diagnose as look
+    from oed_sysid.report import diagnosis_page
+
+    problem, train = study.problem, study.training()
+    tell("looking where the model fails, and scoring all candidates")
+    result = look(problem.model, train, candidates=problem.effects, known_noise=study.known_noise)
+    tell(_DRAWING)
+    return Outcome(result, diagnosis_page(result, train, title=problem.title))
+
+
+def improve(study: Study, max_effects: int, tell: Tell) -> Outcome:
+    """Find the effects that the believed model lacks."""
+    from oed_sysid.diagnosis.compare import compare as compare_models
+    from oed_sysid.diagnosis.improve import improve as search
+    from oed_sysid.report import improvement_page
+
+    problem, train = study.problem, study.training()
+    result = search(
+        problem.model,
+        train,
+        study.test,
+        candidates=problem.effects,
+        known_noise=study.known_noise,
+        max_effects=max_effects,
+        progress=tell,
+    )
+    # As any user would fit them: plain fits, judged on the same records.
+    models = {BELIEVED: problem.model} | ({"improved": result.model} if result.steps else {})
+    fits = {name: _fit(study, model, tell) for name, model in models.items()}
+    tell("predicting")
+    comparison = compare_models(fits, study.test or train)
+    tell(_DRAWING)
+    return Outcome(result, improvement_page(result, comparison, train=train, title=problem.title))
+
+
+def rank(study: Study, experiments: tuple[str, ...], tell: Tell) -> Outcome:
+    """Rank parameters by what experiments, or without any the training records, tell."""
+    from oed_sysid.report import ranking_page
+    from oed_sysid.sensitivity import identifiable_subset, information_of, rank_parameters
+
+    problem = study.problem
+    runs = [problem.experiment(name) for name in experiments] or study.training()
+    tell("computing sensitivities")
+    ranking = rank_parameters(problem.model, runs)
+    subset = identifiable_subset(
+        information_of(problem.model, runs, priors=None), problem.model.values
+    )
+    tell(_DRAWING)
+    return Outcome((ranking, subset), ranking_page(ranking, subset, title=problem.title))
+
+
+def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
+    """Design the manoeuvre that tells most, within the limits."""
+    from oed_sysid.design import Discriminate, design_experiment
+    from oed_sysid.report import design_page
+
+    problem = study.problem
+    pattern = problem.experiment(wish.like)
+    believed = _fit(study, problem.model, tell) if wish.after_fit else problem.model
+    if wish.rivals:
+        criterion: Any = Discriminate([problem.effect(name) for name in wish.rivals])
+    else:
+        criterion = _choice("criterion", wish.criterion, _criteria())
+    n_starts, n_candidates, n_steps = _choice("effort", wish.effort, EFFORTS)
+    result = design_experiment(
+        believed,
+        limits=limits_of(problem.limits, wish),
+        duration=wish.duration,
+        sample_time=pattern.sample_time,
+        rng=np.random.default_rng(wish.seed),
+        criterion=criterion,
+        parametrisation=_choice("family", wish.family, _families()),
+        constants=pattern.constants,
+        initial=pattern.initial,
+        n_starts=n_starts,
+        n_candidates=n_candidates,
+        n_steps=n_steps,
+        progress=lambda state: tell(
+            f"designing: start {state.start + 1}, round {state.round + 1}, {state.value:.4g}"
+        ),
+    )
+    tell(_DRAWING)
+    return Outcome(result, design_page(result, title=problem.title))
+
+
+def limits_of(limits: Limits, wish: DesignWish) -> Limits:
+    """Return the problem's limits with the ranges and rates that were wished."""
+    ranges = {name: (lower, upper) for name, lower, upper in wish.ranges}
+    return replace(
+        limits, inputs={**limits.inputs, **ranges}, rates={**limits.rates, **dict(wish.rates)}
+    )
+
+
+def _fit(study: Study, model: Model, tell: Tell) -> Fit:
+    def iteration(state: Any) -> None:
+        tell(f"fitting: iteration {state.iteration}, cost {state.cost:.6g}")
+
+    tell(f"fitting {model.name}")
+    return MultipleShooting(noise=study.noise, progress=iteration).fit(model, study.training())
+
+
+def _criteria() -> Mapping[str, Any]:
+    from oed_sysid.design import AOptimal, DOptimal, EOptimal
+
+    return {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()}
+
+
+def _families() -> Mapping[str, Any]:
+    from oed_sysid.design import Levels, Multisines, Pulses
+
+    return {"levels": Levels(), "multisine": Multisines(), "pulses": Pulses()}
+
+
+def _choice(what: str, name: str, choices: Mapping[str, Any]) -> Any:
+    if name not in choices:
+        raise DesignError(f"There is no {what} {name!r}. Choose one of {', '.join(choices)}.")
+    return choices[name]
