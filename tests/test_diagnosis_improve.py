@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,52 @@ def test_shipped_auv_lacks_crossflow_drag(auv: Improvement) -> None:
     row = next(r for r in auv.parameters if r["name"] == "E_heave_crossflow_drag")
     # True value of the simulation, see the data's README.
     assert abs(row["value"] + 101.46) < 4 * row["std_error"]
+
+
+def test_steps_can_be_undone(auv: Improvement) -> None:
+    """The model after any number of steps can be had: none is the believed one, all the final."""
+    assert auv.at_step(0) == auv.base == auv.at_step(-1)
+    final = auv.at_step(1)
+    assert final.effect_names == auv.model.effect_names
+    assert final.values == pytest.approx(auv.model.values)
+
+
+HIDDEN = Path(os.environ.get("OED_SYSID_DATA", "")) / "hidden_effects"
+given = pytest.mark.skipif(not (HIDDEN / "case_013").is_dir(), reason="other records are not here")
+
+
+def improved(case: str) -> Improvement:
+    """The believed AUV improved on the records of one given case."""
+    problem = load_problem("remus_diving_plane")
+    train, test = (
+        read_csv(sorted((HIDDEN / case).glob(f"{part}*.csv")), problem.channels)
+        for part in ("train", "test")
+    )
+    return improve(problem.model, train, test, candidates=problem.effects)
+
+
+@given
+def test_a_term_is_proposed_where_no_known_effect_is_right() -> None:
+    """Cubic pitch damping, which no candidate holds, is proposed with its value and unit."""
+    found = improved("case_013")
+    assert [step.added for step in found.steps] == ["term_M_qqq"]
+    term = found.proposed[0]
+    assert (term["expression"], term["equation"], term["unit"]) == ("q**3", "M", "kg m^2 s")
+    # True value of the simulation, see the records' README.
+    assert term["value"] == pytest.approx(-267.9, rel=0.05)
+    assert term["replaces"] == ["pitch_quadratic_damping"]
+    assert found.final_error["test"] == pytest.approx(1.0, abs=0.05)
+
+
+@given
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(13))
+def test_given_cases_get_the_right_story(number: int) -> None:
+    """What is added is what was hidden, and nothing else."""
+    truth = json.loads((HIDDEN / "answers.json").read_text(encoding="utf-8"))[number]
+    found = improved(truth["case"])
+    assert {step.added for step in found.steps} == set(truth["hidden_effects"])
+    assert found.explained
 
 
 def test_improvement_as_plain_data(auv: Improvement) -> None:

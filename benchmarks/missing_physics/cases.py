@@ -72,7 +72,7 @@ UNKNOWN: dict[str, float] = {
     "unknown_pitch_moment_wq": -25.0,
     "unknown_heave_rate_drag": -120.0,
     "unknown_pitch_drift_damping": -60.0,
-    "unknown_cubic_moment": 400.0,
+    "unknown_cubic_moment": -400.0,
     "unknown_cubic_drag": -0.5,
     "unknown_thrust_moment": 0.03,
     "unknown_fin_in_slipstream": -0.4,

@@ -239,11 +239,14 @@ def _result(
     bench = state.bench
 
     done = []
+    present: list[Effect] = []
     for (refit, ranking, test_gain), fit in zip(steps, fits, strict=True):
+        present.append(refit.score.effect)
+        fit = _with_only(bench, present, fit)
         error = bench.errors(fit, sigma)
         done.append(
             Step(
-                refit.name,
+                _at_estimates(refit.score.effect, fit),
                 _group(ranking, refit.name),
                 refit.gain,
                 ranking.needed(refit),
@@ -283,6 +286,26 @@ def _result(
     )
 
 
+def _at_estimates(effect: Effect, fit: GreyBox) -> Effect:
+    own = {p.name for p in effect.parameters}
+    return effect.with_values({k: v for k, v in fit.values.items() if k in own})
+
+
+def _with_only(bench: Workbench, present: Sequence[Effect], fit: GreyBox) -> GreyBox:
+    """The fit of a step, made again where it held an effect that was dropped later."""
+    names = [*bench.train.super_model.base.free_names]
+    for effect in present:
+        names += [p.name for p in effect.parameters if not p.fixed]
+    if set(names) == set(fit.names):
+        return fit
+    absent = [e for e in bench.train.super_model.candidates if e not in present]
+    values = dict(fit.values) | dict.fromkeys((n for e in absent for n in e.amplitude_names), 0.0)
+    for effect in present:  # an amplitude that was absent starts from its typical size
+        values = {p.name: p.value for p in effect.parameters} | values
+    again = estimate(bench.train, names, values, fit.initial, fit.noise)
+    return fit if again is None else again
+
+
 def _with_unknown(
     unknown: Unknown, state: _State, done: list[Step], sigma: np.ndarray
 ) -> tuple[Workbench, _State, list[Step]]:
@@ -290,7 +313,7 @@ def _with_unknown(
     error = unknown.bench.errors(unknown.fit, sigma)
     kept = [step for step in done if step.added not in unknown.replaces]
     last = Step(
-        unknown.effect.name,
+        _at_estimates(unknown.effect, unknown.fit),
         (unknown.effect.name,),
         unknown.gain + sum(step.evidence for step in done if step not in kept),
         unknown.proposals.needed,

@@ -11,6 +11,7 @@ import numpy as np
 from oed_sysid.diagnosis.greybox import GreyBox
 from oed_sysid.diagnosis.locate import Located
 from oed_sysid.diagnosis.rank import Ranking
+from oed_sysid.effects import Effect
 from oed_sysid.fit import align
 from oed_sysid.model import Model
 
@@ -26,8 +27,8 @@ class Step:
 
     Attributes
     ----------
-    added : str
-        Identifier of the effect.
+    effect : Effect
+        What was added, at its estimates after the step.
     group : tuple of str
         Identifiers that these data cannot tell from it, itself first.
     evidence : float
@@ -42,7 +43,7 @@ class Step:
         The fit after the step.
     """
 
-    added: str
+    effect: Effect
     group: tuple[str, ...]
     evidence: float
     needed: float
@@ -50,6 +51,11 @@ class Step:
     train_error: float
     test_error: float
     fit: GreyBox
+
+    @property
+    def added(self) -> str:
+        """Identifier of the effect."""
+        return self.effect.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +110,27 @@ class Improvement:
     def explained(self) -> bool:
         """Whether what remains is noise: no disturbance is needed any more."""
         return self.remainder < REMAINDER_LIMIT
+
+    def at_step(self, count: int) -> Model:
+        """Return the model after the first steps only: what came later is undone.
+
+        Parameters
+        ----------
+        count : int
+            Steps kept, 0 for the believed model; negative numbers count from the
+            end, so that ``at_step(-1)`` undoes the last one.
+
+        Returns
+        -------
+        Model
+            At the estimates that were found after that step.
+        """
+        kept = self.steps[:count]
+        if not kept:
+            return self.base
+        model = self.base + tuple(step.effect for step in kept)
+        known = set(model.parameter_names)
+        return model.with_values({k: v for k, v in kept[-1].fit.values.items() if k in known})
 
     def to_dict(self) -> dict[str, Any]:
         """Return the improvement as plain data for JSON."""
