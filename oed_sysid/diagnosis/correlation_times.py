@@ -83,6 +83,7 @@ def _judged(task: Task, fit: GreyBox, noise: NoiseModel, ratio: float, name: str
         task.deviations,
         residuals(task.dataset, fit.outputs),
         known=task.known_noise,
+        least_white=task.least_white,
         tolerance=0.5,
         max_iterations=8,
     )

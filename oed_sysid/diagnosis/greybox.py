@@ -34,6 +34,8 @@ class Task:
         Natural size of every noise level.
     known_noise : bool
         Whether the white levels are given and sensors have no other noise.
+    least_white : ndarray (n_outputs,) or None
+        Smallest white levels, in their unit.
     """
 
     super_model: SuperModel
@@ -41,6 +43,7 @@ class Task:
     deviations: Sequence[Deviations]
     units: NoiseModel
     known_noise: bool
+    least_white: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,8 +179,12 @@ def estimate(
     updates, damping = 0, 0.0
     for iteration in range(max_iterations):
         system = whitened(task, fit)
-        matrix = system.jacobian.T @ system.jacobian
+        with np.errstate(over="ignore", invalid="ignore"):
+            matrix = system.jacobian.T @ system.jacobian
         right = system.jacobian.T @ system.residual
+        if not np.isfinite(matrix).all():
+            # An unstable model whose sensitivities have left the numbers shows no way on.
+            break
         position = _vector(fit)
         better = None
         for _ in range(6):
@@ -213,6 +220,7 @@ def _noise(task: Task, fit: GreyBox, *, settled: bool) -> NoiseModel:
         task.deviations,
         residuals(task.dataset, fit.outputs),
         known=task.known_noise,
+        least_white=task.least_white,
         tolerance=0.02 if settled else 1.0,
         max_iterations=25 if settled else 6,
     )

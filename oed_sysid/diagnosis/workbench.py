@@ -15,14 +15,17 @@ from oed_sysid.diagnosis.linearise import SuperModel, deviations, disturbed_equa
 from oed_sysid.effects import Effect
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.estimators.multiple_shooting import MultipleShooting
-from oed_sysid.estimators.noise_levels import given_levels, noise_floor, signal_spread
+from oed_sysid.estimators.noise_levels import given_levels, signal_spread, white_levels
 from oed_sysid.fit import Fit
 from oed_sysid.model import Model
 
-FORCE_TIME, COLOUR_TIME = 1.0, 0.4
+# Correlation times to begin with, in samples: 1 s and 0.4 s in a log of ten samples a second.
+FORCE_TIME, COLOUR_TIME = 10.0, 4.0
 # Where a sensor's noise is not declared, it is not taken to be finer than this share of
 # the signal: filtered records would otherwise seem to be measured without any error.
 FINEST_NOISE = 1e-3
+# Share of the white level seen in the fastest wiggles that an estimate must leave standing.
+LEAST_SEEN = 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +64,11 @@ class Workbench:
                 f"The noise of {', '.join(unknown)} is not declared, so it cannot be taken as "
                 "known. Set noise_std on these outputs, or let the noise be estimated."
             )
-        floor = np.maximum(noise_floor(train), FINEST_NOISE * signal_spread(train))
+        floor, seen = white_levels(train)
+        floor = np.where(seen, floor, np.maximum(floor, FINEST_NOISE * signal_spread(train)))
         white = np.where(np.isfinite(levels), levels, floor)
+        # What the fastest wiggles show is there, whatever disturbances could explain of it.
+        least = np.where(seen & ~np.isfinite(levels), LEAST_SEEN * floor, 0.0)
         super_model = SuperModel.build(model, candidates)
         n_forces = len(disturbed_equations(model))
         if n_forces == 0:
@@ -70,13 +76,18 @@ class Workbench:
                 f"Model {model.name!r} has no equation with a parameter in which physics could be "
                 "missing."
             )
+        sample = float(np.median([record.sample_time for record in train]))
         units = NoiseModel(
-            white, white, np.ones(n_forces), colour_time=COLOUR_TIME, force_time=FORCE_TIME
+            white,
+            white,
+            np.ones(n_forces),
+            colour_time=COLOUR_TIME * sample,
+            force_time=FORCE_TIME * sample,
         )
         found = MultipleShooting(max_iterations=40, coloured="never").fit(model, train)
         plain = found if np.isfinite(found.cost) else None
         settled, problem = [], None
-        for fit, task in _first_fits(super_model, train, units, known_noise, plain):
+        for fit, task in _first_fits(super_model, train, units, least, known_noise, plain):
             untouched = None if test is None else replace(task, dataset=test, deviations=())
             try:
                 settled.append(cls(task, untouched, plain).resettle(fit))
@@ -228,6 +239,7 @@ def _first_fits(
     super_model: SuperModel,
     train: Dataset,
     units: NoiseModel,
+    least_white: np.ndarray,
     known_noise: bool,
     plain: Fit | None,
 ) -> list[tuple[GreyBox, Task]]:
@@ -254,7 +266,7 @@ def _first_fits(
         except SimulationError:
             continue
         scaled = replace(units, force=_force_units(lines, units))
-        task = Task(super_model, train, lines, scaled, known_noise)
+        task = Task(super_model, train, lines, scaled, known_noise, least_white)
         quiet = replace(scaled, colour=0 * scaled.colour)
         fit = estimate(task, free, values, initial, quiet, max_iterations=6, tolerance=1.0)
         if fit is not None:

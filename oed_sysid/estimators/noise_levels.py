@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import comb
 
 import numpy as np
 
@@ -13,26 +14,65 @@ from oed_sysid.model import Model
 
 # A residual this much smaller than the signal's own spread is numerically exact.
 SMALLEST_SHARE = 1e-9
+# Orders of differences in which white noise is looked for, and the share of one order's level
+# below which the next one's means that motion was seen, not noise.
+LOWEST_ORDER, HIGHEST_ORDER, STILL_FALLING = 3, 12, 0.85
 
 
 def noise_floor(dataset: Dataset) -> np.ndarray:
     """Standard deviation of the white part of each output, shape ``(n_outputs,)``.
 
-    From third differences, which a smooth motion hardly enters: the variance of
-    a third difference of white noise is twenty times that of the noise.
+    See :func:`white_levels`.
+    """
+    return white_levels(dataset)[0]
+
+
+def white_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Level of the white part of each output, and whether it is the noise that one sees.
+
+    From differences of third order, which a smooth motion hardly enters: the
+    variance of a difference of order k of white noise is ``binomial(2k, k)`` times
+    that of the noise. While the next order shows clearly less, it is still the
+    motion that is seen. Differences are taken between samples that follow one
+    another, missing ones left out.
+
+    Parameters
+    ----------
+    dataset : Dataset
+
+    Returns
+    -------
+    levels : ndarray (n_outputs,)
+        The signal's spread where there are too few samples.
+    seen : ndarray of bool (n_outputs,)
+        False where the level still falls at the highest order: it is then no
+        more than an upper limit of the noise.
     """
     n_outputs = len(dataset[0].channels.outputs)
-    levels = np.full(n_outputs, np.nan)
+    levels, seen = np.full(n_outputs, np.nan), np.zeros(n_outputs, dtype=bool)
     for column in range(n_outputs):
-        squares = [np.diff(record.outputs[:, column], 3) ** 2 for record in dataset]
-        pooled = np.concatenate(squares)
-        pooled = pooled[np.isfinite(pooled)]
-        if len(pooled):
-            # The median of a chi-squared variable with one degree of freedom is 0.4549.
-            robust = np.median(pooled) / 0.4549
-            levels[column] = np.sqrt((robust or np.mean(pooled)) / 20.0)
+        measured = [record.outputs[:, column] for record in dataset]
+        measured = [values[np.isfinite(values)] for values in measured]
+        levels[column] = _difference_level(measured, LOWEST_ORDER)
+        for order in range(LOWEST_ORDER + 1, HIGHEST_ORDER + 1):
+            finer = _difference_level(measured, order)
+            if not finer < STILL_FALLING * levels[column]:
+                seen[column] = np.isfinite(finer)
+                break
+            levels[column] = finer
     spread = signal_spread(dataset)
-    return np.where(np.isfinite(levels), np.maximum(levels, SMALLEST_SHARE * spread), spread)
+    known = np.isfinite(levels)
+    return np.where(known, np.maximum(levels, SMALLEST_SHARE * spread), spread), seen & known
+
+
+def _difference_level(measured: Sequence[np.ndarray], order: int) -> float:
+    """Standard deviation of white noise with differences as large as these; NaN without any."""
+    pooled = np.concatenate([np.diff(values, order) ** 2 for values in measured])
+    if not len(pooled):
+        return np.nan
+    # The median of a chi-squared variable with one degree of freedom is 0.4549.
+    robust = np.median(pooled) / 0.4549
+    return float(np.sqrt((robust or np.mean(pooled)) / comb(2 * order, order)))
 
 
 def signal_spread(dataset: Dataset) -> np.ndarray:
