@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -17,8 +18,9 @@ from oed_sysid.diagnosis.greybox import GreyBox, Task, whitened
 from oed_sysid.effects import Effect
 from oed_sysid.parameters import Parameter
 
-# Values of a shape parameter (a frequency, a time constant) that are tried.
-N_SHAPES = 11
+# Values of a shape parameter (a frequency, a time constant) that are tried, of the first and of
+# every other one.
+N_SHAPES, N_OTHER_SHAPES = 11, 3
 # What is left of a candidate after projection, below which it is another name for a
 # combination of parameters that are free already.
 ABSORBED = 1e-3
@@ -208,9 +210,14 @@ def _secant(task: Task, fit: GreyBox, effect: Effect) -> list[np.ndarray] | None
 
 
 def _shapes(effect: Effect) -> list[dict[str, float]]:
-    """Grid over the bounds of a shape parameter (the first; others stay)."""
-    parameter = _parameter(effect, effect.shape_names[0])
-    low, high = parameter.lower, parameter.upper
-    if not (np.isfinite(low) and np.isfinite(high)):
-        low, high = 0.5 * parameter.value, 2.0 * parameter.value
-    return [{parameter.name: float(value)} for value in np.linspace(low, high, N_SHAPES)]
+    """Grid over the bounds of the shape parameters, fine in the first and coarse in others."""
+    axes = []
+    for position, name in enumerate(effect.shape_names):
+        parameter = _parameter(effect, name)
+        low, high = parameter.lower, parameter.upper
+        if not (np.isfinite(low) and np.isfinite(high)):
+            low, high = sorted((0.5 * parameter.value, 2.0 * parameter.value))
+        axes.append(np.linspace(low, high, N_SHAPES if position == 0 else N_OTHER_SHAPES))
+    return [
+        dict(zip(effect.shape_names, map(float, point), strict=True)) for point in product(*axes)
+    ]

@@ -121,7 +121,7 @@ effects = (
         },
         (
             Parameter("E_upper_overflow", 0.0, "1/s", lower=0.0, upper=0.5, scale=0.1),
-            Parameter("brim", FULL, "V", lower=6.0, upper=20.0, description="upper tank's brim"),
+            Parameter("brim", FULL, "V", lower=1.0, upper=20.0, description="upper tank's brim"),
             Parameter("share", 0.5, "1", lower=0.0, upper=1.0, description="caught below"),
         ),
         amplitudes=("E_upper_overflow",),
