@@ -1,5 +1,7 @@
 """Experiments that tell most: criteria, families of commands, limits, search."""
 
+from oed_sysid.design.assurance import Assurance, assess_limits
+from oed_sysid.design.caution import Caution
 from oed_sysid.design.criteria import (
     AOptimal,
     Criterion,
@@ -36,6 +38,9 @@ __all__ = [
     "GOptimal",
     "Discriminate",
     "Robust",
+    "Caution",
+    "Assurance",
+    "assess_limits",
     "Parametrisation",
     "Grid",
     "Levels",

@@ -73,7 +73,7 @@ def starts(
     for commands in given:
         numbers = objective.shape.start(commands)
         if numbers is not None:
-            found += _largest(objective, grid, numbers)
+            found += _largest(objective, grid, numbers, guarded=False)
     for _ in range(n_candidates):
         unit = rough_commands(grid, rng)
         numbers = None
@@ -81,7 +81,7 @@ def starts(
         numbers = objective.shape.start(grid.limited((grid.neutral + orders)[None])[0])
         if numbers is None:
             numbers = rng.random(objective.shape.size)
-        found += _largest(objective, grid, numbers)
+        found += _largest(objective, grid, numbers, guarded=False)
     found.sort(key=lambda score: (not score.feasible, -score.value))
     kept: list[Score] = []
     for score in found:
@@ -91,20 +91,38 @@ def starts(
             kept.append(score)
         if len(kept) == n_starts:
             break
-    return kept
+    if objective.guards is None:
+        return kept
+    if kept:
+        objective.guards.waive(objective.score(kept[0].numbers).guards)
+    # Many vehicles take time: only what is kept is shrunk until they keep the limits too.
+    return [
+        smaller
+        for score in kept
+        for smaller in _largest(objective, grid, score.numbers, guarded=True)
+    ]
 
 
-def _largest(objective: Objective, grid: Grid, numbers: np.ndarray) -> list[Score]:
+def again(objective: Objective, grid: Grid, before: Score) -> list[Score]:
+    """Return a member of the same family, shrunk until it keeps the limits of this objective."""
+    if objective.guards is not None:
+        objective.guards.waive(objective.score(before.numbers).guards)
+    return _largest(objective, grid, before.numbers, guarded=True)
+
+
+def _largest(
+    objective: Objective, grid: Grid, numbers: np.ndarray, *, guarded: bool
+) -> list[Score]:
     """Shrink a manoeuvre towards the neutral command until all limits are kept."""
     still = objective.shape.start(
         np.broadcast_to(grid.neutral, (len(grid.times), len(grid.inputs)))
     )
     if still is None:
-        score = objective.score(numbers)
+        score = objective.score(numbers, guarded=guarded)
         return [score] if np.isfinite(score.value) else []
     last: list[Score] = []
     for share in _SHARES:
-        score = objective.score(still + share * (numbers - still))
+        score = objective.score(still + share * (numbers - still), guarded=guarded)
         if score.feasible:
             return [score]
         if np.isfinite(score.value):

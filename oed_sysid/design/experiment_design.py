@@ -6,12 +6,15 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from oed_sysid.design.candidates import starts
+from oed_sysid.design.candidates import again, starts
+from oed_sysid.design.caution import Caution
 from oed_sysid.design.criteria import Criterion, DOptimal
 from oed_sysid.design.discrimination import Discriminate
+from oed_sysid.design.objective import Objective, Score
 from oed_sysid.design.parametrisation import Grid, Levels, Parametrisation
 from oed_sysid.design.plan import Plan, plan_of
 from oed_sysid.design.reference import Reference, zigzags
@@ -28,6 +31,9 @@ from oed_sysid.model import Model
 from oed_sysid.sensitivity.noise import Colour, Levels as NoiseLevels  # isort: skip
 from oed_sysid.simulate import simulate_inputs
 from oed_sysid.threads import single_threaded
+
+# Rounds with more and stricter vehicles, until fresh ones confirm the probability asked for.
+_N_STRICTER = 2
 
 
 @single_threaded
@@ -49,6 +55,7 @@ def design_experiment(
     start: str | Mapping[str, float] = "unknown",
     noise: NoiseLevels = None,
     coloured: Colour = None,
+    caution: Caution | None = None,
     n_starts: int = 3,
     n_candidates: int = 80,
     n_steps: int = 40,
@@ -94,6 +101,9 @@ def design_experiment(
     noise, coloured
         See :func:`~oed_sysid.sensitivity.information_of`; a fit's noise levels
         by default.
+    caution : Caution, optional
+        How surely limits are to be kept although the parameters are uncertain;
+        without it they are kept at the nominal values (and those of ``Robust``).
     n_starts, n_candidates, n_steps : int
         Starts that are refined, rough manoeuvres tried, steps of refinement.
     n_workers : int, optional
@@ -117,49 +127,31 @@ def design_experiment(
         model, limits=limits, duration=duration, sample_time=sample_time, rng=rng,
         criterion=criterion, inputs=inputs, constants=constants, neutral=neutral,
         initial=initial, end=end, prior=prior, start=start, noise=noise, coloured=coloured,
+        caution=caution,
     )  # fmt: skip
     workers = n_workers or min(4, os.cpu_count() or 1)
     references = zigzags(
         plan.model, plan.grid, plan.corridor, constants=plan.constants, initial=plan.initial
     )
-    experiment: Experiment | None = None
-    if isinstance(parametrisation, ZigZags):
-        objective = plan.objective(None, workers)
-        _check_neutral(plan, objective.score_commands(plan.still(), np.zeros(1)).views)
-        sign = _sign(references)
-        best, nearest, experiment = search_zigzags(
-            parametrisation, objective, plan.grid, plan.model, sign=sign,
-            constants=plan.constants, initial=plan.initial, rng=rng,
-        )  # fmt: skip
-        if nearest is None:
-            raise DesignError(f"No zigzag on {parametrisation.feedback!r} stays finite.")
-        found = Found(best, nearest, (float("-inf") if best is None else best.value,))
-    else:
-        objective = plan.objective(parametrisation.on(plan.grid), workers)
-        _check_neutral(plan, objective.score_commands(plan.still(), np.zeros(1)).views)
-        given = [plan.designed(exp) for _, exp, _ in references]
-        begin = starts(
-            objective, plan.grid, rng, n_candidates=n_candidates, n_starts=n_starts, given=given
-        )
-        if not begin:
-            raise DesignError(
-                f"All {n_candidates} rough manoeuvres make model {plan.model.name!r} diverge: it "
-                "is unstable on its own. Design a closed loop, parametrisation=ZigZags(...), or "
-                "a shorter run."
-            )
-        found = search(objective, begin, n_steps=n_steps, progress=progress)
-    if found.best is None:
-        raise DesignError(_infeasible(plan, found))
-    if experiment is None:
-        experiment = plan.experiment(name, found.best.commands)
-    else:
-        experiment = replace(experiment, name=name)
+    task = partial(
+        _searched, parametrisation=parametrisation, references=references, rng=rng,
+        n_candidates=n_candidates, n_starts=n_starts, n_steps=n_steps, workers=workers, name=name,
+        progress=progress,
+    )  # fmt: skip
+    objective, found, best, experiment = task(plan)
+    assurance = plan.assured(experiment, rng)
+    for _ in range(_N_STRICTER):
+        if assurance is None or caution is None or assurance.probability >= caution.probability:
+            break
+        plan = plan.stricter(rng)
+        objective, found, best, experiment = task(plan, begin=best)
+        assurance = plan.assured(experiment, rng)
     trajectory = simulate_inputs(
-        plan.model, plan.grid.times, inputs=found.best.commands, initial=plan.initial
+        plan.model, plan.grid.times, inputs=best.commands, initial=plan.initial
     )
-    signals = found.best.views[0].signals
+    signals = best.views[0].signals
     active = (
-        *_actuator_limits(plan.grid, found.best.commands[:, plan.positions]),
+        *_actuator_limits(plan.grid, best.commands[:, plan.positions]),
         *plan.corridor.reached(plan.grid.times, signals),
     )
     bound = plan.bound
@@ -170,18 +162,19 @@ def design_experiment(
         except OedSysidError:
             continue
     return Design(
+        assurance=assurance,
         experiment=experiment,
         model=plan.model,
         trajectory=trajectory,
-        information=bound(plan.experiment(name, found.best.commands)),
+        information=bound(plan.experiment(name, best.commands)),
         prior=plan.prior,
         references=tuple(compared),
         criterion=criterion.name,
         parametrisation=parametrisation.name,
-        value=found.best.value,
+        value=best.value,
         start_values=found.values,
         active=active,
-        misfits=plan.misfits(objective, found.best),
+        misfits=plan.misfits(objective, best),
         n_evaluations=objective.n_evaluations,
         seconds=time.perf_counter() - began,
     )
@@ -214,7 +207,56 @@ def design_series(model: Model | Fit, n_experiments: int, **settings: object) ->
     return tuple(found)
 
 
-def _check_neutral(plan: Plan, views: Sequence[object]) -> None:
+def _searched(
+    plan: Plan,
+    *,
+    parametrisation: Parametrisation | ZigZags,
+    references: Sequence[tuple[str, Experiment, str]],
+    rng: np.random.Generator,
+    n_candidates: int,
+    n_starts: int,
+    n_steps: int,
+    workers: int,
+    name: str,
+    progress: Callable[[Progress], None] | None,
+    begin: Score | None = None,
+) -> tuple[Objective, Found, Score, Experiment]:
+    """Search the family, from rough manoeuvres or from a given member."""
+    if isinstance(parametrisation, ZigZags):
+        objective = plan.objective(None, workers)
+        _check_neutral(plan)
+        zigzag, nearest, loop = search_zigzags(
+            parametrisation, objective, plan.grid, plan.model, sign=_sign(references),
+            constants=plan.constants, initial=plan.initial, rng=rng, guards=objective.guards,
+        )  # fmt: skip
+        if nearest is None:
+            raise DesignError(f"No zigzag on {parametrisation.feedback!r} stays finite.")
+        found = Found(zigzag, nearest, (float("-inf") if zigzag is None else zigzag.value,))
+        if zigzag is None or loop is None:
+            raise DesignError(_infeasible(plan, found))
+        return objective, found, zigzag, replace(loop, name=name)
+    objective = plan.objective(parametrisation.on(plan.grid), workers)
+    _check_neutral(plan)
+    if begin is not None:
+        first = again(objective, plan.grid, begin)
+    else:
+        given = [plan.designed(exp) for _, exp, _ in references]
+        first = starts(
+            objective, plan.grid, rng, n_candidates=n_candidates, n_starts=n_starts, given=given
+        )
+    if not first:
+        raise DesignError(
+            f"All {n_candidates} rough manoeuvres make model {plan.model.name!r} diverge: it "
+            "is unstable on its own. Design a closed loop, parametrisation=ZigZags(...), or "
+            "a shorter run."
+        )
+    found = search(objective, first, n_steps=n_steps, progress=progress)
+    if found.best is None:
+        raise DesignError(_infeasible(plan, found))
+    return objective, found, found.best, plan.experiment(name, found.best.commands)
+
+
+def _check_neutral(plan: Plan) -> None:
     """Raise if limits are broken even when nothing is commanded."""
     run = simulate_inputs(
         plan.model, plan.grid.times, inputs=plan.still(), initial=plan.initial, throw=False
@@ -232,6 +274,13 @@ def _infeasible(plan: Plan, found: Found) -> str:
     """Say which limits the nearest manoeuvre breaks, and what to do."""
     signals = found.nearest.views[0].signals
     words = plan.corridor.broken(plan.grid.times, signals)
+    if not words and plan.caution is not None:
+        raise DesignError(
+            f"No manoeuvre was found that keeps all limits on {plan.caution.probability:.0%} of "
+            "the vehicles with other coefficients. Design a closed loop, "
+            "parametrisation=ZigZags(...), a shorter run, or do a gentle trial first and design "
+            "from its fit."
+        )
     if not words:
         words = ("for other values of the parameters the corridor is left",)
     return (

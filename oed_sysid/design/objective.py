@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
+from oed_sysid.design.caution import GuardRun, Guards
 from oed_sysid.design.corridor import Corridor
 from oed_sysid.design.criteria import Measure
 from oed_sysid.design.elimination import eliminate
 from oed_sysid.design.parametrisation import Shape
 from oed_sysid.design.scene import Scene, View
 
+T = TypeVar("T")
 # Difference step of the numbers between 0 and 1; information derivatives are exact.
 _STEP = 1e-5
 
@@ -34,6 +37,8 @@ class Score:
         Largest excess over the limits; above zero is not allowed.
     views : tuple of View
         One for each scene.
+    guards : tuple of GuardRun
+        One for each uncertain vehicle; empty where limits of these were not looked at.
     """
 
     numbers: np.ndarray
@@ -41,6 +46,7 @@ class Score:
     value: float
     excess: float
     views: tuple[View, ...]
+    guards: tuple[GuardRun, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -58,10 +64,13 @@ class Slope:
         Of the criterion by the numbers.
     signals : ndarray (n_scenes, n_times, n_limits, size)
         Of the limited signals by the numbers.
+    guards : mapping of int to ndarray (n_times, n_limits, size)
+        The same of the decisive uncertain vehicles.
     """
 
     criterion: np.ndarray
     signals: np.ndarray
+    guards: Mapping[int, np.ndarray] = field(default_factory=dict)
 
 
 class Objective:
@@ -87,6 +96,8 @@ class Objective:
         None averages over scenes; a number takes the soft minimum of this width.
     n_workers : int
         Threads for the gradient.
+    guards : Guards, optional
+        Uncertain vehicles on which limits are kept.
     """
 
     def __init__(
@@ -101,11 +112,13 @@ class Objective:
         *,
         softness: float | None = None,
         n_workers: int = 1,
+        guards: Guards | None = None,
     ) -> None:
         self.scenes, self.measures, self.priors = tuple(scenes), tuple(measures), tuple(priors)
         self.shape, self.corridor = shape, corridor
         self._positions, self._constants = positions, constants
         self._softness = softness
+        self.guards = guards
         self._n_workers = n_workers if scenes[0].kernel.is_compiled else 1
         self.n_evaluations = 0
 
@@ -123,12 +136,14 @@ class Objective:
         commands[:, :, self._positions] = designed
         return commands
 
-    def score(self, numbers: np.ndarray) -> Score:
-        """Evaluate one member of the family."""
-        return self.score_commands(self.all_commands(numbers)[0], numbers)
+    def score(self, numbers: np.ndarray, *, guarded: bool = True) -> Score:
+        """Evaluate one member of the family; see :meth:`score_commands`."""
+        return self.score_commands(self.all_commands(numbers)[0], numbers, guarded=guarded)
 
-    def score_commands(self, commands: np.ndarray, numbers: np.ndarray) -> Score:
-        """Evaluate given commands ``(n_times, n_inputs)``."""
+    def score_commands(
+        self, commands: np.ndarray, numbers: np.ndarray, *, guarded: bool = True
+    ) -> Score:
+        """Evaluate commands ``(n_times, n_inputs)``, ``guarded`` on uncertain vehicles too."""
         self.n_evaluations += 1
         views = []
         for scene in self.scenes:
@@ -138,7 +153,13 @@ class Objective:
             views.append(view)
         values = [self._measured(i, view)[0] for i, view in enumerate(views)]
         excess = max(self.corridor.worst(view.signals) for view in views)
-        return Score(numbers, commands, self._combined(values)[0], excess, tuple(views))
+        value = self._combined(values)[0]
+        if self.guards is None or not guarded:
+            return Score(numbers, commands, value, excess, tuple(views))
+        guards = self.guards
+        runs = self._each(lambda i: guards.run(i, commands), len(guards))
+        excess = max(excess, guards.level(runs))
+        return Score(numbers, commands, value, excess, tuple(views), tuple(runs))
 
     def information(self, scene: int, view: View) -> np.ndarray:
         """Scaled information on parameters (and rival shifts), priors included."""
@@ -177,6 +198,9 @@ class Objective:
         for i, scene in enumerate(self.scenes):
             whitened = scene.whitened(score.views[i].rows)
             slopes.append(2 * weights[i] * scene.unwhitened(whitened @ parts[i][1]))
+        decisive = self.guards.decisive(score.guards) if self.guards and score.guards else []
+        n_guarded = len(self.guards.corridor.names) if self.guards else 0
+        by_guard = {i: np.zeros((len(self.times), n_guarded, size)) for i in decisive}
         columns = self.corridor.columns
         gradient = np.zeros(size)
         signals = np.zeros((len(self.scenes), len(self.times), len(columns), size))
@@ -193,16 +217,23 @@ class Objective:
                 if change is not None:
                     gradient[index] += change[0] / step
                     signals[i, scene.edges[edge] :, :, index] = change[1] / step
-
-        def several(chunk: np.ndarray) -> None:
-            for index in chunk:
-                one(index)
+            if self.guards is None:
+                return
+            edges = self.scenes[0].edges
+            edge = int(np.searchsorted(edges, max(differs[0] - 1, 0), "right")) - 1
+            for i in decisive:
+                moved = self.guards.change(i, score.guards[i], commands[index], edge)
+                by_guard[i][edges[edge] :, :, index] = moved / step
 
         self.n_evaluations += size
+        self._each(one, size)
+        return Slope(gradient, signals, by_guard)
+
+    def _each(self, work: Callable[[int], T], size: int) -> list[T]:
+        """Results of ``work`` for ``0 .. size - 1``, over threads."""
         if self._n_workers == 1:
-            several(np.arange(size))
-        else:
-            with ThreadPoolExecutor(self._n_workers) as pool:
-                chunks = np.array_split(np.arange(size), 4 * self._n_workers)
-                list(pool.map(several, chunks))
-        return Slope(gradient, signals)
+            return [work(index) for index in range(size)]
+        chunks = np.array_split(np.arange(size), 4 * self._n_workers)
+        with ThreadPoolExecutor(self._n_workers) as pool:
+            parts = pool.map(lambda chunk: [work(int(index)) for index in chunk], chunks)
+            return [result for part in parts for result in part]

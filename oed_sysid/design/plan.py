@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from oed_sysid.design.assurance import Assurance, assess_limits
+from oed_sysid.design.caution import Caution, Guards
 from oed_sysid.design.corridor import Corridor
 from oed_sysid.design.criteria import Criterion, Setting
 from oed_sysid.design.discrimination import Discriminate, pair_misfits
@@ -46,6 +48,9 @@ class Plan:
     start: str | Mapping[str, float]
     noise: Noise
     coloured: Colour
+    guards: tuple[Model, ...] = ()
+    caution: Caution | None = None
+    n_waived: int = 0
 
     def still(self) -> np.ndarray:
         """Neutral commands of all inputs, ``(n_times, n_inputs)``."""
@@ -83,7 +88,7 @@ class Plan:
         """Return the function to maximise; without a shape only given commands can be scored."""
         used = shape if shape is not None else Levels(2).on(self.grid)
         scenes, measures, priors = [], [], []
-        own = np.array([self.initial.get(n, 0.0) for n in self.model.state_names])
+        own = self.own
         for member in self.models:
             rivals: tuple[Model, ...] = ()
             if isinstance(self.criterion, Discriminate):
@@ -104,9 +109,36 @@ class Plan:
                 matrix = self.prior.matrix * scales[:, None] * scales
             scenes.append(scene)
             priors.append(matrix)
+        guards = None
+        if self.caution is not None and self.corridor.names:
+            guards = Guards(
+                self.guards, self.grid.times, scenes[0].edges, own, self.corridor, self.n_waived
+            )  # fmt: skip
         return Objective(
             scenes, measures, priors, used, self.positions, self._base, self.corridor,
-            softness=self.softness, n_workers=n_workers,
+            softness=self.softness, n_workers=n_workers, guards=guards,
+        )  # fmt: skip
+
+    @property
+    def own(self) -> np.ndarray:
+        """Start state, ``(n_own,)``."""
+        return np.array([self.initial.get(n, 0.0) for n in self.model.state_names])
+
+    def stricter(self, rng: np.random.Generator) -> Plan:
+        """Return the plan with twice as many uncertain vehicles, none of which may fail."""
+        caution = self.caution
+        if caution is None:
+            return self
+        more = draw_models(self.model, caution.spread, len(self.guards), self.prior, rng)
+        return replace(self, guards=(*self.guards, *more), n_waived=0)
+
+    def assured(self, experiment: Experiment, rng: np.random.Generator) -> Assurance | None:
+        """On how many fresh vehicles an experiment keeps the limits; None without caution."""
+        if self.caution is None:
+            return None
+        return assess_limits(
+            self.model, experiment, rng=rng, limits=self.limits, spread=self.caution.spread,
+            prior=self.prior, n_vehicles=self.caution.n_checks, wanted=self.caution.probability,
         )  # fmt: skip
 
     def misfits(self, objective: Objective, score: Score) -> dict[tuple[str, str], float]:
@@ -139,6 +171,7 @@ def plan_of(
     start: str | Mapping[str, float],
     noise: NoiseLevels,
     coloured: Colour,
+    caution: Caution | None = None,
 ) -> Plan:
     """Check a design task; the parameters are those of ``design_experiment``."""
     model = given.model if isinstance(given, Fit) else given
@@ -168,7 +201,14 @@ def plan_of(
     robust = criterion if isinstance(criterion, Robust) else None
     return Plan(
         model=model,
-        models=draw_models(model, robust, knowledge, rng) if robust else (model,),
+        models=(
+            (model, *draw_models(model, robust.spread, robust.n_sets, knowledge, rng))
+            if robust
+            else (model,)
+        ),
+        guards=(
+            draw_models(model, caution.spread, caution.n_sets, knowledge, rng) if caution else ()
+        ),
         limits=limits,
         grid=_grid(model, limits, names, neutral or {}, duration, sample_time),
         corridor=Corridor.of(model, limits, end or {}, kernel(model).n_full),
@@ -181,6 +221,8 @@ def plan_of(
         start=start,
         noise=levels,
         coloured=coloured,
+        caution=caution,
+        n_waived=caution.n_waived if caution else 0,
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.csv_table import write_table
+from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.card import sea_trial_card
 from oed_sysid.design.reference import Reference
 from oed_sysid.experiment import Experiment
@@ -48,6 +49,8 @@ class Design:
     n_evaluations : int
         Trajectories with sensitivities.
     seconds : float
+    assurance : Assurance or None
+        How surely limits are kept although the parameters are uncertain, if asked for.
     """
 
     experiment: Experiment
@@ -64,6 +67,7 @@ class Design:
     misfits: dict[tuple[str, str], float]
     n_evaluations: int
     seconds: float
+    assurance: Assurance | None = None
 
     # -- accuracy ------------------------------------------------------------------
 
@@ -119,6 +123,7 @@ class Design:
             f"  run          {self.experiment.duration:g} s, a sample every "
             f"{self.experiment.sample_time:g} s",
             f"  limits met   {'; '.join(self.active) or 'none is reached'}",
+            *([f"  certainty    {self.assurance.report()}"] if self.assurance else []),
             f"  effort       {self.n_evaluations} trajectories, {self.seconds:.1f} s",
             "",
             *self.accuracy_table(),

@@ -62,9 +62,25 @@ class Robust:
 
 
 def draw_models(
-    model: Model, robust: Robust, prior: Information | None, rng: np.random.Generator
+    model: Model,
+    spread: float | None,
+    n_sets: int,
+    prior: Information | None,
+    rng: np.random.Generator,
 ) -> tuple[Model, ...]:
-    """Return the nominal model and others at sampled values.
+    """Return the model at sampled values.
+
+    Parameters
+    ----------
+    model : Model
+        At the nominal values.
+    spread : float or None
+        Relative half-width of uniform draws; None draws from what is known.
+    n_sets : int
+        How many.
+    prior : Information or None
+        What is known besides the parameters' ``prior_std``.
+    rng : numpy.random.Generator
 
     Raises
     ------
@@ -73,11 +89,11 @@ def draw_models(
     """
     names = model.free_names
     values = np.array([model.values[name] for name in names])
-    found = [model]
-    deviations = _deviations(model, prior) if robust.spread is None else None
-    for _ in range(robust.n_sets):
+    found = []
+    deviations = _deviations(model, prior) if spread is None else None
+    for _ in range(n_sets):
         if deviations is None:
-            drawn = values * (1 + (robust.spread or 0.0) * rng.uniform(-1, 1, len(names)))
+            drawn = values * (1 + (spread or 0.0) * rng.uniform(-1, 1, len(names)))
         else:
             drawn = values + deviations @ rng.standard_normal(deviations.shape[1])
         found.append(model.with_values(_bounded(model, names, drawn)))
@@ -102,14 +118,14 @@ def _deviations(model: Model, prior: Information | None) -> np.ndarray:
         if not np.all(np.isfinite(covariance)):
             raise DesignError(
                 "The prior does not determine all parameters, so nothing can be drawn from it. "
-                "Give Robust(spread=...)."
+                "Give a spread, as in Robust(spread=0.3)."
             )
         rows = [names.index(name) for name in prior.names]
         values, vectors = np.linalg.eigh(covariance)
         root[np.ix_(rows, rows)] = vectors * np.sqrt(np.maximum(values, 0.0))
     if not root.any():
         raise DesignError(
-            "Nothing is known about the spread of the parameters. Give Robust(spread=0.3), "
-            "prior_std on the parameters, or a fit."
+            "Nothing is known about the spread of the parameters. Give a spread, as in "
+            "Robust(spread=0.3) or Caution(spread=0.3), prior_std on the parameters, or a fit."
         )
     return root

@@ -158,19 +158,31 @@ def _program(
     """
     lower = np.maximum(-radius, -score.numbers)
     upper = np.minimum(radius, 1.0 - score.numbers)
-    rows, rights = [], []
-    for i, view in enumerate(score.views):
-        signals = view.signals if after is None else after[0].views[i].signals
-        excess = objective.corridor.excess(signals, n_times=len(signals)) + _MARGIN
-        by_numbers = slope.signals[i] / objective.corridor.width[:, None]
+    rows: list[np.ndarray] = []
+    rights: list[np.ndarray] = []
+
+    def limit(excess: np.ndarray, by_numbers: np.ndarray, *, thin: bool = False) -> None:
         reach = np.abs(by_numbers) @ radius
         for side, sign in enumerate((-1.0, 1.0)):
+            beyond = excess[:, :, side] + _MARGIN
             if after is not None:
-                excess[:, :, side] -= sign * (by_numbers @ after[1])
+                beyond = beyond - sign * (by_numbers @ after[1])
             # Other samples cannot reach their limit within this step.
-            near = excess[:, :, side] + reach > 0
+            near = beyond + reach > 0
+            if thin:
+                near &= _telling(beyond)
             rows.append(sign * by_numbers[near])
-            rights.append(-excess[:, :, side][near])
+            rights.append(-beyond[near])
+
+    basis = score if after is None else after[0]
+    for i, view in enumerate(basis.views):
+        excess = objective.corridor.excess(view.signals, n_times=len(view.signals))
+        limit(excess, slope.signals[i] / objective.corridor.width[:, None])
+    for i, by_numbers in slope.guards.items():
+        if objective.guards is not None and np.isfinite(basis.guards[i].excess):
+            corridor, signals = objective.guards.corridor, basis.guards[i].signals
+            excess = corridor.excess(signals, n_times=len(signals))
+            limit(excess, by_numbers / corridor.width[:, None], thin=True)
     matrix, right = np.vstack(rows), np.concatenate(rights)
     present = max(0.0, float(-right.min(initial=0.0)))
     if not len(right):
@@ -189,6 +201,14 @@ def _program(
         return np.zeros_like(radius), 0.0
     step = solved.x[:-1]
     return step, float(slope.criterion @ step + _PRICE * (present - solved.x[-1]))
+
+
+def _telling(excess: np.ndarray) -> np.ndarray:
+    """Peaks of each column, and every fourth sample: enough where there are many vehicles."""
+    padded = np.pad(excess, ((1, 1), (0, 0)), constant_values=-np.inf)
+    telling = (excess >= padded[:-2]) & (excess >= padded[2:])
+    telling[::4] = True
+    return telling
 
 
 def search(

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
+from oed_sysid.design.caution import Guards
 from oed_sysid.design.objective import Objective, Score
 from oed_sysid.design.parametrisation import Grid
 from oed_sysid.errors import DesignError, OedSysidError
@@ -14,6 +16,9 @@ from oed_sysid.experiment import Experiment
 from oed_sysid.manoeuvres import ZigZagLike
 from oed_sysid.model import Model
 from oed_sysid.simulate import simulate
+
+# Shares of the largest angles of the command, and of the attitude.
+_SIZES = (0.03, 0.1, 0.25, 0.5, 1.0)
 
 
 @dataclass(frozen=True)
@@ -57,9 +62,12 @@ def search_zigzags(
     constants: dict[str, float],
     initial: dict[str, float],
     rng: np.random.Generator,
+    guards: Guards | None = None,
     progress: Callable[[int, Score], None] | None = None,
 ) -> tuple[Score | None, Score | None, Experiment | None]:
     """Return the best zigzag within the limits, the nearest one, and its experiment.
+
+    With guards, each of them closes the loop itself and enough have to keep the limits.
 
     Raises
     ------
@@ -94,15 +102,33 @@ def search_zigzags(
             record = simulate(model, plan(numbers), noise=False)
         except OedSysidError:
             return None
-        score = objective.score_commands(record.inputs, numbers)
+        score = objective.score_commands(record.inputs, numbers, guarded=False)
         return score if np.isfinite(score.value) else None
+
+    def is_safe(numbers: np.ndarray) -> bool:
+        if guards is None:
+            return True
+        experiment, failed = plan(numbers), 0
+        for index, other in enumerate(guards.models):
+            try:
+                commands = simulate(other, experiment, noise=False).inputs
+                failed += guards.run(index, commands).excess > 0
+            except OedSysidError:
+                failed += 1
+            if failed > guards.n_waived:
+                return False
+        return True
 
     best: Score | None = None
     nearest: Score | None = None
-    n_random = family.n_trials // 3
+    # Regular zigzags of all sizes first: swings of their own pay only near a good one.
+    regular = [np.repeat(pair, n) for pair in product(_SIZES, _SIZES)]
+    n_random = len(regular) + family.n_trials // 4
     width = 0.3
     for trial in range(family.n_trials):
-        if trial < n_random or best is None:
+        if trial < len(regular):
+            numbers = regular[trial]
+        elif trial < n_random or best is None:
             numbers = rng.uniform(0.05, 1.0, 2 * n)
         else:
             moved = rng.random(2 * n) < max(0.3, 1.0 / n)
@@ -112,7 +138,7 @@ def search_zigzags(
             continue
         if nearest is None or score.excess < nearest.excess:
             nearest = score
-        if score.feasible and (best is None or score.value > best.value):
+        if score.feasible and (best is None or score.value > best.value) and is_safe(numbers):
             best = score
             width = min(0.4, 1.3 * width) if trial >= n_random else width
             if progress is not None:

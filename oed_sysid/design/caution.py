@@ -1,0 +1,193 @@
+"""Limits that are kept although the parameters are not known well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oed_sysid.design.corridor import Corridor
+from oed_sysid.errors import DesignError
+from oed_sysid.kernels import kernel
+from oed_sysid.model import Model
+
+# Share of the allowed failures that the search may use; the rest is for vehicles it never saw.
+_USABLE = 0.5
+# Vehicles whose limits enter one linear program.
+_N_LINEARISED = 20
+
+
+@dataclass(frozen=True)
+class Caution:
+    """How surely limits are to be kept when the parameters are uncertain.
+
+    The search keeps the limits on many vehicles, their values drawn from what
+    is known; a small share of them may fail. The result is judged on fresh
+    vehicles, and this is the probability that is stated.
+
+    Parameters
+    ----------
+    probability : float
+        With which all limits during the run are to be kept together.
+    spread : float or None
+        Relative half-width of uniform draws around the values; None draws from
+        what is known (prior standard deviations, or the covariance of a fit).
+    n_sets : int
+        Vehicles that the search sees.
+    n_checks : int
+        Fresh vehicles that judge the result.
+
+    References
+    ----------
+    G. C. Calafiore, M. C. Campi, The scenario approach to robust control
+    design, *IEEE Trans. Automatic Control* 51 (2006) 742-753.
+    M. C. Campi, S. Garatti, A sampling-and-discarding approach to
+    chance-constrained optimization, *J. Optimization Theory and Applications*
+    148 (2011) 257-280.
+    """
+
+    probability: float = 0.95
+    spread: float | None = None
+    n_sets: int = 160
+    n_checks: int = 600
+
+    @property
+    def n_waived(self) -> int:
+        """Vehicles that may fail in the search."""
+        return int(_USABLE * (1 - self.probability) * self.n_sets)
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.probability < 1 or min(self.n_sets, self.n_checks) < 20:
+            raise DesignError(
+                f"Caution has probability {self.probability}, {self.n_sets} sets and "
+                f"{self.n_checks} checks. Give a probability from 0.5 to below 1 and 20 or more "
+                "of both."
+            )
+        if self.spread is not None and not 0 < self.spread < 1:
+            raise DesignError(
+                f"Caution has spread {self.spread}. Give a number between 0 and 1, or None to draw "
+                "from what is known."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class GuardRun:
+    """What one uncertain vehicle does; ``signals`` are the limited ones, ``(n_times, n_limits)``.
+
+    Attributes
+    ----------
+    signals : ndarray (n_times, n_limits)
+    nodes : ndarray (n_edges, n_full)
+    excess : float
+        Largest, as a share of a limit's width; infinite where the trajectory diverges.
+    """
+
+    signals: np.ndarray
+    nodes: np.ndarray
+    excess: float
+
+
+class Guards:
+    """Uncertain vehicles on which limits are kept; their information does not matter.
+
+    Limits on the end of the run are goals of the nominal vehicle and not kept here.
+
+    Parameters
+    ----------
+    models : sequence of Model
+        Of one structure, at drawn values.
+    times : ndarray (n_times,)
+    edges : ndarray of int (n_edges,)
+        See :class:`~oed_sysid.design.scene.Scene`.
+    own : ndarray (n_own,)
+        Start state.
+    corridor : Corridor
+    n_waived : int
+        How many of them may fail.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[Model],
+        times: np.ndarray,
+        edges: np.ndarray,
+        own: np.ndarray,
+        corridor: Corridor,
+        n_waived: int = 0,
+    ) -> None:
+        self.models = tuple(models)
+        self.kernel = kernel(models[0])
+        self.values = [model.value_vector for model in models]
+        self.times, self.edges, self.own = times, edges, own
+        during = np.flatnonzero(~corridor.at_end)
+        self._columns = corridor.columns[during]
+        self.corridor = replace(
+            corridor,
+            names=tuple(corridor.names[i] for i in during),
+            columns=np.arange(len(during)),
+            lower=corridor.lower[during],
+            upper=corridor.upper[during],
+            width=corridor.width[during],
+            at_end=np.zeros(len(during), dtype=bool),
+        )
+        self.n_waived = n_waived
+        self._waived: frozenset[int] = frozenset()
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def run(self, index: int, commands: np.ndarray) -> GuardRun:
+        """Simulate one vehicle."""
+        values = self.values[index]
+        z, _ = self.kernel.start(self.own, commands[0], values, float(self.times[0]))
+        run = self.kernel.run(self.times, commands, values, z)
+        signals = self._limited(run.states, run.outputs)
+        excess = self.corridor.worst(signals) if run.ok else np.inf
+        return GuardRun(signals, run.states[self.edges], excess)
+
+    def change(self, index: int, before: GuardRun, commands: np.ndarray, edge: int) -> np.ndarray:
+        """Change of the limited signals from an edge on, zero where the trajectory diverges."""
+        first, values = int(self.edges[edge]), self.values[index]
+        z = before.nodes[edge]
+        if edge == 0:
+            z, _ = self.kernel.start(self.own, commands[0], values, float(self.times[0]))
+        run = self.kernel.run(self.times[first:], commands[first:], values, z)
+        changed = self._limited(run.states, run.outputs) - before.signals[first:]
+        return changed if run.ok else np.zeros_like(changed)
+
+    def _limited(self, states: np.ndarray, outputs: np.ndarray) -> np.ndarray:
+        n_full = self.kernel.n_full
+        return np.column_stack(
+            [states[:, c] if c < n_full else outputs[:, c - n_full] for c in self._columns]
+        )
+
+    def first_left(self, run: GuardRun) -> str | None:
+        """Name of the limit that a run leaves first; None if it keeps all."""
+        if run.excess <= 0:
+            return None
+        excess = self.corridor.excess(run.signals, n_times=len(self.times))
+        where = int(np.argmax(excess.max(axis=(1, 2)) > 0))
+        limit, side = np.unravel_index(int(np.argmax(excess[where])), excess.shape[1:])
+        return f"{self.corridor.names[limit]} {('lower', 'upper')[side]} limit"
+
+    def waive(self, runs: Sequence[GuardRun]) -> None:
+        """Leave the allowed number of vehicles, those furthest outside, out of the search.
+
+        They stay the same for a while: a search whose worst vehicles change
+        from step to step gets nowhere.
+        """
+        order = np.argsort([-run.excess for run in runs], kind="stable")
+        self._waived = frozenset(int(i) for i in order[: self.n_waived])
+
+    def level(self, runs: Sequence[GuardRun]) -> float:
+        """Largest excess, waived vehicles left out; below zero if the others are inside."""
+        return max(
+            (run.excess for i, run in enumerate(runs) if i not in self._waived), default=-np.inf
+        )
+
+    def decisive(self, runs: Sequence[GuardRun]) -> list[int]:
+        """Vehicles nearest to their limits, without those that are waived."""
+        order = np.argsort([-run.excess for run in runs], kind="stable")
+        kept = [int(i) for i in order if i not in self._waived and np.isfinite(runs[i].excess)]
+        return kept[:_N_LINEARISED]

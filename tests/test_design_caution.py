@@ -1,0 +1,128 @@
+"""Limits that hold although the parameters are wrong, checked by another integrator."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.stats import binom
+from test_design import LIMITS, grid, quick, ship
+
+from oed_sysid import Limits
+from oed_sysid.design import Caution, Design, Levels, ZigZags, assess_limits
+from oed_sysid.design.caution import Guards
+from oed_sysid.design.corridor import Corridor
+from oed_sysid.errors import DesignError
+
+CAUTION = Caution(0.9, 0.3, n_sets=60, n_checks=300)
+
+
+@pytest.fixture(scope="module", name="careful")
+def _careful() -> Design:
+    """A design that keeps its limits on nine of ten vehicles, coefficients 30 % wrong."""
+    return quick(caution=CAUTION)
+
+
+def _reaches(commands: np.ndarray, b: float, d: float, c: float) -> tuple[float, float]:
+    """Lowest and highest heading by SciPy's adaptive integrator, equations written anew."""
+
+    def rates(t: float, x: np.ndarray) -> list[float]:
+        rudder = commands[min(int(t / 0.5 + 1e-9), len(commands) - 1)]
+        return [x[1], b * rudder - d * x[1] - c * x[1] * abs(x[1])]
+
+    low, high, x = 0.0, 0.0, np.zeros(2)
+    for k in range(len(commands) - 1):
+        solved = solve_ivp(rates, (0.5 * k, 0.5 * (k + 1) - 1e-9), x, rtol=1e-7, atol=1e-9)
+        x = solved.y[:, -1]
+        low, high = min(low, x[0]), max(high, x[0])
+    return low, high
+
+
+def test_stated_probability_holds_in_an_independent_simulation(careful: Design) -> None:
+    """The share of violations found by another integrator agrees with the stated one."""
+    assert careful.assurance is not None
+    stated = careful.assurance.probability
+    assert stated >= 0.9
+    rng = np.random.default_rng(99)
+    n_vehicles = 80
+    commands = careful.trajectory.inputs[:, 0]
+    kept = 0
+    for _ in range(n_vehicles):
+        b, d, c = np.array([0.12, 0.4, 1.5]) * (1 + 0.3 * rng.uniform(-1, 1, 3))
+        low, high = _reaches(commands, b, d, c)
+        kept += low >= -0.6 and high <= 0.6
+    assert binom.ppf(1e-3, n_vehicles, stated) <= kept <= binom.ppf(1 - 1e-3, n_vehicles, stated)
+
+
+def test_caution_costs_little_and_its_absence_breaks_limits(careful: Design) -> None:
+    """Without caution many of these vehicles leave the limits; with it most of the gain stays."""
+    bold = quick()
+    found = assess_limits(
+        ship(), bold.experiment, limits=LIMITS, spread=0.3, rng=np.random.default_rng(5)
+    )
+    assert found.probability < 0.85
+    assert sum(found.left.values()) == found.n_checked - found.n_kept
+    for safe, free in zip(careful.references, bold.references, strict=True):
+        assert careful.gain(safe)[0] > 0.6 * bold.gain(free)[0]
+    assert "limits kept on" in careful.report()
+
+
+def test_guards_have_the_derivatives_of_differences() -> None:
+    """Changes of limited signals from an edge on equal those of whole runs."""
+    model, fitted = ship(), grid()
+    shape = Levels(12).on(fitted)
+    corridor = Corridor.of(model, Limits(signals={"psi": (-0.3, 0.3)}), {"r": (-0.1, 0.1)}, 2)
+    guards = Guards(
+        [model.with_values({"d": 0.3})], fitted.times, shape.edges, np.array([0.0, 0.01]), corridor
+    )
+    assert guards.corridor.names == ("psi",), "the end is a goal of the nominal vehicle"
+    numbers = np.full((2, 12), 0.6)
+    numbers[1, 7] = 0.9
+    first, second = shape.commands(numbers)
+    before, after = guards.run(0, first), guards.run(0, second)
+    edge = int(np.searchsorted(shape.edges, np.flatnonzero((first != second)[:, 0])[0], "right"))
+    changed = guards.change(0, before, second, edge - 1)
+    start = shape.edges[edge - 1]
+    np.testing.assert_allclose(changed, (after.signals - before.signals)[start:], atol=1e-12)
+
+
+def test_waived_vehicles_do_not_count() -> None:
+    """The level is that of the worst vehicle that still counts, and the first limit is named."""
+    model, fitted = ship(), grid()
+    corridor = Corridor.of(model, Limits(signals={"psi": (-0.3, 0.3)}), {}, 2)
+    models = [model.with_values({"b": b}) for b in (0.05, 0.12, 0.2)]
+    guards = Guards(models, fitted.times, np.array([0]), np.zeros(2), corridor, n_waived=1)
+    commands = np.full((81, 1), 0.1)
+    runs = [guards.run(i, commands) for i in range(3)]
+    assert guards.level(runs) == runs[2].excess
+    guards.waive(runs)
+    assert guards.level(runs) == runs[1].excess
+    assert guards.decisive(runs) == [1, 0]
+    assert guards.first_left(runs[2]) == "psi upper limit"
+
+
+def test_closed_loop_keeps_limits_on_other_vehicles() -> None:
+    """A cautious zigzag closes its loop on each vehicle and keeps the heading there."""
+    found = quick(
+        parametrisation=ZigZags("psi", 0.5, n_swings=2, n_trials=40),
+        caution=replace(CAUTION, n_sets=20, n_checks=40),
+    )
+    assert found.experiment.reacts
+    assert found.assurance is not None
+    assert found.assurance.probability >= 0.9
+    again = assess_limits(
+        ship(), found.experiment, limits=LIMITS, rng=np.random.default_rng(8), n_vehicles=40
+    )
+    assert again.probability >= 0.8
+
+
+def test_nothing_known_and_nonsense_are_named() -> None:
+    """Drawing from unknown knowledge, or a probability of two, is answered with advice."""
+    with pytest.raises(DesignError, match="Nothing is known about the spread"):
+        quick(caution=Caution(0.9))
+    with pytest.raises(DesignError, match="probability 2"):
+        Caution(2.0)
+    with pytest.raises(DesignError, match="spread 3"):
+        Caution(spread=3.0)
