@@ -40,7 +40,8 @@ def show(initial: str | None = None) -> None:
     initial : str, optional
         Problem to begin with.
     """
-    st.set_page_config("oed_sysid", ":material/sailing:", layout="wide")
+    # Without an icon: those that streamlit offers by name are fetched from elsewhere.
+    st.set_page_config("oed_sysid", layout="wide")
     choices.begin(initial)
     style()
     first = st.Page(
@@ -80,7 +81,6 @@ def _aside() -> None:
         study = choices.study()
     except OedSysidError:
         return
-    st.divider()
     st.markdown(f"**{study.problem.title}**")
     parts = (("Learn from", study.train), ("Judge with", study.test))
     for words, records in parts:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,8 +12,8 @@ _SCRIPT = Path(__file__).with_name("flow.py")
 _LARGEST_UPLOAD = 200  # MB
 
 
-def command(problem: str | None = None, *, port: int = 8501, browser: bool = True) -> list[str]:
-    """Return the command line that runs the server.
+def orders(problem: str | None = None, *, port: int = 8501, browser: bool = True) -> list[str]:
+    """Return what ``streamlit`` is told to do.
 
     Parameters
     ----------
@@ -58,21 +56,16 @@ def command(problem: str | None = None, *, port: int = 8501, browser: bool = Tru
     }
     options = [f"--{name}={value}" for name, value in settings.items()]
     given = [] if problem is None else ["--", problem]
-    return [sys.executable, "-m", "streamlit", "run", str(_SCRIPT), *options, *given]
+    return ["run", str(_SCRIPT), *options, *given]
 
 
-def start(problem: str | None = None, *, port: int = 8501, browser: bool = True) -> int:
-    """Run the server until it is interrupted; parameters as for :func:`command`.
+def start(problem: str | None = None, *, port: int = 8501, browser: bool = True) -> None:
+    """Run the server in this process until it is interrupted.
 
-    Returns
-    -------
-    int
-        Its exit code, zero when it was interrupted.
+    Parameters as for :func:`orders`.
     """
-    process = subprocess.Popen(command(problem, port=port, browser=browser))
-    try:
-        return process.wait()
-    except KeyboardInterrupt:
-        process.terminate()
-        process.wait()
-        return 0
+    given = orders(problem, port=port, browser=browser)
+
+    from streamlit.web.cli import main
+
+    main(given, prog_name="streamlit", standalone_mode=False)

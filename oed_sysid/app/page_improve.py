@@ -26,7 +26,7 @@ def show(study: Study) -> None:
             "page Problem."
         )
     key = choices.preset(choices.kept("most", study.source, study.variant), 4)
-    most = st.slider("Most effects to add", 1, 6, key=key)
+    most = st.columns(2)[0].slider("Most effects to add", 1, 6, key=key)
     line = commands.improve(study, most)
     about = Asked("Missing physics", "improve", line)
     asked = ("improve", most, *study.key)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import streamlit as st
 
 from oed_sysid.app import choices, commands
-from oed_sysid.app.panels import command, message
+from oed_sysid.app.panels import command, message, part
 from oed_sysid.app.study import content
 from oed_sysid.channels import Input, Output
 from oed_sysid.dataset import Dataset
@@ -44,14 +44,14 @@ def show() -> None:
     with equations:
         st.code(problem.model.equations(), language=None, wrap_lines=True)
     with parameters:
-        _html(Section("", tables=(_parameters(problem),)))
+        part(Section("", tables=(_parameters(problem),)))
     with missing:
-        _html(Section("", tables=(_candidates(problem),)))
+        part(Section("", tables=(_candidates(problem),)))
     with experiments:
         lines = [run.describe() for run in problem.experiments.values()]
-        _html(Section("", tuple(lines) or ("None.",)))
+        part(Section("", tuple(lines) or ("None.",)))
     with sources:
-        _html(Section("", problem.references or ("None stated.",)))
+        part(Section("", problem.references or ("None stated.",)))
     command(commands.describe(choices.study()))
 
 
@@ -87,6 +87,7 @@ def _records(problem: Problem, source: str, variant: str) -> None:
                 stock.names,
                 key=choices.kept(part, source, variant, origin),
                 help="No choice looks at these." if part == "test" else None,
+                wrap=True,
             )
     name = st.selectbox("Look at", stock.names, key=f"look:{source}:{origin}")
     if name in stock.names:
@@ -96,7 +97,7 @@ def _records(problem: Problem, source: str, variant: str) -> None:
         if record.ignored_columns:
             st.caption(f"Columns not used: {', '.join(record.ignored_columns)}")
         one = Dataset((record,))
-        _html(Section("", pictures=(_picture(content(one), one),)))
+        part(Section("", pictures=(_picture(content(one), one),)))
 
 
 def _upload(problem: Problem, source: str) -> None:
@@ -146,10 +147,6 @@ def _candidates(problem: Problem) -> Table:
     )
     headers = ("effect", "stage", "meaning", "shows in", "source")
     return Table(headers, rows, words=(1, 2, 3, 4))
-
-
-def _html(section: Section) -> None:
-    st.html(f'<div class="oed">{section.html()}</div>')
 
 
 @st.cache_resource(show_spinner=False, max_entries=30)

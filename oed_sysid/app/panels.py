@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from html import escape
 from typing import Any
@@ -12,7 +12,7 @@ import streamlit as st
 
 from oed_sysid.app.jobs import Desk, Job, Tell
 from oed_sysid.app.tasks import Outcome
-from oed_sysid.report import Page, style_sheet
+from oed_sysid.report import Page, Section, style_sheet
 
 _POLL = 0.5  # s between looks at a running job
 
@@ -104,8 +104,15 @@ def show(page: Page) -> None:
     for tab, section in zip(
         st.tabs([section.title for section in page.sections]), page.sections, strict=True
     ):
+        # What stands above the tabs need not be said again.
+        words = tuple(text for text in section.paragraphs if text not in page.verdict)
         with tab:
-            st.html(f'<div class="oed">{section.html()}</div>')
+            part(replace(section, paragraphs=words))
+
+
+def part(section: Section) -> None:
+    """Show words, tables and pictures of one section."""
+    st.html(f'<div class="oed">{section.html()}</div>')
 
 
 def command(text: str) -> None:
@@ -137,6 +144,7 @@ def style() -> None:
 _STYLE = """
 .oed { color: #1b1f24; }
 .oed .verdict { margin-top: 0; }
+.oed th.words, .oed td.words { min-width: 6rem; }
 .oed figure { margin-bottom: 1.6rem; }
 .oed figure img { max-width: min(100%, 64rem); }
 .oed-busy { color: #59636e; }

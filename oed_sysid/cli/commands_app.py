@@ -27,9 +27,7 @@ def app(
     """
     from oed_sysid.app.launch import start
 
-    code = start(problem, port=port, browser=not no_browser)
-    if code:
-        raise typer.Exit(1)
+    start(problem, port=port, browser=not no_browser)
 
 
 COMMANDS = (app,)
