@@ -67,7 +67,8 @@ def fit_verdict(fit: Fit) -> tuple[str, ...]:
     if fit.status.ok:
         says.append("The estimation converged.")
     else:
-        says.append(f"The estimation did not converge ({fit.status}). Do not use the values.")
+        why = str(fit.status).rstrip(".")
+        says.append(f"The estimation did not converge ({why}). Do not use the values.")
     if fit.sigma_estimated.all():
         says.append(
             "The noise levels were estimated from the residuals, so the size of the misfit says "
