@@ -80,6 +80,8 @@ def test_cases_can_be_drawn_again() -> None:
     assert case(draw) != case(draw, attempt=1)
     hidden = {name for d in draws("single/white:40") for name in case(d).effects}
     assert len(hidden) == 40
+    mixed = [draw.key for draw in draws("none/white:4 pair/white:2")]
+    assert mixed[:3] == ["none/white/0", "pair/white/0", "none/white/1"]
     assert case(Draw("none", "gust_mid", 0)).noise == CONDITIONS["gust_mid"]
     with pytest.raises(ValueError, match="Unknown kind"):
         draws("single/green:3")
@@ -94,7 +96,7 @@ def entry(key: str, hidden: list[str], added: list[str], **changes: object) -> d
         "hidden": kind,
         "condition": condition,
         "effects": dict.fromkeys(hidden, 1.0),
-        "steps": [{"added": name, "group": [name], **step} for name in added],
+        "steps": [{"added": n, "equation": "M", "group": [n], **step} for n in added],
         "order": added,
         "rejected": [],
         "detectable": True,
@@ -114,6 +116,8 @@ def test_measures_count_what_they_say() -> None:
         entry("none/white/0", [], []),
         entry("none/white/1", [], ["a"]),
         entry("pair/white/0", ["a", "b"], ["b", "a"]),
+        entry("unknown/white/0", ["unknown_cubic_pitch_damping"], ["term_M_qqq"]),
+        entry("unknown/white/1", ["unknown_cubic_drag"], ["term_M_qqq"]),
         {"key": "single/white/3", "hidden": "single", "condition": "white", "error": "broken"},
     ]
     found = measures(entries)
@@ -123,6 +127,7 @@ def test_measures_count_what_they_say() -> None:
     assert first["low"] < 0.5 < first["high"]
     assert rates["nothing hidden: false claims"]["value"] == 0.5
     assert rates["two, both detectable: both found"]["value"] == 1.0
+    assert rates["unknown effect: only the right equation is changed"]["value"] == 0.5
     assert [failure["case"] for failure in found["failures"]] == ["single/white/1", "none/white/1"]
     assert found["broken"] == [{"case": "single/white/3", "error": "broken"}]
     assert "single/white/1" in as_markdown(found)

@@ -116,12 +116,14 @@ class Draw:
 def draws(plan: str) -> list[Draw]:
     """Cases of a plan such as ``"single/white:40 none/colour5:20-40"``.
 
+    Kinds take turns, so that a run that is cut short has its share of every kind.
+
     Examples
     --------
     >>> [draw.key for draw in draws("none/white:2 pair/white:5-6")]
-    ['none/white/0', 'none/white/1', 'pair/white/5']
+    ['none/white/0', 'pair/white/5', 'none/white/1']
     """
-    found = []
+    found: list[tuple[float, Draw]] = []
     for part in plan.split():
         kind, _, numbers = part.partition(":")
         hidden, condition = kind.split("/")
@@ -131,8 +133,12 @@ def draws(plan: str) -> list[Draw]:
                 f"{', '.join(CONDITIONS)}."
             )
         first, _, last = numbers.rpartition("-")
-        found += [Draw(hidden, condition, n) for n in range(int(first or 0), int(last))]
-    return found
+        numbers_wanted = range(int(first or 0), int(last))
+        found += [
+            ((place + 0.5) / len(numbers_wanted), Draw(hidden, condition, number))
+            for place, number in enumerate(numbers_wanted)
+        ]
+    return [draw for _, draw in sorted(found, key=lambda pair: pair[0])]
 
 
 def case(draw: Draw, attempt: int = 0) -> Case:

@@ -15,6 +15,7 @@ from benchmarks.missing_physics.truth import true_structure
 from oed_sysid import Dataset, Problem, Record, load_problem
 from oed_sysid.diagnosis.improve import improve
 from oed_sysid.diagnosis.improvement import Improvement
+from oed_sysid.effects import Effect
 
 
 @lru_cache(maxsize=1)
@@ -75,6 +76,7 @@ def _found(found: Improvement) -> dict[str, Any]:
         "steps": [
             {
                 "added": step.added,
+                "equation": _equation(step.effect),
                 "group": list(step.group),
                 "evidence": step.evidence,
                 "needed": step.needed,
@@ -90,3 +92,8 @@ def _found(found: Improvement) -> dict[str, Any]:
         "base_error": plain["base_error"],
         "final_error": plain["final_error"],
     }
+
+
+def _equation(effect: Effect) -> str:
+    """Axis on which a force acts, else the stage of the effect."""
+    return "+".join(map(str, effect.terms)) if effect.stage == "force" else effect.stage

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.missing_physics.truth import UNKNOWN_TERMS
+
 Entry = Mapping[str, Any]
 LARGEST_GROUP = 3
 
@@ -90,6 +92,12 @@ def exactly_found(entry: Entry) -> bool:
     return set(entry["effects"]) == {step["added"] for step in entry["steps"]}
 
 
+def right_equation(entry: Entry) -> bool:
+    """Whether what was added acts on the axis of the hidden unknown term, and nowhere else."""
+    (name,) = entry["effects"]
+    return {step["equation"] for step in entry["steps"]} == {UNKNOWN_TERMS[name][0]}
+
+
 def _rates(entries: Sequence[Entry]) -> list[Rate]:
     single = _kind(entries, "single", "white")
     shown = [e for e in single if e["detectable"]]
@@ -132,7 +140,13 @@ def _rates(entries: Sequence[Entry]) -> list[Rate]:
             lambda e: e["final_error"]["test"] <= 1.05 * e["true_test_error"],
             [e for e in unknown if e["detectable"]],
             ">= 0.85",
-        )
+        ),
+        _share(
+            "unknown effect: only the right equation is changed",
+            right_equation,
+            [e for e in unknown if e["detectable"]],
+            ">= 0.95",
+        ),
     ]
     seconds = np.array([e["processor_seconds"] for e in entries])
     rates.append(_number("processor seconds per case: median", seconds, 50, "<= 10"))
@@ -183,8 +197,10 @@ def _by_effect(entries: Sequence[Entry]) -> list[dict[str, Any]]:
 def _is_failure(entry: Entry) -> bool:
     if entry["hidden"] == "none":
         return claims(entry)
-    if entry["hidden"] == "unknown" or not entry["detectable"]:
+    if not entry["detectable"]:
         return False
+    if entry["hidden"] == "unknown":
+        return entry["final_error"]["test"] > 1.05 * entry["true_test_error"]
     return not exactly_found(entry)
 
 

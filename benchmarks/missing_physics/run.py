@@ -23,9 +23,9 @@ from benchmarks.missing_physics.measures import as_markdown, measures
 
 RESULTS = Path(__file__).resolve().parent.parent / "results" / "missing_physics.jsonl"
 PLAN = (
-    "single/white:320 none/white:100 pair/white:60 unknown/white:20 "
-    "none/colour5:20 none/colour9:20 none/force_low:20 none/force_mid:20 none/force_high:20 "
-    "none/gust_mid:20 single/colour5:40 single/force_mid:40 single/gust_mid:40"
+    "single/white:320 none/white:200 pair/white:60 unknown/white:40 "
+    "none/colour5:20 none/colour9:20 none/force_mid:20 none/force_high:20 none/gust_mid:20 "
+    "single/colour5:40 single/force_mid:40 single/gust_mid:40"
 )
 BATCH = 40
 PAGE = """# How often missing physics is found

@@ -68,6 +68,9 @@ def true_structure(
 ) -> Truth:
     """Fit the true structure, from the improvement's base fit and from the truth."""
     effects = [_effect(problem, name) for name in case.effects]
+    if not effects:  # the believed structure is the true one
+        error = found.base_error
+        return Truth(0.0, {}, threshold(len(problem.effects), 1), error["train"], error["test"])
     known = [effect for effect in problem.effects if effect not in effects]
     unknown = any(name in UNKNOWN_TERMS for name in case.effects)
     candidates = effects if unknown else [*problem.effects]
@@ -85,7 +88,7 @@ def true_structure(
         kept = {k: v for k, v in amplitudes.items() if k in names}
         fits[left_out] = _best_fit(bench, found.base_fit, names, kept, case.derivatives)
     full = fits[""]
-    freedom = max((len(e.amplitude_names) + len(e.shape_names) for e in effects), default=1)
+    freedom = max(len(e.amplitude_names) + len(e.shape_names) for e in effects)
     base = found.base_fit.objective
     gains = {n: fits.get(n, found.base_fit).objective - full.objective for n in case.effects}
     errors = bench.errors(full, sigma)
