@@ -44,7 +44,8 @@ class Diagnosis:
         """Identifiers of the best effect and of those that cannot be told from it here."""
         if self.best is None:
             return ()
-        return tuple(refit.name for refit in self.ranking.group())
+        names = [refit.name for refit in self.ranking.group()]
+        return tuple(dict.fromkeys((*names, *self.ranking.alike(names[0]))))
 
     def report(self) -> str:
         """Return the diagnosis as text."""

@@ -20,6 +20,8 @@ N_REFITS = 7
 N_FULL, SHARE = 4, 0.1
 # A rival whose refit is this close, in twice the log-likelihood, cannot be told apart.
 GROUP_WIDTH = 6.0
+# Correlation of two signatures, free parameters projected out, above which they are one.
+ALIKE = 0.95
 # Share of false claims over all candidates where no untouched record can be asked, and
 # where one is: chance passes both once in several hundred searches.
 FALSE_CLAIMS, FALSE_CLAIMS_BEFORE_TEST = 0.01, 0.05
@@ -109,12 +111,21 @@ class Ranking:
 
     def similarity(self, first: Refit, second: Refit) -> float:
         """Largest canonical correlation of two effects' signatures."""
-        bases = []
-        for refit in (first, second):
-            if not np.any(refit.score.signature):
-                return 0.0
-            bases.append(np.linalg.qr(refit.score.signature)[0])
-        return float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0])
+        return _similarity(first.score, second.score)
+
+    def alike(self, name: str, limit: float = ALIKE) -> tuple[str, ...]:
+        """Candidates never refitted whose signature is nearly that of another, by likeness.
+
+        Those that were refitted are told from it, or not, by their evidence.
+        """
+        own = next(score for score in self.scores if score.effect.name == name)
+        refitted = {refit.name for refit in self.refits}
+        found = {
+            score.effect.name: _similarity(own, score)
+            for score in self.scores
+            if score.effect.name != name and score.effect.name not in refitted
+        }
+        return tuple(n for n in sorted(found, key=lambda n: -found[n]) if found[n] > limit)
 
     def report(self) -> str:
         """Return the best candidates and what these records cannot show, as text."""
@@ -149,6 +160,15 @@ class Ranking:
             if score.absorbed or any(limit > sizes[name] for name, limit in limits.items()):
                 found[score.effect.name] = limits
         return found
+
+
+def _similarity(first: Score, second: Score) -> float:
+    bases = []
+    for score in (first, second):
+        if not np.any(score.signature):
+            return 0.0
+        bases.append(np.linalg.qr(score.signature)[0])
+    return float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0])
 
 
 def rank(
