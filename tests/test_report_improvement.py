@@ -56,7 +56,7 @@ def test_located_plot_shows_the_evidence(story) -> None:
     located = story[0].location
     ax = report.plot_located(located, n_shown=3)
     widths = [bar.get_width() for bar in ax.patches]
-    expected = sorted(located.evidence.values(), reverse=True)[:3]
+    expected = [located.evidence[place.name] for place in located.places[:3]]
     np.testing.assert_allclose(widths, np.maximum(expected, 0.0))
     assert mpl.colors.to_hex(ax.patches[0].get_facecolor()) == "#d55e00"
 

@@ -118,7 +118,7 @@ class Located:
             gain = self.evidence[place.name]
             if gain > CLEAR:
                 size = f"{self.levels[place.name]:.2g}"
-                rows.append((place.name, f"{gain:.0f}", f"{top - gain:.0f}", size, place.unit))
+                rows.append((place.name, _count(gain), _count(top - gain), size, place.unit))
         lines = [*align(rows), ""] if len(rows) > 1 else []
         lines.append(self.verdict)
         if self.best is not None:
@@ -236,3 +236,7 @@ def _discrepancy(part: Evidence, times: Sequence[np.ndarray]) -> tuple[Series, .
 
 def _words(place: Place) -> str:
     return WORDS[place.stage].format(signal=place.signal)
+
+
+def _count(gain: float) -> str:
+    return f"{gain:.0f}" if gain < 1e5 else f"{gain:.2g}"

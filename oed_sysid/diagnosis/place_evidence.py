@@ -22,6 +22,8 @@ from oed_sysid.errors import SimulationError
 # ratio within which the best is settled.
 LEVELS = (0.03, 0.12, 0.5, 2.0, 8.0)
 SETTLED = 1.15
+# Multiples of the white level that are tried where noise alone has to explain all.
+WEAKER = np.geomspace(1.0, 1024.0, 6)
 # At the edge of the levels tried, so small a gain is not followed.
 FLAT = 0.2
 # Levels tried beyond the first ones, at most.
@@ -80,7 +82,7 @@ def evidence(
     quiet = NoiseModel(grounds.white, nothing, np.zeros(1), force_time=correlation_time)
     records = [[stretch.alone(index) for stretch in found.stretches] for index in chosen]
     units = found.units(correlation_time)[list(chosen)]
-    base = restricted(grounds, [quiet], [records[0]])[0].objective
+    base = _noise_alone(found, quiet, records[0])
     logs = np.log(LEVELS)
     tables = [
         {float(x): s for x, s in zip(logs, solutions, strict=True)}
@@ -166,6 +168,29 @@ def _next_level(table: dict[float, Restricted]) -> float | None:
     else:
         trial = centre + 0.5 * (below * right - above * left) / max(below + above, 1e-12)
     return None if min(abs(trial - x) for x in known) < np.log(SETTLED) else float(trial)
+
+
+def _noise_alone(found: Along, quiet: NoiseModel, records: Sequence[Deviations]) -> float:
+    """Objective of white noise alone, as strong as it has to be where nobody declared its level.
+
+    Otherwise the gain would mostly say that a misfit is larger than a noise that
+    is small, not that it has a shape.
+    """
+    free = np.array([output.noise_std is None for output in found.system.model.outputs])
+    if not free.any():
+        return restricted(found.grounds, [quiet], [records])[0].objective
+    centre, step = np.log(WEAKER[len(WEAKER) // 2]), np.log(WEAKER[1] / WEAKER[0])
+    trials = np.log(WEAKER)
+    best = np.inf
+    while step > np.log(SETTLED):
+        whites = [np.where(free, quiet.white * np.exp(x), quiet.white) for x in trials]
+        models = [replace(quiet, white=white) for white in whites]
+        values = [s.objective for s in restricted(found.grounds, models, [records] * len(models))]
+        if min(values) < best:
+            best, centre = min(values), trials[int(np.argmin(values))]
+        step /= 2.0
+        trials = np.array([centre - step, centre + step])
+    return best
 
 
 def _best(table: dict[float, Restricted]) -> float:

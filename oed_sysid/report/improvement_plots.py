@@ -144,7 +144,7 @@ def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None)
     ax : Axes, optional
         Where to draw.
     """
-    places = sorted(located.evidence.items(), key=lambda item: -item[1])[:n_shown]
+    places = [(place.name, located.evidence[place.name]) for place in located.places[:n_shown]]
     ax = new_axes(ax, size=(6.4, 1.2 + 0.3 * len(places)))
     rows = np.arange(len(places))[::-1]
     for (name, value), row in zip(places, rows, strict=True):
