@@ -9,6 +9,7 @@ import numpy as np
 
 from oed_sysid.dataset import Dataset
 from oed_sysid.diagnosis.conclusion import parameter_table, remainder
+from oed_sysid.diagnosis.error_table import Yardstick
 from oed_sysid.diagnosis.greybox import GreyBox, estimate
 from oed_sysid.diagnosis.improvement import REMAINDER_LIMIT, Improvement, Step
 from oed_sysid.diagnosis.innovations import NoiseModel
@@ -221,7 +222,7 @@ def _sigma(model: Model, fit: GreyBox, units: NoiseModel) -> np.ndarray:
 
 def _group(ranking: Ranking, added: str) -> tuple[str, ...]:
     names = [refit.name for refit in ranking.group()]
-    return (added, *(name for name in names if name != added))
+    return tuple(dict.fromkeys((added, *names, *ranking.alike(added))))
 
 
 def _result(
@@ -243,7 +244,8 @@ def _result(
     for (refit, ranking, test_gain), fit in zip(steps, fits, strict=True):
         present.append(refit.score.effect)
         fit = _with_only(bench, present, fit)
-        error = bench.errors(fit, sigma)
+        rms = bench.rms(fit)
+        error = bench.relative(rms, sigma)
         done.append(
             Step(
                 _at_estimates(refit.score.effect, fit),
@@ -254,6 +256,7 @@ def _result(
                 error["train"],
                 error["test"],
                 fit,
+                rms,
             )
         )
     if unknown is not None:
@@ -267,7 +270,8 @@ def _result(
             if k in known or k in {p.name for e in state.added for p in e.parameters}
         }
     )
-    base_error = bench.errors(base_fit, sigma)
+    base_rms = bench.rms(base_fit)
+    base_error = bench.relative(base_rms, sigma)
     return Improvement(
         model=final,
         base=base,
@@ -281,6 +285,8 @@ def _result(
         location=location,
         remainder=remainder(bench.train, state.fit),
         parameters=parameter_table(bench.train, state.fit),
+        base_rms=base_rms,
+        yardstick=Yardstick.of(bench.train.dataset, sigma),
         rejected=tuple(rejected),
         proposed=() if unknown is None else (unknown.to_dict(),),
     )
@@ -310,7 +316,8 @@ def _with_unknown(
     unknown: Unknown, state: _State, done: list[Step], sigma: np.ndarray
 ) -> tuple[Workbench, _State, list[Step]]:
     """The state with a proposed term in it, and the steps that led there."""
-    error = unknown.bench.errors(unknown.fit, sigma)
+    rms = unknown.bench.rms(unknown.fit)
+    error = unknown.bench.relative(rms, sigma)
     kept = [step for step in done if step.added not in unknown.replaces]
     last = Step(
         _at_estimates(unknown.effect, unknown.fit),
@@ -321,6 +328,7 @@ def _with_unknown(
         error["train"],
         error["test"],
         unknown.fit,
+        rms,
     )
     joined = _State((*unknown.kept, unknown.effect), unknown.fit, unknown.bench)
     return unknown.bench, joined, [*kept, last]

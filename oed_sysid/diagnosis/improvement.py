@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from oed_sysid.diagnosis.error_table import Errors, Yardstick
 from oed_sysid.diagnosis.greybox import GreyBox
 from oed_sysid.diagnosis.locate import Located
 from oed_sysid.diagnosis.rank import Ranking
@@ -41,6 +42,8 @@ class Step:
         Prediction errors after the step, in units of the noise.
     fit : GreyBox
         The fit after the step.
+    rms : dict
+        The same errors of each output in its unit, ``train`` and ``test``, ``(n_outputs,)``.
     """
 
     effect: Effect
@@ -51,6 +54,7 @@ class Step:
     train_error: float
     test_error: float
     fit: GreyBox
+    rms: Errors
 
     @property
     def added(self) -> str:
@@ -79,6 +83,10 @@ class Improvement:
     remainder : float
         Twice the log-likelihood that disturbances still explain after the last
         step beyond white noise.
+    base_rms : dict
+        Errors of each output in its unit, ``train`` and ``test``, ``(n_outputs,)``.
+    yardstick : Yardstick
+        Noise and spread of the signals, to compare errors with.
     rejected : tuple of str
         Best candidates that the untouched records refused.
     """
@@ -93,6 +101,8 @@ class Improvement:
     location: Located
     remainder: float
     parameters: tuple[Mapping[str, Any], ...]
+    base_rms: Errors
+    yardstick: Yardstick
     rejected: tuple[str, ...] = ()
     proposed: tuple[Mapping[str, Any], ...] = ()
 
@@ -168,6 +178,8 @@ class Improvement:
                 self.ranking.report(),
                 "",
                 *self._story(),
+                "",
+                *self.yardstick.table(self.base_rms, self.steps[-1].rms if self.steps else None),
                 "",
                 *self._closing(),
             ]

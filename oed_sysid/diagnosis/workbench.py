@@ -9,7 +9,7 @@ import numpy as np
 
 from oed_sysid.dataset import Dataset
 from oed_sysid.diagnosis.correlation_times import with_correlation_times
-from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate, with_noise
+from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate, residuals, with_noise
 from oed_sysid.diagnosis.innovations import Deviations, NoiseModel
 from oed_sysid.diagnosis.linearise import SuperModel, deviations, disturbed_equations
 from oed_sysid.effects import Effect
@@ -169,6 +169,21 @@ class Workbench:
             ``train`` and ``test``; NaN without test records, infinite where the
             model diverges.
         """
+        return self.relative(self.rms(fit), sigma)
+
+    def relative(self, rms: Mapping[str, np.ndarray], sigma: np.ndarray) -> dict[str, float]:
+        """Errors of all outputs together, in units of the noise, from those of each."""
+        tasks = {"train": self.train, "test": self.test}
+        found = {}
+        for key, task in tasks.items():
+            count = np.zeros(len(sigma)) if task is None else _counts(task.dataset)
+            seen = count > 0
+            total = float(np.sum(count[seen] * (rms[key][seen] / sigma[seen]) ** 2))
+            found[key] = float(np.sqrt(total / count.sum())) if seen.any() else np.nan
+        return found
+
+    def rms(self, fit: GreyBox) -> dict[str, np.ndarray]:
+        """Errors as in :meth:`errors`, of each output in its unit, shape ``(n_outputs,)``."""
         fits = [least_squares(self.train, fit, fit.names, fit.initial)]
         if self.plain is not None and set(fit.names) == set(self.plain.model.free_names):
             # Here least squares may have found a better, if absurd, place to start from.
@@ -176,21 +191,24 @@ class Workbench:
             own = replace(fit, values=values)
             fits.append(least_squares(self.train, own, fit.names, self.plain.initial_states))
         fitted = min((f for f in fits if f is not None), key=lambda f: f.objective, default=fit)
-        found = {"train": _misfit(self.train, fitted, sigma), "test": np.nan}
+        found = {"train": _misfit(self.train, fitted)}
+        found["test"] = np.full_like(found["train"], np.nan)
         if self.test is not None:
             starts = starting_states(self.test.super_model.base, self.test.dataset)
             there = least_squares(self.test, fitted, (), starts)
-            found["test"] = np.inf if there is None else _misfit(self.test, there, sigma)
+            lost = np.full_like(found["train"], np.inf)
+            found["test"] = lost if there is None else _misfit(self.test, there)
         return found
 
 
-def _misfit(task: Task, fit: GreyBox, sigma: np.ndarray) -> float:
-    total = count = 0.0
-    for record, outputs in zip(task.dataset, fit.outputs, strict=True):
-        scaled = (record.outputs - outputs) / sigma
-        total += float(np.nansum(scaled**2))
-        count += int(np.isfinite(scaled).sum())
-    return float(np.sqrt(total / count))
+def _misfit(task: Task, fit: GreyBox) -> np.ndarray:
+    squares = [np.nansum(part**2, axis=0) for part in residuals(task.dataset, fit.outputs)]
+    return np.sqrt(np.sum(squares, axis=0) / np.maximum(_counts(task.dataset), 1))
+
+
+def _counts(dataset: Dataset) -> np.ndarray:
+    """Measured samples of each output."""
+    return np.sum([np.isfinite(record.outputs).sum(axis=0) for record in dataset], axis=0)
 
 
 def on_records(task: Task, fit: GreyBox) -> GreyBox | None:
