@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from oed_sysid import Dataset, Force, Model, Output, Parameter, Record, State
 from oed_sysid.diagnosis.improve import improve
 from oed_sysid.kernels import kernel
 
 
-def test_several_shapes_are_estimated_from_their_own_values() -> None:
-    """A refit starts every shape that the score did not choose where the effect has it."""
+@pytest.mark.parametrize("brim", [1.0, 5.0], ids=["near", "above every level"])
+def test_several_shapes_are_estimated_from_their_own_values(brim: float) -> None:
+    """Every shape is looked for over its bounds, even where the given value shows nothing."""
     tank = Model(
         "tanks",
         states=(State("upper", "m"), State("lower", "m")),
@@ -28,11 +30,11 @@ def test_several_shapes_are_estimated_from_their_own_values() -> None:
         (
             Parameter("E_overflow", 0.0, "1/s", lower=0.0, upper=2.0, scale=0.1),
             Parameter("share", 0.5, "1", lower=0.0, upper=1.0),
-            Parameter("brim", 1.0, "m", lower=0.5, upper=3.0),
+            Parameter("brim", brim, "m", lower=0.5, upper=6.0),
         ),
         amplitudes=("E_overflow",),
     )
-    true = (tank + overflow).with_values({"E_overflow": 0.5, "share": 0.7})
+    true = (tank + overflow).with_values({"E_overflow": 0.5, "share": 0.7, "brim": 1.0})
     times = np.arange(0.0, 10.0, 0.1)
     values, own = true.value_vector, np.array([3.0, 0.5])
     runner = kernel(true)
@@ -44,3 +46,4 @@ def test_several_shapes_are_estimated_from_their_own_values() -> None:
     found = improve(tank, data, candidates=(overflow,))
     assert [step.added for step in found.steps] == ["overflow"]
     assert abs(found.model.values["share"] - 0.7) < 0.1
+    assert abs(found.model.values["brim"] - 1.0) < 0.1
