@@ -8,9 +8,12 @@ the parameters; its solution starts the real one.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from oed_sysid.gauss_newton import bounded_step
+from oed_sysid.normal_blocks import eliminate, gather
 from oed_sysid.shooting import Point, Shooting
 
 # Simulated start states may leave their guesses by this many state scales (soft).
@@ -18,7 +21,7 @@ from oed_sysid.shooting import Point, Shooting
 # parameters enter almost linearly.
 NODE_FREEDOM = 10.0
 # The way in only has to arrive nearby: stop when an iteration gains less than this share.
-ENOUGH = 1e-3
+ENOUGH = 1e-2
 
 
 def free_node_start(
@@ -52,7 +55,13 @@ def climb(
     return _FreeNodes(shooting, unknowns, n_samples).solve(unknowns, max_iterations)
 
 
-Blocks = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+@dataclass(frozen=True, eq=False)
+class _Evaluation:
+    """Cost, and per record the products of its segments and how far its nodes have moved."""
+
+    cost: float
+    grams: tuple[np.ndarray, ...]
+    away: tuple[np.ndarray, ...]
 
 
 class _FreeNodes:
@@ -69,68 +78,49 @@ class _FreeNodes:
         std = np.where(np.isfinite(shooting.guess_std), shooting.guess_std, np.inf)
         self.node_weights = np.minimum(std, NODE_FREEDOM * shooting.state_scale) ** -2.0
 
-    def evaluate(
-        self, unknowns: np.ndarray, nodes: list[np.ndarray]
-    ) -> tuple[float, list[Blocks]] | None:
-        """Cost and, per record, the blocks of the normal equations."""
+    def evaluate(self, unknowns: np.ndarray, nodes: list[np.ndarray]) -> _Evaluation | None:
+        """Cost and normal equations; None where a trajectory is not finite."""
         s = self.shooting
-        cost = s.prior_cost(unknowns)
-        blocks = []
-        n_full = s.kernel.n_full
+        cost, grams, moved = s.prior_cost(unknowns), [], []
         for index, record in enumerate(s.records):
-            n_segments = len(nodes[index])
-            stop = n_segments * self.length
-            starts = np.arange(0, stop, self.length, dtype=np.intc)
-            run = s.kernel.run(
+            stop = len(nodes[index]) * self.length
+            blocks = gather(
+                s.kernel,
                 record.times[:stop],
                 record.inputs[:stop],
                 s.values(unknowns, index),
                 nodes[index],
-                starts=starts,
-                sensitivities=True,
+                record.outputs[:stop],
+                s.sigma,
+                starts=np.arange(0, stop, self.length, dtype=np.intc),
+                linked=False,
             )
-            dy = run.output_sensitivities
-            if not run.ok or dy is None:
+            if blocks is None:
                 return None
-            residual = record.outputs[:stop] - run.outputs
-            scaled, weights = s.scaled(residual)
-            away, node_weight = nodes[index] - self.guesses[index], self.node_weights[index]
-            cost += 0.5 * float(np.vdot(scaled, scaled) + np.sum(node_weight * away**2))
-            jacobian = dy * (weights / s.sigma)[:, :, None]
-            jacobian = jacobian.reshape(n_segments, -1, dy.shape[2])
-            with np.errstate(over="ignore", invalid="ignore"):
-                gram = jacobian.transpose(0, 2, 1) @ jacobian
-                right = (scaled.reshape(n_segments, 1, -1) @ jacobian)[:, 0]
-            if not np.isfinite(gram).all():
-                return None
-            gram[:, range(n_full), range(n_full)] += node_weight
-            blocks.append(
-                (
-                    gram[:, :n_full, :n_full],
-                    gram[:, :n_full, n_full:],
-                    right[:, :n_full] - node_weight * away,
-                    gram[:, n_full:, n_full:].sum(axis=0),
-                    right[:, n_full:].sum(axis=0),
-                )
-            )
-        return cost, blocks
+            away = nodes[index] - self.guesses[index]
+            squares = float(blocks.gram[:, -1, -1].sum())
+            cost += 0.5 * (squares + float(np.sum(self.node_weights[index] * away**2)))
+            grams.append(blocks.gram)
+            moved.append(away)
+        return _Evaluation(cost, tuple(grams), tuple(moved))
 
     def solve(self, unknowns: np.ndarray, max_iterations: int) -> np.ndarray:
         limits = self.shooting.limits
         nodes = self.guesses
-        state = self.evaluate(unknowns, nodes)
-        if state is None:
+        now = self.evaluate(unknowns, nodes)
+        if now is None:
             return unknowns
-        cost, blocks = state
         damping = 1e-3
         for _ in range(max_iterations):
-            step, moves = self._step(unknowns, blocks, damping)
+            step, moves, gain = self._step(unknowns, now, damping)
+            if gain < ENOUGH * now.cost:
+                break
             trial = np.clip(unknowns + step, limits.lower, limits.upper)
             trial_nodes = [node + move for node, move in zip(nodes, moves, strict=True)]
             new = self.evaluate(trial, trial_nodes)
-            if new is not None and new[0] < cost:
-                done = cost - new[0] < ENOUGH * cost
-                unknowns, nodes, (cost, blocks) = trial, trial_nodes, new
+            if new is not None and new.cost < now.cost:
+                done = now.cost - new.cost < ENOUGH * now.cost
+                unknowns, nodes, now = trial, trial_nodes, new
                 damping = max(damping / 10, 1e-9)
                 if done:
                     break
@@ -145,27 +135,21 @@ class _FreeNodes:
         return np.clip(unknowns, limits.lower, limits.upper)
 
     def _step(
-        self, unknowns: np.ndarray, blocks: list[Blocks], damping: float
-    ) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Step of the unknowns, and of the nodes per record."""
+        self, unknowns: np.ndarray, now: _Evaluation, damping: float
+    ) -> tuple[np.ndarray, list[np.ndarray], float]:
+        """Step of the unknowns, of the nodes per record, and what they should gain."""
         limits, layout = self.shooting.limits, self.shooting.layout
         matrix = np.diag(limits.prior_weight)
         right = limits.prior_weight * (limits.prior_mean - unknowns)
-        eliminated = []
-        for index, (node_matrix, cross, node_right, free_matrix, free_right) in enumerate(blocks):
+        eliminated, gain = [], 0.0
+        for index, (gram, away) in enumerate(zip(now.grams, now.away, strict=True)):
             columns = layout.record_columns(index)[layout.n_own :]
-            damped = node_matrix.copy()
-            diagonal = range(node_matrix.shape[1])
-            damped[:, diagonal, diagonal] *= 1.0 + damping
-            both = np.concatenate([cross, node_right[:, :, None]], axis=2)
-            solved = np.linalg.solve(damped, both)
-            eliminated.append((columns, solved))
-            # By axes: reshaping cannot infer sizes where no parameter is free.
-            reduction = np.tensordot(cross, solved, axes=([0, 1], [0, 1]))
-            matrix[np.ix_(columns, columns)] += free_matrix - reduction[:, :-1]
-            right[columns] += free_right - reduction[:, -1]
+            found = eliminate(self.shooting.kernel, gram, away, self.node_weights[index], damping)
+            eliminated.append((columns, found))
+            matrix[np.ix_(columns, columns)] += found.matrix
+            right[columns] += found.right
+            gain += 0.5 * found.gain
         lower, upper = limits.lower - unknowns, limits.upper - unknowns
         step = bounded_step(matrix, right, lower, upper, damping)
-        return step, [
-            solved[:, :, -1] - solved[:, :, :-1] @ step[columns] for columns, solved in eliminated
-        ]
+        gain += float(right @ step - 0.5 * step @ matrix @ step)
+        return step, [found.moves(step[columns]) for columns, found in eliminated], gain

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.optimize import lsq_linear
 
+from oed_sysid.condensed import Evaluate, Exact, Gathered, Iterate
 from oed_sysid.shooting import Linearisation, Point, Shooting
 
 # Below this share of the largest eigenvalue of the equilibrated matrix, a
@@ -75,58 +76,69 @@ def solve(
         None where even the start trajectory is not finite. A keyboard
         interrupt ends the iterations and keeps the best point.
     """
-    lin = shooting.linearise(point)
-    if lin is None:
+    # Robust weights need residuals sample by sample.
+    evaluate: Evaluate = Gathered.at if shooting.loss is None else Exact.at
+    begin = evaluate(shooting, point)
+    if begin is None:
         return None
-    search = _Search(shooting, point, lin)
+    search = _Search(shooting, begin, evaluate)
     reason, iteration = "iterations", 0
     try:
         for iteration in range(1, max_iterations + 1):
             outcome = search.advance(tolerance)
+            if outcome and search.confirm():
+                outcome = search.advance(tolerance)
             if outcome:
                 reason = outcome
                 break
             if callback is not None:
-                callback(Progress(iteration, search.cost, search.defect, search.decrease))
+                callback(Progress(iteration, search.now.cost, search.now.defect, search.decrease))
     except KeyboardInterrupt:
         reason = "interrupted"
-    return Solution(search.point, search.lin, search.cost, iteration, reason)
+    search.confirm()
+    now = search.now
+    if not isinstance(now, Exact):
+        return None
+    return Solution(now.point, now.linearisation, now.cost, iteration, reason)
 
 
 class _Search:
-    """State of the iterations: the point, its linearisation, damping and penalty."""
+    """State of the iterations: where they are, how they evaluate, damping and penalty."""
 
-    def __init__(self, shooting: Shooting, point: Point, lin: Linearisation) -> None:
-        self.shooting = shooting
+    def __init__(self, shooting: Shooting, begin: Iterate, evaluate: Evaluate) -> None:
+        self.shooting, self.now, self.evaluate = shooting, begin, evaluate
         self.damping, self.penalty, self.decrease = 0.0, 1.0, np.inf
-        self._accept(point, lin)
 
-    def _accept(self, point: Point, lin: Linearisation) -> None:
-        self.point, self.lin = point, lin
-        self.cost = self.shooting.cost(lin, point.unknowns)
-        self.defect = self.shooting.defect(lin)
+    def confirm(self) -> bool:
+        """Go on with exact sensitivities at the same point; return whether that is news."""
+        if isinstance(self.now, Exact):
+            return False
+        exact = Exact.at(self.shooting, self.now.point)
+        if exact is None:
+            return False
+        self.now, self.evaluate, self.damping = exact, Exact.at, 0.0
+        return True
 
     def advance(self, tolerance: float) -> str:
         """Take one step; return why there is none, or an empty string."""
-        shooting, limits, point = self.shooting, self.shooting.limits, self.point
-        matrix, right = shooting.normal_equations(self.lin)
-        right = right + limits.prior_weight * (limits.prior_mean - point.unknowns)
+        now, limits = self.now, self.shooting.limits
+        unknowns = now.point.unknowns
+        matrix, right = now.equations()
+        right = right + limits.prior_weight * (limits.prior_mean - unknowns)
         matrix = matrix + np.diag(limits.prior_weight)
-        lower, upper = limits.lower - point.unknowns, limits.upper - point.unknowns
+        lower, upper = limits.lower - unknowns, limits.upper - unknowns
         while self.damping < 1e8:
             step = bounded_step(matrix, right, lower, upper, self.damping)
-            predicted = shooting.predicted_cost(self.lin, point.unknowns, step)
-            self.decrease = self.cost - predicted
-            if abs(self.decrease) < tolerance and self.defect < CLOSED:
+            self.decrease = now.cost - now.predicted(step)
+            if abs(self.decrease) < tolerance and now.defect < CLOSED:
                 if self.damping == 0.0:
                     return "converged"
                 # A damped step is short everywhere; only a full one proves the end.
                 full = bounded_step(matrix, right, lower, upper, 0.0)
-                predicted = shooting.predicted_cost(self.lin, point.unknowns, full)
-                if abs(self.cost - predicted) < tolerance:
+                if abs(now.cost - now.predicted(full)) < tolerance:
                     return "converged"
-            if self.defect > 0 and self.decrease < 0.5 * self.penalty * self.defect:
-                self.penalty = max(self.penalty, -2.0 * self.decrease / self.defect)
+            if now.defect > 0 and self.decrease < 0.5 * self.penalty * now.defect:
+                self.penalty = max(self.penalty, -2.0 * self.decrease / now.defect)
             if self._line_search(step):
                 self.damping = self.damping / 10.0 if self.damping > 1e-7 else 0.0
                 return ""
@@ -134,19 +146,18 @@ class _Search:
         return "stalled"
 
     def _line_search(self, step: np.ndarray) -> bool:
-        shooting = self.shooting
-        expected = self.decrease + self.penalty * self.defect
+        now = self.now
+        expected = self.decrease + self.penalty * now.defect
         length = 1.0
         for _ in range(LINE_SEARCH_STEPS):
-            trial = shooting.move(self.point, self.lin, step, length)
-            lin = shooting.linearise(trial)
-            if lin is not None:
-                cost, defect = shooting.cost(lin, trial.unknowns), shooting.defect(lin)
-                merit = self.cost - cost + self.penalty * (self.defect - defect)
+            trial = self.shooting.move(now.point, now.maps, now.offsets, step, length)
+            new = self.evaluate(self.shooting, trial)
+            if new is not None:
+                merit = now.cost - new.cost + self.penalty * (now.defect - new.defect)
                 # Near the optimum the gain drowns in rounding: any step that does no harm will do.
-                tiny = expected < 1e-6 * abs(self.cost) and merit >= -1e-10 * abs(self.cost)
+                tiny = expected < 1e-6 * abs(now.cost) and merit >= -1e-10 * abs(now.cost)
                 if merit > 1e-4 * length * expected or tiny:
-                    self._accept(trial, lin)
+                    self.now = new
                     return True
             length *= 0.4
         return False
@@ -183,14 +194,12 @@ def bounded_step(
     scaled = matrix[np.ix_(open_, open_)] * scale[:, None] * scale
     scaled[np.diag_indices_from(scaled)] += damping
     target = scale * right[open_]
-    try:
-        factor = cho_factor(scaled)
-        # Rounding errors, not the data, decide along directions with a smaller pivot.
-        if np.min(np.diag(factor[0])) ** 2 < 10 * NULL_EIGENVALUE:
-            raise LinAlgError
-        step[open_] = scale * cho_solve(factor, target)
-        triangle = np.triu(factor[0])
-    except LinAlgError:
+    # LAPACK itself: SciPy's checks of its arguments take longer than a small factorization.
+    triangle, failed = dpotrf(scaled)
+    # Rounding errors, not the data, decide along directions with a smaller pivot.
+    if not failed and np.min(np.diag(triangle)) ** 2 >= 10 * NULL_EIGENVALUE:
+        step[open_] = scale * dpotrs(triangle, target)[0]
+    else:
         values, vectors = np.linalg.eigh(scaled)
         seen = values > NULL_EIGENVALUE * values[-1]
         vectors, roots = vectors[:, seen], np.sqrt(values[seen])

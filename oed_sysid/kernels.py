@@ -93,6 +93,11 @@ class Kernel:
         return kernel, (self.model,)
 
     @property
+    def library(self) -> ctypes.CDLL | None:
+        """Compiled code of the structure, or None where the interpreter runs."""
+        return self._library
+
+    @property
     def is_compiled(self) -> bool:
         """Whether compiled code runs, rather than the interpreter."""
         return self._library is not None

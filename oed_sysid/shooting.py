@@ -28,7 +28,7 @@ from oed_sysid.start_states import (
     measured_states,
     state_series,
 )
-from oed_sysid.unknowns import Layout, Limits
+from oed_sysid.unknowns import Layout, Limits, node_maps
 
 Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -202,11 +202,21 @@ class Shooting:
             nodes.append(run.states[self._starts[index][1:]])
         return Point(unknowns, tuple(nodes))
 
-    def move(self, point: Point, lin: Linearisation, step: np.ndarray, length: float) -> Point:
-        """Return the point after a step of the unknowns and the step this implies for nodes."""
+    def move(
+        self,
+        point: Point,
+        maps: Sequence[np.ndarray],
+        offsets: Sequence[np.ndarray],
+        step: np.ndarray,
+        length: float,
+    ) -> Point:
+        """Return the point after a step of the unknowns and the step this implies for nodes.
+
+        ``maps`` and ``offsets`` are those of a :class:`Linearisation`.
+        """
         nodes = []
         for index, columns in enumerate(self._columns):
-            change = lin.node_maps[index] @ step[columns] + lin.node_offsets[index]
+            change = maps[index] @ step[columns] + offsets[index]
             nodes.append(point.nodes[index] + length * change)
         unknowns = point.unknowns + length * step
         return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), tuple(nodes))
@@ -245,16 +255,9 @@ class Shooting:
         dy, dends = run.output_sensitivities, run.end_sensitivities
         assert dy is not None
         assert dends is not None
-        n_own, n_full, n_free = self.layout.n_own, self.kernel.n_full, self.kernel.n_free
+        n_full = self.kernel.n_full
         defects = run.ends[:-1] - nodes[1:]
-        # Columns: own initial states, free parameters, and the closing of the defects.
-        # Rows: state at the start of the interval, free parameters.
-        maps = np.zeros((len(nodes), n_full + n_free, n_own + n_free + 1))
-        maps[:, n_full:, n_own:-1] = np.eye(n_free)
-        maps[0, :n_full, :-1] = dz0
-        for i in range(len(nodes) - 1):
-            maps[i + 1, :n_full] = dends[i] @ maps[i]
-            maps[i + 1, :n_full, -1] += defects[i]
+        maps = node_maps(dends, defects, dz0, self.layout.n_own)
         n_outputs = dy.shape[1]
         condensed = np.empty((*run.outputs.shape, maps.shape[2]))
         flat = condensed.reshape(-1, maps.shape[2])
@@ -354,6 +357,11 @@ class Shooting:
         lower, upper = self.limits.lower.copy(), self.limits.upper.copy()
         lower[positions] = upper[positions] = values
         return self._with(limits=replace(self.limits, lower=lower, upper=upper))
+
+    @property
+    def starts(self) -> tuple[np.ndarray, ...]:
+        """Index of the first sample of every interval, per record."""
+        return self._starts
 
     @property
     def interval_counts(self) -> tuple[int, ...]:

@@ -114,3 +114,35 @@ class Limits:
             mean[free[known]] = [p.prior_mean for p in parameters if p.prior_std is not None]
             weight[free[known]] = [p.prior_std**-2 for p in parameters if p.prior_std is not None]
         return cls(lower, upper, mean, weight, scale)
+
+
+def node_maps(
+    end_sensitivities: np.ndarray, defects: np.ndarray, dz0: np.ndarray, n_own: int
+) -> np.ndarray:
+    """Start states of all intervals, and free parameters, by the unknowns of a record.
+
+    Parameters
+    ----------
+    end_sensitivities : ndarray (n_segments, n_full, n_full + n_free)
+        Derivatives of each interval's end by its start and the free parameters.
+    defects : ndarray (n_segments - 1, n_full)
+        Jumps at the nodes.
+    dz0 : ndarray (n_full, n_own + n_free)
+        Derivatives of the first state.
+    n_own : int
+        Number of initial states among the unknowns.
+
+    Returns
+    -------
+    ndarray (n_segments, n_full + n_free, n_own + n_free + 1)
+        Columns: own initial states, free parameters, and the closing of the defects.
+    """
+    n_segments, n_full, n_columns = end_sensitivities.shape
+    n_free = n_columns - n_full
+    maps = np.zeros((n_segments, n_columns, n_own + n_free + 1))
+    maps[:, n_full:, n_own:-1] = np.eye(n_free)
+    maps[0, :n_full, :-1] = dz0
+    for i in range(n_segments - 1):
+        maps[i + 1, :n_full] = end_sensitivities[i] @ maps[i]
+        maps[i + 1, :n_full, -1] += defects[i]
+    return maps

@@ -125,9 +125,20 @@ def wide_start(shooting: Shooting, point: Point) -> Point:
 
 def misfit(shooting: Shooting, point: Point) -> float:
     """Mean square residual in units of noise; infinite where the model diverges."""
-    lin = shooting.linearise(point)
-    if lin is None:
-        return np.inf
-    count = sum(int(np.isfinite(residual).sum()) for residual in lin.residuals)
-    cost = shooting.with_loss(None).cost(lin, point.unknowns)
-    return 2.0 * cost / max(count, 1)
+    squares, count = 2.0 * shooting.prior_cost(point.unknowns), 0
+    for index, record in enumerate(shooting.records):
+        z0, _ = shooting.full_start(point.unknowns, index)
+        run = shooting.kernel.run(
+            record.times,
+            record.inputs,
+            shooting.values(point.unknowns, index),
+            np.vstack([z0[None], point.nodes[index]]),
+            starts=shooting.starts[index],
+        )
+        present = np.isfinite(record.outputs)
+        scaled = ((record.outputs - run.outputs) / shooting.sigma)[present]
+        if not run.ok or not np.isfinite(scaled).all():
+            return np.inf
+        squares += float(scaled @ scaled)
+        count += len(scaled)
+    return squares / max(count, 1)

@@ -18,7 +18,21 @@
 
 #define MAX1(n) ((n) > 0 ? (n) : 1)
 
-typedef double row_t[NC];
+/* Rows are padded with zeros to whole vectors, unless their length is chosen at run time. */
+#ifdef SELECT
+#define WIDTH NC
+#else
+#define WIDTH ((NC + 3) / 4 * 4)
+#endif
+typedef double row_t[WIDTH] __attribute__((aligned(8 * (WIDTH % 4 ? 1 : 4))));
+
+/* Scratch rows: on the stack where they are small, since thread-local memory of a
+ * shared library costs a call at every use. */
+#if NZ * NC <= 1024
+#define SCRATCH
+#else
+#define SCRATCH static _Thread_local
+#endif
 
 #ifdef SELECT
 static _Thread_local int active;
@@ -27,13 +41,19 @@ static _Thread_local const int *column_of;
 #define PARAMETER(row, index, value) \
     if (column_of[index] >= 0) target[row][column_of[index]] += value;
 #else
-#define ACTIVE NC
+#define ACTIVE WIDTH
 #define PARAMETER(row, index, value) target[row][NZ + index] += value;
 #endif
 
 static inline void add_scaled(double *restrict target, double factor, const double *restrict source)
 {
     for (int j = 0; j < ACTIVE; ++j) target[j] += factor * source[j];
+}
+
+/* Rows without their padding. */
+static inline void copy_rows(double *target, const row_t *rows, int n)
+{
+    for (int i = 0; i < n; ++i) memcpy(target + (size_t)i * NC, rows[i], sizeof(double) * NC);
 }
 
 static void inputs_between(const double *start, const double *end, double fraction, double *result)
@@ -96,7 +116,7 @@ static void advance_step(double *z, row_t *s, const double *start, const double 
 {
     double input[MAX1(NU)], d0[MAX1(ND)], dm[MAX1(ND)], d1[MAX1(ND)], memory[MAX1(NA)];
     double discard[MAX1(NA)];
-    static _Thread_local row_t sd0[MAX1(ND)], sdm[MAX1(ND)], sd1[MAX1(ND)], sa[MAX1(NA)],
+    SCRATCH row_t sd0[MAX1(ND)], sdm[MAX1(ND)], sd1[MAX1(ND)], sa[MAX1(NA)],
         sdiscard[MAX1(NA)], k1s[MAX1(NX)], k2s[MAX1(NX)], k3s[MAX1(NX)], k4s[MAX1(NX)],
         stage[MAX1(NX)];
     double x[MAX1(NX)], k1[MAX1(NX)], k2[MAX1(NX)], k3[MAX1(NX)], k4[MAX1(NX)];
@@ -150,7 +170,7 @@ static void sample_step(double *z, row_t *s, const double *input, const double *
     double d[MAX1(ND)], discard[MAX1(NA)], next[MAX1(NS)];
     double w[MAX1(W_OBSERVE)];
     casadi_int iw[MAX1(IW_OBSERVE)];
-    static _Thread_local row_t sd[MAX1(ND)], sdiscard[MAX1(NA)], snext[MAX1(NS)];
+    SCRATCH row_t sd[MAX1(ND)], sdiscard[MAX1(NA)], snext[MAX1(NS)];
     actuate_stage(z + NX, input, p, t, h, d, discard, (const row_t *)s, sd, sdiscard,
                   with_sensitivities);
     const double *arg[8] = {z, d, z + NX + NA, p, &t, &h};
@@ -232,7 +252,7 @@ int kernel_select(int n, const double *times, const double *inputs, const double
 {
     const int with_sensitivities = dy_out != 0;
     double z[MAX1(NZ)], y[MAX1(NY)];
-    static _Thread_local row_t s[MAX1(NZ)], sy[MAX1(NY)];
+    SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
     active = nc;
     column_of = columns;
     memcpy(z, z0, sizeof(double) * NZ);
@@ -271,7 +291,7 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
 {
     const int with_sensitivities = dy_out != 0 || dends != 0;
     double z[MAX1(NZ)], y[MAX1(NY)];
-    static _Thread_local row_t s[MAX1(NZ)], sy[MAX1(NY)];
+    SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
     memcpy(z, nodes, sizeof(double) * NZ);
     for (int segment = 0; segment < n_segments; ++segment) {
         const int first = starts[segment];
@@ -291,13 +311,139 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
             if (y_out || dy_out || NS > 0) {
                 sample_step(z, s, input, p, times[k], since, y, sy, with_sensitivities);
                 if (y_out) memcpy(y_out + (size_t)k * NY, y, sizeof(double) * NY);
-                if (dy_out) memcpy(dy_out + (size_t)k * NY * NC, sy, sizeof(row_t) * NY);
+                if (dy_out) copy_rows(dy_out + (size_t)k * NY * NC, (const row_t *)sy, NY);
             }
             if (k + 1 >= n) break;
             advance_interval(z, s, times, input, p, h_max, k, with_sensitivities);
         }
         if (ends) memcpy(ends + (size_t)segment * NZ, z, sizeof(double) * NZ);
-        if (dends) memcpy(dends + (size_t)segment * NZ * NC, s, sizeof(row_t) * NZ);
+        if (dends) copy_rows(dends + (size_t)segment * NZ * NC, (const row_t *)s, NZ);
     }
     return -1;
 }
+
+#ifndef SELECT
+/* Columns of a row that carries its residual too, and the same rounded up to whole vectors. */
+#define NG (NC + 1)
+#define NV ((NG + 3) / 4 * 4)
+
+typedef double gram_t[NG][NV];
+
+/* Add the products of one measurement's rows, scaled, to a segment's normal equations. */
+static void gather_sample(gram_t sum, const row_t *sy, const double *y, const double *measured,
+                          const double *weight)
+{
+    double rows[MAX1(NY)][NV];
+    for (int i = 0; i < NY; ++i) {
+        const double residual = measured[i] - y[i];
+        const double factor = isnan(measured[i]) ? 0.0 : weight[i];
+        for (int j = 0; j < NC; ++j) rows[i][j] = factor * sy[i][j];
+        rows[i][NC] = factor != 0.0 ? factor * residual : 0.0;
+        for (int j = NG; j < NV; ++j) rows[i][j] = 0.0;
+    }
+    for (int a = 0; a < NG; ++a)
+        for (int i = 0; i < NY; ++i) {
+            const double factor = rows[i][a];
+            for (int j = 0; j < NV; ++j) sum[a][j] += factor * rows[i][j];
+        }
+}
+
+/* Run segments of one record and gather the normal equations of each.
+ *
+ * Arguments as of kernel_run without carry; measured (n x NY), NaN where
+ * missing; weight (NY), inverse standard deviations. Results: gram (n_segments
+ * x NG x NG), the sum of [dy r]' [dy r] over the segment's samples, all scaled,
+ * r = measured - y; ends, dends as of kernel_run. Returns as kernel_run does.
+ */
+int kernel_gather(int n, const double *times, const double *inputs, const double *p, double h_max,
+                  int n_segments, const int *starts, const double *nodes, const double *measured,
+                  const double *weight, double *gram, double *ends, double *dends)
+{
+    double z[MAX1(NZ)], y[MAX1(NY)];
+    SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
+    SCRATCH gram_t sum;
+    for (int segment = 0; segment < n_segments; ++segment) {
+        const int first = starts[segment];
+        const int stop = segment + 1 < n_segments ? starts[segment + 1] : n;
+        memcpy(z, nodes + (size_t)segment * NZ, sizeof(double) * NZ);
+        memset(s, 0, sizeof(row_t) * NZ);
+        for (int i = 0; i < NZ; ++i) s[i][i] = 1.0;
+        memset(sum, 0, sizeof sum);
+        for (int k = first; k < stop; ++k) {
+            const double *input = inputs + (size_t)k * NU;
+            const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
+            double check = 0.0;
+            for (int i = 0; i < NZ; ++i) check += z[i];
+            if (!isfinite(check)) return k;
+            sample_step(z, s, input, p, times[k], since, y, sy, 1);
+            gather_sample(sum, (const row_t *)sy, y, measured + (size_t)k * NY, weight);
+            /* Where a segment ends for good, nothing asks for what follows its last sample. */
+            if (k + 1 >= n || (k + 1 == stop && !ends)) break;
+            advance_interval(z, s, times, input, p, h_max, k, 1);
+        }
+        double *block = gram + (size_t)segment * NG * NG;
+        for (int a = 0; a < NG; ++a) memcpy(block + a * NG, sum[a], sizeof(double) * NG);
+        if (ends) memcpy(ends + (size_t)segment * NZ, z, sizeof(double) * NZ);
+        if (dends) copy_rows(dends + (size_t)segment * NZ * NC, (const row_t *)s, NZ);
+    }
+    return -1;
+}
+
+/* Eliminate the start states of independent segments from their normal equations.
+ *
+ * gram as kernel_gather leaves it; away (n_segments x NZ), start states minus
+ * their guesses, which weigh weight (NZ). The diagonal of the states is raised
+ * by the share damping. Results: solved (n_segments x NZ x (NF + 1)), with
+ * which the states answer a step of the parameters: last column minus the
+ * others times the step; reduced (NF x (NF + 1)), matrix and right-hand side of
+ * the parameters; gain, right-hand sides times solutions of the states.
+ * Returns 0, or 1 where a block is not positive definite.
+ */
+int kernel_eliminate(int n_segments, const double *gram, const double *away, const double *weight,
+                     double damping, double *solved, double *reduced, double *gain)
+{
+    double sum[MAX1(NF)][NF + 1], low[MAX1(NZ)][MAX1(NZ)], b[MAX1(NZ)][NF + 1], x[MAX1(NZ)][NF + 1];
+    memset(sum, 0, sizeof(double) * NF * (NF + 1));
+    *gain = 0.0;
+    for (int segment = 0; segment < n_segments; ++segment) {
+        const double *block = gram + (size_t)segment * NG * NG;
+        const double *off = away + (size_t)segment * NZ;
+        for (int i = 0; i < NZ; ++i) {
+            for (int j = 0; j <= NF; ++j) b[i][j] = block[i * NG + NZ + j];
+            b[i][NF] -= weight[i] * off[i];
+            memcpy(x[i], b[i], sizeof b[i]);
+        }
+        /* Cholesky factor with inverse pivots, and the forward substitution beside it. */
+        for (int i = 0; i < NZ; ++i) {
+            for (int j = 0; j <= i; ++j) {
+                double v = block[i * NG + j];
+                if (i == j) v = (v + weight[i]) * (1.0 + damping);
+                for (int l = 0; l < j; ++l) v -= low[i][l] * low[j][l];
+                if (i == j) {
+                    if (!(v > 0.0)) return 1;
+                    low[i][i] = 1.0 / sqrt(v);
+                } else
+                    low[i][j] = v * low[j][j];
+            }
+            for (int l = 0; l < i; ++l)
+                for (int j = 0; j <= NF; ++j) x[i][j] -= low[i][l] * x[l][j];
+            for (int j = 0; j <= NF; ++j) x[i][j] *= low[i][i];
+        }
+        for (int i = NZ - 1; i >= 0; --i) {
+            for (int l = i + 1; l < NZ; ++l)
+                for (int j = 0; j <= NF; ++j) x[i][j] -= low[l][i] * x[l][j];
+            for (int j = 0; j <= NF; ++j) x[i][j] *= low[i][i];
+        }
+        for (int a = 0; a < NF; ++a)
+            for (int j = 0; j <= NF; ++j) sum[a][j] += block[(NZ + a) * NG + NZ + j];
+        for (int i = 0; i < NZ; ++i) {
+            for (int a = 0; a < NF; ++a)
+                for (int j = 0; j <= NF; ++j) sum[a][j] -= b[i][a] * x[i][j];
+            *gain += b[i][NF] * x[i][NF];
+            memcpy(solved + ((size_t)segment * NZ + i) * (NF + 1), x[i], sizeof x[i]);
+        }
+    }
+    memcpy(reduced, sum, sizeof(double) * NF * (NF + 1));
+    return 0;
+}
+#endif
