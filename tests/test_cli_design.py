@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from oed_sysid import Limits, load_problem
 from oed_sysid.cli import BAD_INPUT, DONE, main
+from oed_sysid.cli.limit_words import with_limits
+from oed_sysid.errors import DesignError
 
 
 @pytest.fixture(name="ship", scope="module")
@@ -68,3 +71,40 @@ def test_design_names_what_there_is(arguments: list[str], words: str, ship: Path
     """A wrong choice is answered with the right ones."""
     assert main(["design", str(ship), *arguments]) == BAD_INPUT
     assert words in capsys.readouterr().err
+
+
+def test_limits_in_words_of_the_trade(ship: Path, tmp_path: Path, capsys) -> None:
+    """A largest rudder and rate in degrees are kept; the card states them and the certainty."""
+    commands, picture = tmp_path / "next.csv", tmp_path / "next.png"
+    arguments = ["design", str(ship), "--duration", "60", "--max-rudder", "8", "--max-rate=3"]
+    arguments += ["--max-heading", "20", "--out", str(commands), "--picture", str(picture)]
+    assert main(arguments) == DONE
+    card = capsys.readouterr().out
+    assert "+-8 deg, at most 3 deg/s" in card
+    assert "limits kept on" in card
+    assert picture.stat().st_size > 10_000
+    table = np.genfromtxt(commands, delimiter=",", names=True)
+    assert np.abs(table["rudder_rad"]).max() == pytest.approx(np.radians(8), rel=1e-3)
+    slopes = np.abs(np.diff(table["rudder_rad"]) / np.diff(table["t_s"]))
+    assert slopes.max() <= np.radians(3) * (1 + 1e-6)
+
+
+def test_limit_words_find_their_channels() -> None:
+    """Words of the trade, names and ranges become limits of the right channel, in SI units."""
+    model = load_problem("auv_diving_plane").model
+    given = ["max:fin=10", "max:rate=2.5", "min:depth=80", "pitch=-20:15", "max:fin-rate=2"]
+    limits, said = with_limits(model, Limits(signals={"z": (0.0, 120.0)}), given)
+    assert limits.inputs["delta_s"] == pytest.approx((-np.radians(10), np.radians(10)))
+    assert limits.rates["delta_s"] == pytest.approx(np.radians(2))
+    assert limits.signals["z"] == (80.0, 120.0)
+    assert limits.signals["theta"] == pytest.approx((-np.radians(20), np.radians(15)))
+    assert said[0] == "fin is delta_s (stern plane angle)"
+    for wrong, words in (
+        ("max:rudder=10", "possible are .*--max-fin"),
+        ("max:fin=ten", "no number"),
+        ("max:depth-rate=1", "rate of 'z'"),
+        ("fin", "not understood"),
+        ("depth=90:80", "leaves nothing"),
+    ):
+        with pytest.raises(DesignError, match=words):
+            with_limits(model, Limits(), [wrong])

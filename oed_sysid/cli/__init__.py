@@ -32,13 +32,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The command line after the program's name; by default that of the process.
     """
     from oed_sysid.cli.application import app
-    from oed_sysid.cli.arguments import spread
+    from oed_sysid.cli.arguments import limit_options, spread
     from oed_sysid.cli.options import SEVERAL
     from oed_sysid.errors import OedSysidError
 
     given = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in given
-    given = spread([argument for argument in given if argument != "--debug"], SEVERAL)
+    given = limit_options([argument for argument in given if argument != "--debug"])
+    given = spread(given, SEVERAL)
     with warnings.catch_warnings():
         warnings.showwarning = _say_warning
         try:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from oed_sysid.cli.options import HtmlFile, JsonFile, ProblemName, Variant
+from oed_sysid.cli.options import HtmlFile, JsonFile, PictureFile, ProblemName, Variant
 from oed_sysid.cli.terminal import note, progress, say, store, write
 from oed_sysid.errors import DesignError, ProblemError
 
@@ -44,6 +44,7 @@ def rank(
     model: Variant = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
+    picture: PictureFile = None,
 ) -> None:
     """Rank parameters by what experiments tell about them, before fitting anything.
 
@@ -62,6 +63,10 @@ def rank(
     say()
     say(subset.report())
     store({"ranking": ranking.to_dict(), "subset": subset.to_dict()}, json_file)
+    if picture is not None:
+        from oed_sysid.report import plot_sensitivity
+
+        _draw(plot_sensitivity(ranking).figure, picture)
     if html_file is not None:
         from oed_sysid.report import ranking_page
 
@@ -102,6 +107,34 @@ def design(
             show_default=False,
         ),
     ] = None,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--limit",
+            metavar="NAME=VALUE...",
+            help="What must be kept, in degrees and SI units: pitch=20, depth=80:120. Also as "
+            "--max-fin 10, --max-rate 2.5, --max-pitch 20, --min-depth 80 and so on.",
+            show_default="those of the problem",
+        ),
+    ] = None,
+    certainty: Annotated[
+        float | None,
+        typer.Option(
+            "--certainty",
+            metavar="P",
+            help="Keep the limits with this probability although coefficients are uncertain, such "
+            "as 0.95; takes a minute. Otherwise the probability is only stated.",
+            show_default=False,
+        ),
+    ] = None,
+    uncertainty: Annotated[
+        float,
+        typer.Option(
+            "--uncertainty",
+            metavar="SHARE",
+            help="How wrong coefficients may be; after a fit its own covariance is used.",
+        ),
+    ] = 0.3,
     criterion: Annotated[
         str, typer.Option("--criterion", metavar="D|A|E", help="What is good: see docs.")
     ] = "D",
@@ -150,25 +183,35 @@ def design(
     seed: Annotated[int, typer.Option("--seed", help="Seed of the search.")] = 0,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
+    picture: PictureFile = None,
 ) -> None:
     """Design the manoeuvre that tells most about the parameters, within the limits.
 
-    [bold]Example[/bold]: oed-sysid design remus_diving_plane --like steps --out next.csv
+    [bold]Example[/bold]: oed-sysid design auv_diving_plane --duration 120 --max-fin 10
     """
+    from dataclasses import replace
+
     import numpy as np
 
+    from oed_sysid.cli.limit_words import with_limits
     from oed_sysid.cli.limits import narrowed
-    from oed_sysid.design import design_experiment
+    from oed_sysid.design import Caution, assess_limits, design_experiment
     from oed_sysid.fit import Fit
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     pattern = _pattern(chosen, like)
+    limits = narrowed(chosen.limits, chosen.model, ranges or [], rates or [])
+    limits, said = with_limits(chosen.model, limits, limit or [])
+    for words in said:
+        note(f"Limit: {words}.")
+    spread = None if after else uncertainty
+    caution = None if certainty is None else Caution(certainty, spread)
     n_starts, n_candidates, n_steps = _choice("effort", effort, EFFORTS)
     with progress("Designing") as show:
         found = design_experiment(
             Fit.load(after) if after else chosen.model,
-            limits=narrowed(chosen.limits, chosen.model, ranges or [], rates or []),
+            limits=limits,
             duration=duration or float(pattern.duration or 0.0),
             sample_time=pattern.sample_time,
             rng=np.random.default_rng(seed),
@@ -176,6 +219,7 @@ def design(
             parametrisation=_family(family),
             constants=pattern.constants,
             initial=pattern.initial,
+            caution=caution,
             n_starts=n_starts,
             n_candidates=n_candidates,
             n_steps=n_steps,
@@ -183,7 +227,14 @@ def design(
                 f"designing: start {state.start + 1}, round {state.round + 1}, {state.value:.4g}"
             ),
         )
-    say(found.report())
+        if found.assurance is None:
+            show.say("simulating other vehicles")
+            stated = assess_limits(
+                found.model, found.experiment, limits=limits, spread=spread, prior=found.prior,
+                rng=np.random.default_rng(seed), n_vehicles=200,
+            )  # fmt: skip
+            found = replace(found, assurance=stated)
+    say(found.report() if card is not None else found.sea_trial_card())
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         found.write_csv(out)
@@ -195,6 +246,16 @@ def design(
         from oed_sysid.report import design_page
 
         note(f"Written: {design_page(found, title=chosen.title).write(html_file)}")
+    if picture is not None:
+        from oed_sysid.report import figure_design
+
+        _draw(figure_design(found), picture)
+
+
+def _draw(figure: Any, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150, bbox_inches="tight")
+    note(f"Written: {path}")
 
 
 def _pattern(problem: Problem, name: str | None) -> Experiment:

@@ -9,7 +9,7 @@ import typer
 
 # Options that take several values after one flag; see oed_sysid.cli.arguments.
 SEVERAL = (
-    *("--train", "--test", "--experiment", "--records", "--with", "--discriminate"),
+    *("--train", "--test", "--experiment", "--records", "--with", "--discriminate", "--limit"),
     *("--range", "--rate"),
     *("--problems", "--estimators", "--noise", "--sampling"),
 )
@@ -44,6 +44,12 @@ HtmlFile = Annotated[
         metavar="FILE",
         help="Also write a report with pictures, one file that can be mailed.",
         show_default=False,
+    ),
+]
+PictureFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--picture", metavar="FILE", help="Also draw the result (PNG, PDF).", show_default=False
     ),
 ]
 Train = Annotated[

@@ -2,114 +2,187 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import degrees
+from textwrap import wrap
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed_sysid.experiment import Experiment
+from oed_sysid.design.words import quantity, span, units_of
 from oed_sysid.model import Model
 from oed_sysid.simulate import Trajectory
 
-_MOST_ROWS = 24
+if TYPE_CHECKING:
+    from oed_sysid.design.result import Design
+
+_MOST_ORDERS = 40
+_WIDTH = 92
+# Relative errors up to which a coefficient counts as found, and as seen at all.
+_GOOD, _USABLE = 0.05, 0.5
 
 
-def sea_trial_card(
-    experiment: Experiment,
-    model: Model,
-    trajectory: Trajectory,
-    accuracy: Sequence[str],
-    active: Sequence[str],
-) -> str:
+def sea_trial_card(design: Design) -> str:
     """Return what to run, for how long, what to watch and what to expect.
 
     Parameters
     ----------
-    experiment : Experiment
-        The manoeuvre.
-    model : Model
-        Behind the prediction.
-    trajectory : Trajectory
-        Predicted motion.
-    accuracy : sequence of str
-        Lines of the accuracy table.
-    active : sequence of str
-        Limits that the prediction reaches.
+    design : Design
+        The designed experiment.
     """
-    units = {s.name: s.unit for s in model.states} | {i.name: i.unit for i in model.inputs}
-    units |= {o.name: o.unit for o in model.outputs if o.name not in units}
+    experiment, model = design.experiment, design.model
+    units = units_of(model)
     duration = float(experiment.duration or 0.0)
     lines = [
         f"SEA TRIAL CARD   {experiment.name}   ({model.name})",
-        "=" * 72,
-        f"Length      {duration:g} s ({duration / 60:.1f} min); log every "
-        f"{experiment.sample_time:g} s or faster",
-        f"Start from  {_start(experiment, units)}",
-        "            steady, controls neutral; log 10 s or more before the first command",
+        "=" * _WIDTH,
+        f"Length      {duration:g} s ({duration / 60:.1f} min), one run; log every "
+        f"{experiment.sample_time:g} s or faster, commands and measurements on one clock",
+        f"Start from  {_start(design, units)}; controls neutral, steady",
+        "            log 10 s or more before the first order and after the last",
     ]
     if experiment.constants:
-        held = ", ".join(f"{n} = {_value(v, units[n])}" for n, v in experiment.constants.items())
+        held = ", ".join(f"{n} = {quantity(v, units[n])}" for n, v in experiment.constants.items())
         lines.append(f"Hold        {held}")
-    lines += ["", "Run"]
+    for name, pair in experiment.limits.inputs.items():
+        if name not in experiment.constants:
+            rate = experiment.limits.rates.get(name)
+            most = "" if rate is None else f", at most {quantity(rate, units[name])}/s"
+            lines.append(f"Orders of   {name}: {span(*pair, units[name])}{most}")
+    lines += ["", "RUN"]
     if experiment.reacts and experiment.excitation is not None:
         lines.append(f"  {experiment.excitation.describe()}")
     else:
-        lines += _orders(model, trajectory, units)
-    lines += ["", "Expect (predicted range)"]
-    for name in dict.fromkeys((*model.state_names, *model.output_names)):
-        values = trajectory.signal(name)
-        limit = experiment.limits.signals.get(name)
-        bound = "" if limit is None else f"   ABORT outside {_range(*limit, units[name])}"
-        lines.append(f"  {name:<10} {_range(values.min(), values.max(), units[name])}{bound}")
-    lines += ["", "Watch", *(f"  reached in the prediction: {text}" for text in active)]
-    if not active:
-        lines.append("  no limit is reached in the prediction")
-    lines += [
-        "  a real vehicle differs: stop when a limit is passed, and keep the log; a part is useful",
-        "",
-        "Accuracy to expect (relative standard errors; white noise of the stated size)",
-        *accuracy,
-        "",
-        "Noise assumed: "
-        + ", ".join(
-            f"{o.name} {o.noise_std:.3g} {o.unit}".rstrip()
-            for o in model.outputs
-            if o.noise_std is not None
-        ),
-        "Note wind, sea state, current, loading, and anything that was touched during the run.",
-    ]
+        lines += _orders(model, design.trajectory, units)
+    lines += ["", *_motion(design, units), "", "WATCH", *_watch(design)]
+    lines += ["", *_accuracy(design), "", *_noise(model)]
     return "\n".join(lines)
 
 
-def _start(experiment: Experiment, units: dict[str, str]) -> str:
-    given = [f"{n} = {_value(v, units[n])}" for n, v in experiment.initial.items() if v]
+def _start(design: Design, units: dict[str, str]) -> str:
+    initial = design.experiment.initial
+    given = [f"{n} = {quantity(v, units[n])}" for n, v in initial.items() if v]
+    speeds = [s.name for s in design.model.states if s.name in ("u", "v", "w")]
+    if speeds and not any(initial.get(n, 0.0) for n in speeds):
+        given.insert(0, "rest (no speed)")
     return ", ".join(given) or "rest"
 
 
 def _orders(model: Model, trajectory: Trajectory, units: dict[str, str]) -> list[str]:
-    """Changes of the commands as rows, cut where there are many."""
-    varied = [i for i, column in enumerate(trajectory.inputs.T) if np.ptp(column) > 0]
-    names = [model.input_names[i] for i in varied]
-    commands = trajectory.inputs[:, varied]
-    rows = np.flatnonzero(np.any(np.diff(commands, axis=0) != 0, axis=1)) + 1
-    lines = [f"  {'t [s]':>8}  " + "  ".join(f"{name:>14}" for name in names)]
-    for row in [0, *rows[:_MOST_ROWS]]:
-        cells = [
-            f"{_value(value, units[name]):>14}"
-            for value, name in zip(commands[row], names, strict=True)
-        ]
-        lines.append(f"  {trajectory.times[row]:>8.6g}  " + "  ".join(cells))
-    if len(rows) > _MOST_ROWS:
-        lines.append(f"  ... {len(rows) - _MOST_ROWS} more orders: play them from the CSV file")
+    """Orders as rows: when each begins, where it leads, and when it is reached."""
+    found = []
+    for index, name in enumerate(model.input_names):
+        steps = np.diff(trajectory.inputs[:, index])
+        row = 0
+        while row < len(steps):
+            if steps[row] == 0:
+                row += 1
+                continue
+            last = row
+            # A ramp within the rate limit is one order, not one for every sample.
+            while last + 1 < len(steps) and steps[last + 1] * steps[row] > 0:
+                last += 1
+            found.append((row + 1, last + 1, name, trajectory.inputs[last + 1, index]))
+            row = last + 1
+    if not found:
+        return ["  no orders: leave all controls as they are"]
+    found.sort()
+    lines = [f"  {'at t [s]':>8}  {'order':<26} {'reached [s]':>11}"]
+    for first, last, name, value in found[:_MOST_ORDERS]:
+        order = f"{name} to {quantity(value, units[name])}"
+        lines.append(
+            f"  {trajectory.times[first]:>8.6g}  {order:<26} {trajectory.times[last]:>11.6g}"
+        )
+    if len(found) > _MOST_ORDERS:
+        lines.append(f"  ... and {len(found) - _MOST_ORDERS} more")
+    end = trajectory.times[-1]
+    lines.append(f"  {end:>8.6g}  end of the run: controls neutral, recover")
+    lines.append("  By hand: these orders. Better: play the CSV file, which has every sample.")
     return lines
 
 
-def _value(value: float, unit: str) -> str:
-    if unit in ("rad", "rad/s"):
-        return f"{degrees(value):.4g} {unit.replace('rad', 'deg')}"
-    return f"{value:.4g} {unit}".rstrip()
+def _motion(design: Design, units: dict[str, str]) -> list[str]:
+    """Predicted ranges, what other vehicles would do, and where to stop."""
+    model, assurance = design.model, design.assurance
+    head = f"  {'':<10} {'predicted':<24}"
+    if assurance is not None:
+        head += f" {'95 % of vehicles':<24}"
+    lines = ["EXPECT", f"{head} stop outside"]
+    for name in dict.fromkeys((*model.state_names, *model.output_names)):
+        values = design.trajectory.signal(name)
+        row = f"  {name:<10} {_between(values.min(), values.max(), units[name]):<24}"
+        if assurance is not None:
+            other = assurance.ranges.get(name)
+            row += f" {'-' if other is None else _between(*other, units[name]):<24}"
+        limit = design.experiment.limits.signals.get(name)
+        lines.append(f"{row} {'' if limit is None else span(*limit, units[name])}".rstrip())
+    if assurance is not None:
+        lines.append(f"  95 % of vehicles: {assurance.drawn}, {assurance.n_checked} simulated")
+    return lines
 
 
-def _range(lower: float, upper: float, unit: str) -> str:
-    first = _value(lower, unit).split(" ")[0]
-    return f"{first} to {_value(upper, unit)}"
+def _between(lower: float, upper: float, unit: str) -> str:
+    return f"{quantity(lower, unit).split(' ')[0]} to {quantity(upper, unit)}"
+
+
+def _watch(design: Design) -> list[str]:
+    limits = design.experiment.limits.signals
+    words = []
+    if not limits:
+        words.append(
+            "NO LIMIT on the motion was given. Compare the ranges above with what depth, attitude "
+            "and sea room allow; in doubt design anew with limits (such as --max-pitch 20)."
+        )
+    if design.assurance is not None and limits:
+        words.append(f"Certainty: {design.assurance.report()}.")
+        if design.assurance.probability < 0.9:
+            words.append(
+                "That is NOT safe unless the coefficients are known better: stand by to stop, fly "
+                "a gentler run first, or design with --certainty 0.95."
+            )
+    words += [f"reached in the prediction: {text}" for text in design.active]
+    if not design.active:
+        words.append("no limit is reached in the prediction")
+    if limits:
+        words.append(
+            "Stop when a limit is passed: controls neutral, recover, keep the log. Part of a run "
+            "is useful."
+        )
+    return [
+        line
+        for text in words
+        for line in wrap(text, _WIDTH - 4, initial_indent="  - ", subsequent_indent="    ")
+    ]
+
+
+def _accuracy(design: Design) -> list[str]:
+    lines = ["ACCURACY TO EXPECT (standard error / value; white noise as below)"]
+    for reference in design.references:
+        mean, worst = design.gain(reference)
+        note = f", {reference.note}" if reference.note else ""
+        lines.append(
+            f"  Against a {reference.name}{note}, equally long: errors {mean:.2g} times smaller on "
+            f"geometric mean, {worst:.2g} times for the worst."
+        )
+    lines += design.accuracy_table(sort=True)
+    errors = dict(zip(design.names, design.relative_errors, strict=True))
+    for title, low, high in (
+        (f"Found to {_GOOD:.0%} or better", 0.0, _GOOD),
+        (f"Found to {_USABLE:.0%}", _GOOD, _USABLE),
+        ("NOT found by this run; hold at believed values, or add runs", _USABLE, np.inf),
+    ):
+        names = [n for n, error in errors.items() if low < error <= high]
+        if names:
+            text = f"{title}: {', '.join(names)}"
+            lines += wrap(text, _WIDTH, initial_indent="  ", subsequent_indent="    ")
+    return lines
+
+
+def _noise(model: Model) -> list[str]:
+    levels = ", ".join(
+        f"{o.name} {quantity(o.noise_std, o.unit)}"
+        for o in model.outputs
+        if o.noise_std is not None
+    )
+    return [
+        *wrap(f"Noise assumed: {levels}.", _WIDTH),
+        "Write down wind, sea, current, loading, battery, and anything touched during the run.",
+    ]

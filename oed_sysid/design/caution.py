@@ -130,6 +130,7 @@ class Guards:
             upper=corridor.upper[during],
             width=corridor.width[during],
             at_end=np.zeros(len(during), dtype=bool),
+            units=tuple(corridor.units[i] for i in during),
         )
         self.n_waived = n_waived
         self._waived: frozenset[int] = frozenset()
@@ -158,9 +159,10 @@ class Guards:
 
     def _limited(self, states: np.ndarray, outputs: np.ndarray) -> np.ndarray:
         n_full = self.kernel.n_full
-        return np.column_stack(
-            [states[:, c] if c < n_full else outputs[:, c - n_full] for c in self._columns]
-        )
+        signals = np.empty((len(states), len(self._columns)))
+        for i, column in enumerate(self._columns):
+            signals[:, i] = states[:, column] if column < n_full else outputs[:, column - n_full]
+        return signals
 
     def first_left(self, run: GuardRun) -> str | None:
         """Name of the limit that a run leaves first; None if it keeps all."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from oed_sysid.design.words import quantity, units_of
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Limits
 from oed_sysid.model import Model
@@ -31,6 +32,8 @@ class Corridor:
         Whether only the last sample counts.
     n_full : int
         Columns of full states before the outputs.
+    units : tuple of str
+        Of the limited signals, for words.
     """
 
     names: tuple[str, ...]
@@ -40,6 +43,7 @@ class Corridor:
     width: np.ndarray
     at_end: np.ndarray
     n_full: int = 0
+    units: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -74,7 +78,7 @@ class Corridor:
         width = np.where(one_sided, np.maximum(np.abs(bound), 1e-3), width)
         return cls(
             tuple(names), np.array(columns, dtype=int), lower, upper, width,
-            np.array(at_end, dtype=bool), n_full,
+            np.array(at_end, dtype=bool), n_full, tuple(units_of(model)[n] for n in names),
         )  # fmt: skip
 
     def excess(self, signals: np.ndarray, *, first: int = 0, n_times: int) -> np.ndarray:
@@ -115,7 +119,8 @@ class Corridor:
                 sample = int(np.argmax(excess[:, index, side]))
                 if excess[sample, index, side] > -REACHED:
                     when = "at the end" if self.at_end[index] else f"at t = {times[sample]:g} s"
-                    words.append(f"{name} {('lower', 'upper')[side]} limit {bound:g} {when}")
+                    reached = quantity(bound, self.units[index])
+                    words.append(f"{name} {('lower', 'upper')[side]} limit {reached} {when}")
         return tuple(words)
 
     def broken(self, times: np.ndarray, signals: np.ndarray) -> tuple[str, ...]:
@@ -126,10 +131,12 @@ class Corridor:
             for side, bound in enumerate((self.lower[index], self.upper[index])):
                 sample = int(np.argmax(excess[:, index, side]))
                 if excess[sample, index, side] > 1e-9:
-                    value = signals[sample, self.columns[index]]
+                    unit = self.units[index]
+                    value = quantity(signals[sample, self.columns[index]], unit)
                     where = "at the end" if self.at_end[index] else f"at t = {times[sample]:g} s"
                     relation = ("below", "above")[side]
                     words.append(
-                        f"{name} is {value:.4g} {where}, {relation} its limit of {bound:g}"
+                        f"{name} is {value} {where}, {relation} its limit of "
+                        f"{quantity(bound, unit)}"
                     )
         return tuple(words)

@@ -21,6 +21,7 @@ from oed_sysid.design.reference import Reference, zigzags
 from oed_sysid.design.result import Design
 from oed_sysid.design.robust import Robust
 from oed_sysid.design.search import Found, Progress, search
+from oed_sysid.design.words import quantity, units_of
 from oed_sysid.design.zigzags import ZigZags, search_zigzags
 from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
@@ -151,7 +152,7 @@ def design_experiment(
     )
     signals = best.views[0].signals
     active = (
-        *_actuator_limits(plan.grid, best.commands[:, plan.positions]),
+        *_actuator_limits(plan.grid, best.commands[:, plan.positions], units_of(plan.model)),
         *plan.corridor.reached(plan.grid.times, signals),
     )
     bound = plan.bound
@@ -290,7 +291,7 @@ def _infeasible(plan: Plan, found: Found) -> str:
     )
 
 
-def _actuator_limits(grid: Grid, commands: np.ndarray) -> tuple[str, ...]:
+def _actuator_limits(grid: Grid, commands: np.ndarray, units: Mapping[str, str]) -> tuple[str, ...]:
     """Actuator limits that the commands reach, in words."""
     words = []
     for i, name in enumerate(grid.inputs):
@@ -298,12 +299,14 @@ def _actuator_limits(grid: Grid, commands: np.ndarray) -> tuple[str, ...]:
         for bound, side in ((grid.lower[i], "lower"), (grid.upper[i], "upper")):
             share = float(np.mean(np.abs(commands[:, i] - bound) < 0.01 * width))
             if share > 0:
-                words.append(f"{name} {side} limit {bound:g} for {share:.0%} of the time")
+                reached = quantity(bound, units[name])
+                words.append(f"{name} {side} limit {reached} for {share:.0%} of the time")
         if np.isfinite(grid.rates[i]):
             slopes = np.abs(np.diff(commands[:, i])) / grid.step
             share = float(np.mean(slopes > 0.99 * grid.rates[i]))
             if share > 0:
-                words.append(f"{name} rate limit {grid.rates[i]:g} for {share:.0%} of the time")
+                reached = quantity(grid.rates[i], units[name])
+                words.append(f"{name} rate limit {reached}/s for {share:.0%} of the time")
     return tuple(words)
 
 

@@ -12,6 +12,7 @@ from oed_sysid.csv_table import write_table
 from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.card import sea_trial_card
 from oed_sysid.design.reference import Reference
+from oed_sysid.design.words import percent
 from oed_sysid.experiment import Experiment
 from oed_sysid.information import Information
 from oed_sysid.model import Model
@@ -143,24 +144,24 @@ class Design:
         lines += [f"  Not determined: {text}." for text in self.information.null_directions()]
         return "\n".join(lines)
 
-    def accuracy_table(self) -> list[str]:
-        """Lines with the expected relative standard errors."""
-        names = [reference.name for reference in self.references]
-        head = f"  {'parameter':<20} {'value':>11} {'before':>8} {'after':>8}"
-        lines = [head + "".join(f" {name:>16}" for name in names)]
+    def accuracy_table(self, *, sort: bool = False) -> list[str]:
+        """Lines with the expected relative standard errors; sorted, the best first."""
+        known = bool(np.isfinite(self.prior_errors).any())
+        head = f"  {'parameter':<20} {'value':>11}" + (f" {'before':>9}" if known else "")
+        head += f" {'this run':>9}"
+        lines = [head + "".join(f" {reference.name:>14}" for reference in self.references)]
         columns = [r.information.std_errors / self.sizes for r in self.references]
-        for i, name in enumerate(self.names):
-            before = _percent(self.prior_errors[i])
-            row = f"  {name:<20} {self.model.values[name]:>11.4g} {before:>8}"
-            row += f" {_percent(self.relative_errors[i]):>8}"
-            lines.append(row + "".join(f" {_percent(column[i]):>16}" for column in columns))
+        for i in np.argsort(self.relative_errors) if sort else range(len(self.names)):
+            row = f"  {self.names[i]:<20} {self.model.values[self.names[i]]:>11.4g}"
+            if known:
+                row += f" {percent(self.prior_errors[i]):>9}"
+            row += f" {percent(self.relative_errors[i]):>9}"
+            lines.append(row + "".join(f" {percent(column[i]):>14}" for column in columns))
         return lines
 
     def sea_trial_card(self) -> str:
         """Return one page for the people who run the trial."""
-        return sea_trial_card(
-            self.experiment, self.model, self.trajectory, self.accuracy_table(), self.active
-        )
+        return sea_trial_card(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -192,6 +193,7 @@ class Design:
                 for r, (mean, worst) in zip(self.references, gains, strict=True)
             ],
             "active_limits": list(self.active),
+            "assurance": None if self.assurance is None else self.assurance.to_dict(),
             "misfits": [[a, b, value] for (a, b), value in self.misfits.items()],
             "n_evaluations": self.n_evaluations,
             "seconds": self.seconds,
@@ -218,9 +220,3 @@ class Design:
             for output, values in zip(self.model.outputs, self.trajectory.outputs.T, strict=True):
                 columns[f"{output.name} [{output.unit or '-'}]"] = values
         write_table(Path(path), list(columns), np.column_stack(list(columns.values())))
-
-
-def _percent(share: float) -> str:
-    if not np.isfinite(share) or share > 1e4:
-        return "-"
-    return f"{100 * share:.3g}%"

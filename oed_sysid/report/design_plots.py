@@ -23,6 +23,8 @@ from oed_sysid.report.style import (
 )
 from oed_sysid.sensitivity import Bode, SensitivityRanking, Spectrum
 
+# What those on board watch, where no limit says so.
+_TELLING = ("theta", "psi", "phi", "z", "u")
 _MARKERS = ("o", "s", "^", "D")
 
 
@@ -104,8 +106,8 @@ def figure_design(design: Design) -> Figure:
     outputs = {o.name: o for o in model.outputs}
     channels = {s.name: s for s in model.states} | outputs
     shown: list[Input | Output | State] = [*varied]
-    shown += [channels[n] for n in (*limits.signals, *channels) if n in channels][:3]
-    shown = list({channel.name: channel for channel in shown}.values())
+    names = dict.fromkeys((*limits.signals, *_TELLING, *channels))
+    shown += [channels[n] for n in names if n in channels][:3]
     figure, grid = new_figure(len(shown), 2, size=(11.0, 1.7 * max(len(shown), 3)))
     for row, channel in enumerate(shown):
         ax = grid[row, 0]

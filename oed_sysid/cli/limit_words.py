@@ -1,0 +1,152 @@
+"""Limits on the command line: ``--max-fin 10``, ``--min-depth 80``, ``--limit pitch=-20:20``.
+
+Words that people use stand for the model's channels; angles are in degrees.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from math import inf, radians
+
+from oed_sysid.channels import Input, Output, State
+from oed_sysid.cli.arguments import SIGNALS
+from oed_sysid.errors import DesignError
+from oed_sysid.experiment import Limits
+from oed_sysid.model import Model
+
+# A control surface answers to these words if its name or description holds one of its group.
+SURFACES = (
+    {"fin", "fins", "plane", "planes", "stern plane", "sternplane", "elevator", "hydroplane"},
+    {"rudder", "helm"},
+    {"thrust", "propeller", "revolutions"},
+)
+_FORM = re.compile(r"(?:(max|min):)?([A-Za-z_][\w-]*)=(.+)")
+_NUMBER = re.compile(r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(deg|rad)?(?:/s)?(?:m|m/s|N)?")
+
+
+def with_limits(model: Model, limits: Limits, given: Sequence[str]) -> tuple[Limits, list[str]]:
+    """Return limits changed by those of the command line, and what they are, in words.
+
+    Parameters
+    ----------
+    model : Model
+        Whose channels are limited.
+    limits : Limits
+        Of the problem.
+    given : sequence of str
+        ``max:NAME=VALUE``, ``min:NAME=VALUE``, ``NAME=VALUE`` or ``NAME=LOW:HIGH``.
+
+    Raises
+    ------
+    DesignError
+        If a name or a value is not understood; it lists what can be limited.
+    """
+    said = []
+    for text in given:
+        form = _FORM.fullmatch(text)
+        if form is None:
+            raise DesignError(
+                f"The limit {text!r} is not understood. Write --max-fin 10, --min-depth 80, or "
+                "--limit NAME=VALUE, --limit NAME=LOW:HIGH; angles in degrees."
+            )
+        side, word, value = form[1] or "", form[2], form[3]
+        if word == "rate" or (word.endswith("-rate") and word not in SIGNALS):
+            limits, words = _rate(model, limits, word, value)
+        else:
+            limits, words = _range(model, limits, word, side, value)
+        said.append(words)
+    return limits, said
+
+
+def _range(model: Model, limits: Limits, word: str, side: str, text: str) -> tuple[Limits, str]:
+    channel = _channel(model, word)
+    group = limits.inputs if isinstance(channel, Input) else limits.signals
+    before = group.get(channel.name, (-inf, inf))
+    first, colon, last = text.partition(":")
+    if colon:
+        lower, upper = _value(channel, first), _value(channel, last)
+    else:
+        value = _value(channel, text)
+        # Angles and control surfaces work to both sides; depth and speed do not.
+        both = channel.unit in ("rad", "rad/s") and side != "min" and value > 0
+        lower, upper = (-value, value) if both else before
+        if not both:
+            lower, upper = (value, upper) if side == "min" else (lower, value)
+    if not lower < upper:
+        raise DesignError(
+            f"The limit {word} {text} leaves nothing between {lower:g} and {upper:g} "
+            f"{channel.unit}. Correct it."
+        )
+    ranges = {**group, channel.name: (lower, upper)}
+    is_input = isinstance(channel, Input)
+    changed = replace(limits, inputs=ranges) if is_input else replace(limits, signals=ranges)
+    return changed, f"{word} is {channel.name} ({channel.label or channel.unit})"
+
+
+def _rate(model: Model, limits: Limits, word: str, text: str) -> tuple[Limits, str]:
+    if word == "rate":
+        moved = [i for i in model.inputs if i.unit == "rad"] or list(model.inputs)
+    else:
+        found = _channel(model, word.removesuffix("-rate"))
+        if not isinstance(found, Input):
+            raise DesignError(f"The rate of {found.name!r} cannot be limited; {_possible(model)}")
+        moved = [found]
+    rates = {i.name: _value(i, text) for i in moved}
+    return replace(limits, rates={**limits.rates, **rates}), f"{word} is of {', '.join(rates)}"
+
+
+def _value(channel: Input | State | Output, text: str) -> float:
+    form = _NUMBER.fullmatch(text.strip())
+    try:
+        value = float(form[1]) if form else None
+    except ValueError:
+        value = None
+    if form is None or value is None:
+        unit = channel.unit.replace("rad", "deg")
+        raise DesignError(f"{text!r} is no number for {channel.name!r}; give it in {unit}.")
+    angle = channel.unit in ("rad", "rad/s")
+    return radians(value) if angle and form[2] != "rad" else value
+
+
+def _channel(model: Model, word: str) -> Input | State | Output:
+    """Channel that a word means: its name, a common word, or part of its description."""
+    word = word.lower()
+    channels: dict[str, Input | State | Output] = {o.name: o for o in model.outputs}
+    channels |= {s.name: s for s in model.states} | {i.name: i for i in model.inputs}
+    by_name = {name.lower(): channel for name, channel in channels.items()}
+    if word.replace("-", "_") in by_name:
+        return by_name[word.replace("-", "_")]
+    if SIGNALS.get(word) in channels:
+        return channels[SIGNALS[word]]
+    found = [i for i in model.inputs if _answers(i, word)]
+    if len(found) == 1:
+        return found[0]
+    if len(found) > 1:
+        raise DesignError(
+            f"{word!r} may mean {' or '.join(i.name for i in found)}. Say which: "
+            f"--max-{found[0].name}."
+        )
+    raise DesignError(f"Model {model.name!r} has no {word!r} to limit; {_possible(model)}")
+
+
+def _answers(channel: Input, word: str) -> bool:
+    own = f"{channel.name} {channel.label}".lower().replace("_", " ")
+    parts = set(own.split())
+    return word in parts or any(
+        word in group and any(name in own for name in group) for group in SURFACES
+    )
+
+
+def _possible(model: Model) -> str:
+    """What can be limited, in words."""
+    inputs = [f"--max-{i.name}" for i in model.inputs]
+    surfaces = [min(group & {"fin", "rudder", "thrust"}) for group in SURFACES
+                if any(_answers(i, word) for i in model.inputs for word in group)]  # fmt: skip
+    names = {*model.state_names, *model.output_names}
+    words = [word for word, name in SIGNALS.items() if name in names]
+    return (
+        f"possible are {', '.join([*inputs, *(f'--max-{s}' for s in surfaces)])}, --max-rate, and "
+        f"--max- or --min- with {', '.join([*words, *sorted(names)])}."
+    )
