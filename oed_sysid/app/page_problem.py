@@ -81,12 +81,12 @@ def _records(problem: Problem, source: str, variant: str) -> None:
         choices.selection(source, variant, origin, stock.names)
     finally:
         left, right = st.columns(2)
-        for column, label, part in ((left, "Learn from", "train"), (right, "Judge with", "test")):
+        for column, label, side in ((left, "Learn from", "train"), (right, "Judge with", "test")):
             column.multiselect(
                 label,
                 stock.names,
-                key=choices.kept(part, source, variant, origin),
-                help="No choice looks at these." if part == "test" else None,
+                key=choices.kept(side, source, variant, origin),
+                help="No choice looks at these." if side == "test" else None,
                 wrap=True,
             )
     name = st.selectbox("Look at", stock.names, key=f"look:{source}:{origin}")

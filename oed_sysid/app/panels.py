@@ -14,7 +14,7 @@ from oed_sysid.app.jobs import Desk, Job, Tell
 from oed_sysid.app.tasks import Outcome
 from oed_sysid.report import Page, Section, style_sheet
 
-_POLL = 0.5  # s between looks at a running job
+_POLL = 1.0  # s between looks at a running job
 
 
 @dataclass(frozen=True)
