@@ -5,13 +5,16 @@ the on-line LS-SVM, as it would be on board: every 1.5 s one more row of
 Nomoto's difference equation, r(k+1) - r(k) = h/T (K delta - r), with rudder and
 rate averaged over the step. Published: settled after 50 samples, K -0.2559 1/s
 and T 15.68 s after 100. The published recursion and the one of flat cost must
-agree at every sample.
+agree at every sample. The plot of both with their bands grows as the samples
+come: tanker_on_line.png is written anew at most twice a second, and the GIF
+shows it all once more.
 """
 
 import numpy as np
 
 from oed_sysid import load_problem
 from oed_sysid.estimators.online import IncrementalLSSVM, RecursiveLSSVM
+from oed_sysid.report import LiveParameters
 
 STEP, WEIGHT = 1.5, 1e8  # s; a large C: features and targets are small numbers
 AVERAGE = np.array([0.5, 1.0, 1.0, 0.5]) / 3  # over the four records' samples of a step
@@ -27,20 +30,33 @@ published, flat = IncrementalLSSVM(C=WEIGHT), RecursiveLSSVM(C=WEIGHT)
 published.start(rows[:2], targets[:2])
 flat.start(rows[:2], targets[:2])
 history, apart = [], 0.0
+live = LiveParameters(
+    ["K", "T"],
+    units={"K": "1/s", "T": "s"},
+    references={"K": -0.2559, "T": 15.6816},
+    file="tanker_on_line.png",
+)
 for row, target in zip(rows[2:], targets[2:], strict=True):
     published.update(row, target)
     flat.update(row, target)
     by_rate, by_rudder = flat.coefficients
     apart = max(apart, np.abs(published.coefficients - flat.coefficients).max() / np.abs(by_rate))
-    # One standard error of T from the spread of the residuals so far.
-    residual = targets[: len(history) + 3] - flat.predict(rows[: len(history) + 3])
-    spread = np.sqrt(np.mean(residual**2) * flat.inverse[0, 0]) / np.abs(by_rate)
-    history.append((-by_rudder / by_rate, -STEP / by_rate, spread))
+    # Standard errors of K and T from the spread of the residuals so far, to first order.
+    seen = len(history) + 3
+    variance = np.mean((targets[:seen] - flat.predict(rows[:seen])) ** 2)
+    slopes = np.array([[by_rudder / by_rate, -1.0], [STEP / by_rate, 0.0]]) / by_rate
+    stds = np.sqrt(variance * np.diag(slopes @ flat.inverse[:2, :2] @ slopes.T))
+    history.append((-by_rudder / by_rate, -STEP / by_rate, stds[1]))
+    live.update(
+        STEP * seen, dict(zip("KT", history[-1], strict=False)), dict(zip("KT", stds, strict=True))
+    )
+live.draw()
+live.animate("tanker_on_line.gif", frames=30)
 
 print("samples   K [1/s]    T [s]")
 for count in (10, 20, 30, 50, 70, 100):
     gain, time, spread = history[count - 3]
-    print(f"{count:7d}   {gain:7.3f}   {time:5.1f} ± {spread * time:.1f}")
+    print(f"{count:7d}   {gain:7.3f}   {time:5.1f} ± {spread:.1f}")
 found = np.array([(gain, time) for gain, time, _ in history])
 away = np.abs(found / found[-1] - 1).max(axis=1)
 settled = 3 + int(np.flatnonzero(away > 0.1)[-1]) + 1

@@ -39,6 +39,7 @@ _HOME = {
     "load_problem": "problem",
     "new_problem": "problem",
     "turning_circle": "turning",
+    "speed_polar": "polar",
     "AOptimal": "design",
     "DOptimal": "design",
     "DsOptimal": "design",
@@ -98,6 +99,7 @@ if TYPE_CHECKING:
     from oed_sysid.fit import Fit
     from oed_sysid.model import Model
     from oed_sysid.parameters import Parameter
+    from oed_sysid.polar import speed_polar
     from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
     from oed_sysid.sensitivity import (
         information_of,

@@ -56,6 +56,7 @@ LAYERS = (
     "fit",
     "estimators",
     "turning",
+    "polar",
     "sensitivity",
     "design",
     "diagnosis",

@@ -33,7 +33,9 @@ from oed_sysid.report.force_plots import (
 )
 from oed_sysid.report.improvement_page import improvement_page
 from oed_sysid.report.improvement_plots import plot_error_fall, plot_located, plot_ranking
+from oed_sysid.report.live_plots import LiveParameters, plot_history
 from oed_sysid.report.page import Page, Picture, Section, Table, style_sheet
+from oed_sysid.report.polar_plots import plot_polar
 from oed_sysid.report.prediction_plots import (
     figure_predictions,
     plot_comparison,
@@ -46,6 +48,7 @@ from oed_sysid.report.style import model_style, new_figure
 from oed_sysid.report.track_plots import plot_track, plot_zigzag
 
 __all__ = [
+    "LiveParameters",
     "Page",
     "Picture",
     "Section",
@@ -70,10 +73,12 @@ __all__ = [
     "plot_correlation",
     "plot_error_fall",
     "plot_force_against",
+    "plot_history",
     "plot_input",
     "plot_intervals",
     "plot_located",
     "plot_output",
+    "plot_polar",
     "plot_prediction",
     "plot_prediction_error",
     "plot_ranking",
