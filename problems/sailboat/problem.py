@@ -62,7 +62,10 @@ SAIL = Force(
         "air_x": "-wind_speed*cos(bearing) - u",
         "air_y": "(-wind_speed*sin(bearing) - (v - p*z_s))*cos(phi)",
         "wind_angle": "atan2(-air_y, -air_x)",
-        "trim": "sign(wind_angle)*min(sheet, abs(wind_angle))",
+        # The boom swings across while the wind passes the last ten degrees to dead astern. A boom
+        # that jumped would make the trajectory depend on the integration step.
+        "swing": "tanh((3.14159265358979 - abs(wind_angle))/0.175)",
+        "trim": "sign(wind_angle)*min(sheet, abs(wind_angle))*swing",
         "attack": "wind_angle - trim",
         "stalled": "1 - exp(-(attack/0.436)**2)",
         "lift": "(1 - stalled)*3.49*attack + stalled*1.1*sin(2*attack)",
