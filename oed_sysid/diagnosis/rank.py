@@ -22,6 +22,9 @@ N_FULL, SHARE = 4, 0.1
 GROUP_WIDTH = 6.0
 # Correlation of two signatures, free parameters projected out, above which they are one.
 ALIKE = 0.95
+# Of two such effects, the one that explains less by no more than this share is not refuted: noise
+# models are never that exact.
+NEARLY = 0.015
 # Share of false claims over all candidates where no untouched record can be asked, and
 # where one is: chance passes both once in several hundred searches.
 FALSE_CLAIMS, FALSE_CLAIMS_BEFORE_TEST = 0.01, 0.05
@@ -106,8 +109,15 @@ class Ranking:
         """The best refit and all that these data cannot tell from it."""
         if not self.refits:
             return ()
-        best = self.refits[0].evidence
-        return tuple(refit for refit in self.refits if best - refit.evidence < width)
+        best = self.refits[0]
+        return tuple(
+            refit
+            for refit in self.refits
+            if best.evidence - refit.evidence < width
+            or (
+                best.gain - refit.gain < NEARLY * best.gain and self.similarity(best, refit) > ALIKE
+            )
+        )
 
     def similarity(self, first: Refit, second: Refit) -> float:
         """Largest canonical correlation of two effects' signatures."""

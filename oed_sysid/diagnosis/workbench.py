@@ -68,7 +68,7 @@ class Workbench:
         floor = np.where(seen, floor, np.maximum(floor, FINEST_NOISE * signal_spread(train)))
         white = np.where(np.isfinite(levels), levels, floor)
         # What the fastest wiggles show is there, whatever disturbances could explain of it.
-        least = np.where(seen & ~np.isfinite(levels), LEAST_SEEN * floor, 0.0)
+        least = np.where(seen, LEAST_SEEN * np.minimum(floor, white), 0.0)
         super_model = SuperModel.build(model, candidates)
         n_forces = len(disturbed_equations(model))
         if n_forces == 0:
