@@ -56,13 +56,13 @@ def design(study: Study, wish: DesignWish) -> str:
     units = {channel.name: channel.unit for channel in study.problem.model.inputs}
     for name, lower, upper in wish.ranges:
         unit = units[name]
-        text = f"{name} [{shown(unit)}]={_number(lower, unit)}:{_number(upper, unit)}"
-        parts += ["--range", shlex.quote(text)]
+        parts += ["--limit", f"{name}={_number(lower, unit)}:{_number(upper, unit)}"]
     for name, rate in wish.rates:
-        text = f"{name} [{shown_rate(units[name])}]={_number(rate, units[name])}"
-        parts += ["--rate", shlex.quote(text)]
+        parts += ["--limit", f"{name}-rate={_number(rate, units[name])}"]
     parts += ["--discriminate", *wish.rivals] if wish.rivals else ["--criterion", wish.criterion]
     parts += ["--family", wish.family, "--effort", wish.effort, "--seed", str(wish.seed)]
+    if wish.certainty is not None:
+        parts += ["--certainty", f"{wish.certainty:g}"]
     if wish.after_fit:
         parts += ["--after", "fit.json"]
     return " ".join([*parts, "--out design.csv", "--card card.txt", "--html design.html"])

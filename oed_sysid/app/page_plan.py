@@ -120,13 +120,20 @@ def _wish(study: Study) -> tasks.DesignWish:
         key=keep("criterion"),
     )  # fmt: skip
     family = third.selectbox("Commands", ("levels", "multisine", "pulses"), key=keep("family"))
-    after = st.toggle(
+    first, second, _ = st.columns(3, vertical_alignment="bottom")
+    certainty = first.selectbox(
+        "Keep limits on uncertain vehicles",
+        (None, 0.9, 0.95, 0.99),
+        format_func=lambda share: "only state the risk" if share is None else f"to {share:.0%}",
+        key=keep("certainty"),
+    )
+    after = second.toggle(
         "Complete what the training records tell",
         key=keep("after"),
         disabled=study.train is None,
     )
     return tasks.DesignWish(
-        like, duration, ranges, rates, criterion, family, effort, rivals, bool(after)
+        like, duration, ranges, rates, criterion, family, effort, rivals, bool(after), certainty
     )
 
 

@@ -152,5 +152,6 @@ _STYLE = """
   border: 2px solid #d7dce1; border-top-color: #0072b2; border-radius: 50%;
   animation: oed-turn 1s linear infinite; vertical-align: -.05em; }
 @keyframes oed-turn { to { transform: rotate(360deg); } }
-.stMainBlockContainer { padding-top: 3rem; max-width: 76rem; }
+.stMainBlockContainer { padding: 3rem 2.5rem 4rem; max-width: 76rem; }
+.stTabs [role=tab] p { font-size: .875rem; }
 """

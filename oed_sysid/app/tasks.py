@@ -23,6 +23,8 @@ BELIEVED = "as believed"
 _DRAWING = "drawing"
 # Starts that are refined, rough manoeuvres tried, and steps of refinement.
 EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
+# How wrong coefficients may be before there is a fit, as a share of their values.
+UNCERTAINTY = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +55,9 @@ class DesignWish:
         Candidates to tell apart; then no criterion is needed.
     after_fit : bool
         Whether to complete what the training records told already.
+    certainty : float or None
+        Probability with which limits are kept although coefficients are
+        uncertain; None only states it.
     seed : int
         Of the search.
     """
@@ -66,6 +71,7 @@ class DesignWish:
     effort: str = "quick"
     rivals: tuple[str, ...] = ()
     after_fit: bool = False
+    certainty: float | None = None
     seed: int = 0
 
 
@@ -150,7 +156,7 @@ def rank(study: Study, experiments: tuple[str, ...], tell: Tell) -> Outcome:
 
 def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
     """Design the manoeuvre that tells most, within the limits."""
-    from oed_sysid.design import Discriminate, design_experiment
+    from oed_sysid.design import Caution, Discriminate, assess_limits, design_experiment
     from oed_sysid.report import design_page
 
     problem = study.problem
@@ -161,9 +167,11 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
     else:
         criterion = _choice("criterion", wish.criterion, _criteria())
     n_starts, n_candidates, n_steps = _choice("effort", wish.effort, EFFORTS)
+    limits = limits_of(problem.limits, wish)
+    spread = None if wish.after_fit else UNCERTAINTY
     result = design_experiment(
         believed,
-        limits=limits_of(problem.limits, wish),
+        limits=limits,
         duration=wish.duration,
         sample_time=pattern.sample_time,
         rng=np.random.default_rng(wish.seed),
@@ -171,6 +179,7 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
         parametrisation=_choice("family", wish.family, _families()),
         constants=pattern.constants,
         initial=pattern.initial,
+        caution=None if wish.certainty is None else Caution(wish.certainty, spread),
         n_starts=n_starts,
         n_candidates=n_candidates,
         n_steps=n_steps,
@@ -178,6 +187,13 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
             f"designing: start {state.start + 1}, round {state.round + 1}, {state.value:.4g}"
         ),
     )
+    if result.assurance is None:
+        tell("simulating other vehicles")
+        stated = assess_limits(
+            result.model, result.experiment, limits=limits, spread=spread, prior=result.prior,
+            rng=np.random.default_rng(wish.seed), n_vehicles=200,
+        )  # fmt: skip
+        result = replace(result, assurance=stated)
     tell(_DRAWING)
     return Outcome(result, design_page(result, title=problem.title))
 

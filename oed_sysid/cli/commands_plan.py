@@ -89,24 +89,6 @@ def design(
         float | None,
         typer.Option("--duration", metavar="S", help="Length of the run, s.", show_default=False),
     ] = None,
-    ranges: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--range",
-            metavar="LIMIT...",
-            help='Other limits of a command, as "rudder [deg]=-10:10".',
-            show_default=False,
-        ),
-    ] = None,
-    rates: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--rate",
-            metavar="LIMIT...",
-            help='How fast a command may change, as "rudder [deg/s]=5".',
-            show_default=False,
-        ),
-    ] = None,
     limit: Annotated[
         list[str] | None,
         typer.Option(
@@ -194,15 +176,13 @@ def design(
     import numpy as np
 
     from oed_sysid.cli.limit_words import with_limits
-    from oed_sysid.cli.limits import narrowed
     from oed_sysid.design import Caution, assess_limits, design_experiment
     from oed_sysid.fit import Fit
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     pattern = _pattern(chosen, like)
-    limits = narrowed(chosen.limits, chosen.model, ranges or [], rates or [])
-    limits, said = with_limits(chosen.model, limits, limit or [])
+    limits, said = with_limits(chosen.model, chosen.limits, limit or [])
     for words in said:
         note(f"Limit: {words}.")
     spread = None if after else uncertainty

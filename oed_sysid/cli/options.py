@@ -10,7 +10,6 @@ import typer
 # Options that take several values after one flag; see oed_sysid.cli.arguments.
 SEVERAL = (
     *("--train", "--test", "--experiment", "--records", "--with", "--discriminate", "--limit"),
-    *("--range", "--rate"),
     *("--problems", "--estimators", "--noise", "--sampling"),
 )
 
