@@ -25,6 +25,7 @@ from oed_sysid.estimators.beginning import (
 from oed_sysid.estimators.losses import loss_by_name
 from oed_sysid.estimators.noise_levels import residual_levels, signal_spread, start_levels
 from oed_sysid.estimators.nonlinear_program import NonlinearProgram
+from oed_sysid.estimators.step_error import with_step_advice
 from oed_sysid.estimators.summary import summarise
 from oed_sysid.fit import Fit
 from oed_sysid.gauss_newton import Progress, Solution, solve
@@ -192,9 +193,10 @@ class MultipleShooting:
         if solution is not None and estimated.any():
             shooting, solution, more = self._estimate_noise(shooting, solution, estimated, minimise)
             iterations += more
-        return summarise(
+        fit = summarise(
             shooting, solution, estimated, self.name, iterations, began, coloured=self.coloured
         )
+        return with_step_advice(fit, shooting, solution)
 
     def _estimate_noise(
         self,
