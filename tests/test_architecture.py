@@ -165,10 +165,11 @@ def test_imports_go_downwards(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("library", "layers"), [("casadi", CASADI_LAYERS), ("matplotlib", MATPLOTLIB_LAYERS)]
+    ("library", "layers"),
+    [("casadi", CASADI_LAYERS), ("matplotlib", MATPLOTLIB_LAYERS), ("streamlit", ("app",))],
 )
 def test_library_is_confined(library: str, layers: tuple[str, ...]) -> None:
-    """CasADi and matplotlib are imported only in the layers that own them."""
+    """CasADi, matplotlib and streamlit are imported only in the layers that own them."""
     wrong = [
         f"{label(path)}:{line}"
         for path in modules(PACKAGE)
@@ -212,7 +213,7 @@ def test_import_is_light() -> None:
     """`import oed_sysid` leaves plotting and data-frame libraries alone."""
     code = (
         "import sys, oed_sysid; "
-        "print([m for m in ('matplotlib', 'pandas', 'sklearn') if m in sys.modules])"
+        "print([m for m in ('matplotlib', 'pandas', 'sklearn', 'streamlit') if m in sys.modules])"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=False

@@ -84,7 +84,7 @@ def factor(unit: str) -> float:
 
 
 def _number(value: float, unit: str) -> str:
-    return f"{value * factor(unit):.6g}"
+    return f"{value * factor(unit):.12g}"
 
 
 def _line(command: str, study: Study) -> str:

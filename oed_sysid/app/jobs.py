@@ -116,6 +116,11 @@ class Desk:
                     del self._jobs[old]
             return job
 
+    def wait(self) -> None:
+        """Wait until nothing is being worked on."""
+        for job in list(self._jobs.values()):
+            job.ended.wait()
+
     def _work(self) -> None:
         while True:
             self._queue.get().run()

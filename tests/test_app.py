@@ -1,0 +1,331 @@
+"""The browser application, driven as a user drives it, and its parts without a browser."""
+
+from __future__ import annotations
+
+import io
+import json
+import shlex
+import sys
+import threading
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from oed_sysid import Fit, load_problem, new_problem, read_csv
+from oed_sysid.app import commands, tasks
+from oed_sysid.app.jobs import Desk
+from oed_sysid.app.launch import orders
+from oed_sysid.app.records import archive, likely_test, read_uploads, simulated
+from oed_sysid.app.study import Study
+from oed_sysid.cli import BAD_INPUT, DONE, main
+from oed_sysid.errors import OedSysidError
+
+testing = pytest.importorskip("streamlit.testing.v1", reason="needs the extra 'app'")
+PATIENCE = 120.0
+
+
+def script(problem: str) -> None:
+    """What streamlit runs."""
+    from oed_sysid.app.frame import show
+
+    show(problem)
+
+
+def opened(problem: object):
+    """The application, first page drawn."""
+    app = testing.AppTest.from_function(
+        script, kwargs={"problem": str(problem)}, default_timeout=PATIENCE
+    )
+    return fine(app.run())
+
+
+def fine(app):
+    """The application, once nobody is told that anything is wrong."""
+    assert not app.exception
+    assert not app.error, [error.value for error in app.error]
+    return app
+
+
+def following(app):
+    """The next page."""
+    return fine(app.button(key="next").click().run())
+
+
+def done(app, button: str):
+    """The page after the work behind a button."""
+    from oed_sysid.app.panels import desk
+
+    app.button(key=f"ask:{button}").click().run()
+    desk().wait()
+    return fine(app.run())
+
+
+def text_of(app) -> str:
+    """Everything that reports say on a page."""
+    return "\n".join(part.value for part in app.get("html") if "<style>" not in part.value)
+
+
+@pytest.fixture(name="ship", scope="module")
+def _ship(tmp_path_factory) -> Path:
+    """The folder that `oed-sysid new` writes."""
+    return new_problem(tmp_path_factory.mktemp("app") / "my_ship")
+
+
+@pytest.fixture(name="study")
+def _study(ship: Path) -> Study:
+    """Its records, the last one untouched."""
+    problem = load_problem(ship)
+    train, test = problem.data().split(test="zigzag_20_20")
+    return Study(str(ship), "default", problem, train, test)
+
+
+def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    """The whole flow: fit, compare, improve, step back, rank; and the commands repeat it."""
+    app = opened(ship)
+    assert app.header[0].value == load_problem(ship).title
+    app = done(following(app), "fit")
+    assert "The estimation converged." in text_of(app)
+    app = done(following(app), "compare")
+    assert "in 95 % band" in text_of(app)
+    app = done(following(app), "improve")
+    assert "records that nothing was fitted to" in text_of(app)
+    effect = load_problem(ship).effects[0].name
+    keep = next(w for w in app.multiselect if w.label == "Effects to keep")
+    app = done(fine(keep.set_value([effect]).run()), "kept")
+    assert f"with {effect}" in text_of(app)
+    app = done(following(app), "rank")
+    assert "estimated together" in text_of(app)
+    app = following(app)
+    assert app.header[0].value == "Report"
+    offered = {button.label for button in app.get("download_button")}
+    assert {"Records (ZIP)", "Everything (ZIP)", "Report (HTML)"} <= offered
+    lines = app.code[0].value.splitlines()
+    verbs = [line.split()[1] for line in lines]
+    assert verbs == ["fit", "report", "compare", "improve", "compare", "rank"]
+
+    from oed_sysid.app.panels import desk
+
+    mine = [job.result.result for job in desk()._jobs.values() if job.state == "done"]
+    problem = load_problem(ship)
+    fits = [result for result in mine if isinstance(result, Fit)]
+    here = next(result for result in fits if result.model.name == problem.model.name)
+    train, test = problem.data().split(test=likely_test(problem.data().names))
+    with zipfile.ZipFile(io.BytesIO(archive(train, test))) as packed:
+        packed.extractall(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for line in (lines[0], lines[-1]):
+        assert main(shlex.split(line)[1:]) == DONE
+    capsys.readouterr()
+    there = Fit.load(tmp_path / "fit.json")
+    np.testing.assert_allclose(there.estimates, here.estimates, rtol=1e-6)
+    assert (tmp_path / "rank.html").is_file()
+
+
+def test_shipped_problem_with_other_records(monkeypatch) -> None:
+    """On a shipped problem, fewer records can be chosen, and the fit is of these."""
+    monkeypatch.setattr(tasks, "MultipleShooting", _Quick)
+    app = opened("remus_diving_plane")
+    learn = next(w for w in app.multiselect if w.label == "Learn from")
+    assert learn.value == ["train_steps", "train_zigzag_10_10", "train_zigzag_5_5"]
+    learn.set_value(["train_zigzag_5_5"]).run()
+    app = done(following(app), "fit")
+    assert app.caption[0].value == "Fitted by multiple shooting to train_zigzag_5_5"
+    assert "Z_uw" in text_of(app)
+
+
+class _Quick:
+    """Multiple shooting that stops early: here only the way to it is tested."""
+
+    def __init__(self, **settings) -> None:
+        from oed_sysid import MultipleShooting
+
+        self.fit = MultipleShooting(max_iterations=3, **settings).fit
+
+
+def test_files_of_the_user(ship: Path) -> None:
+    """Uploaded files become records or say why not, and stay when the page is left."""
+    good = (ship / "data" / "turning_circle.csv").read_bytes()
+    app = opened(ship)
+    app.button_group[0].set_value("My CSV files").run()
+    files = [("circle.csv", good, "text/csv"), ("bad.csv", b"t,rudder\n0,1\n", "text/csv")]
+    app.file_uploader[0].set_value(files).run()
+    assert not app.exception
+    assert [error.value for error in app.error if "**bad.csv** was refused" in error.value]
+    learn = next(w for w in app.multiselect if w.label == "Learn from")
+    assert list(learn.options) == ["circle"]
+    app.button(key="next").click().run()
+    assert [button.key for button in app.button if button.key == "ask:fit"]
+    assert any("circle" in caption.value for caption in app.caption)
+
+
+def test_a_record_cannot_be_learnt_from_and_judged_with(ship: Path) -> None:
+    """Choosing one record for both is said in words."""
+    app = opened(ship)
+    for part in ("Learn from", "Judge with"):
+        next(w for w in app.multiselect if w.label == part).set_value(["zigzag_10_10"]).run()
+    assert not app.exception
+    assert "chosen to learn from and to judge with" in app.error[0].value
+
+
+def test_problem_that_does_not_exist(tmp_path: Path) -> None:
+    """A wrong folder is answered with the package's own message."""
+    app = testing.AppTest.from_function(
+        script, kwargs={"problem": str(tmp_path / "none")}, default_timeout=PATIENCE
+    ).run()
+    assert not app.exception
+    assert "There is no problem" in app.error[0].value
+
+
+def test_uploads_are_checked_as_on_the_command_line(ship: Path, tmp_path: Path, capsys) -> None:
+    """The message about a file is that of the command line."""
+    content = b"t [s],rudder [deg]\n0,1\n1,x\n"
+    path = tmp_path / "log.csv"
+    path.write_bytes(content)
+    assert main(["fit", str(ship), str(path)]) == BAD_INPUT
+    said = capsys.readouterr().err.removeprefix("Error: ").strip()
+    records, refused, _ = read_uploads(load_problem(ship), {"log.csv": content})
+    assert records is None
+    assert refused["log.csv"] == said.replace(f"{tmp_path}/", "")
+
+
+def test_records_survive_the_archive(study: Study, tmp_path: Path) -> None:
+    """What is downloaded reads back as the same numbers."""
+    with zipfile.ZipFile(io.BytesIO(archive(study.train, study.test))) as packed:
+        packed.extractall(tmp_path)
+    again = read_csv(tmp_path / "train", study.problem.channels)
+    assert set(again.names) == set(study.training().names)
+    for record in again:
+        np.testing.assert_array_equal(record.outputs, study.training()[record.name].outputs)
+
+
+def test_simulated_records_are_those_of_the_command(ship: Path, tmp_path: Path, capsys) -> None:
+    """Simulated records equal what `oed-sysid simulate --truth` writes."""
+    problem = load_problem(ship)
+    assert main(["simulate", str(ship), "--truth", "--out", str(tmp_path)]) == DONE
+    capsys.readouterr()
+    theirs = read_csv(tmp_path, problem.channels)
+    for record in simulated(problem):
+        np.testing.assert_array_equal(record.outputs, theirs[record.name].outputs)
+
+
+def test_design_command_finds_the_same_trial(study: Study, tmp_path: Path, monkeypatch) -> None:
+    """The command shown for a design writes the commands that the page offers."""
+    from oed_sysid.app.page_plan import commands_csv
+
+    wish = tasks.DesignWish(
+        "zigzag_10_10",
+        40.0,
+        (("rudder", -np.radians(10), np.radians(10)),),
+        (("rudder", np.radians(3)),),
+    )
+    outcome = tasks.design(study, wish, lambda text: None)
+    monkeypatch.chdir(tmp_path)
+    assert main(shlex.split(commands.design(study, wish))[1:]) == DONE
+    tables = [
+        np.genfromtxt(io.BytesIO(text), delimiter=",", skip_header=1)
+        for text in (commands_csv(outcome.result), (tmp_path / "design.csv").read_bytes())
+    ]
+    np.testing.assert_allclose(*tables, atol=1e-6)
+    assert np.abs(tables[0][:, 1]).max() <= np.radians(10) * (1 + 1e-9)
+    assert outcome.result.assurance is not None
+
+
+def test_efforts_are_those_of_the_command_line() -> None:
+    """The same word means the same search."""
+    from oed_sysid.cli.commands_plan import EFFORTS
+
+    assert tasks.EFFORTS == EFFORTS
+
+
+def test_commands_name_model_noise_and_records(study: Study) -> None:
+    """Commands carry every choice that changes the result."""
+    odd = Study("my ship", "norrbin", study.problem, study.train, None, known_noise=True)
+    line = commands.improve(odd, 2)
+    assert shlex.split(line)[:5] == ["oed-sysid", "improve", "my ship", "--model", "norrbin"]
+    assert "--known-noise" in line
+    assert "--test" not in line
+
+
+def test_key_changes_with_content(study: Study) -> None:
+    """Equal records have an equal key, other numbers another."""
+    again = Study(study.source, "default", study.problem, study.train, study.test)
+    swapped = Study(study.source, "default", study.problem, study.test, study.train)
+    assert again.key == study.key
+    assert swapped.key != study.key
+
+
+def test_job_is_done_once_and_kept() -> None:
+    """Asking twice for the same work does it once; a failure can be tried again."""
+    desk, calls = Desk(), []
+
+    def work(tell) -> int:
+        calls.append(1)
+        if len(calls) == 2:
+            raise OedSysidError("The file is empty. Give another.")
+        return len(calls)
+
+    for _ in range(2):
+        desk.ask("a", work).ended.wait()
+    assert desk.ask("a", work).result == 1
+    failed = desk.ask("b", work)
+    failed.ended.wait()
+    assert (failed.state, failed.failure) == ("failed", "The file is empty. Give another.")
+    assert desk.ask("b", work) is not failed
+
+
+def test_job_stops_when_asked(capsys) -> None:
+    """A job ends when it next tells what it does; a fault of the program is said in words."""
+    desk, begun, go_on = Desk(), threading.Event(), threading.Event()
+
+    def work(tell) -> None:
+        begun.set()
+        go_on.wait()
+        tell("next")
+
+    job = desk.ask("long", work)
+    begun.wait()
+    job.stop()
+    go_on.set()
+    job.ended.wait()
+    assert job.state == "stopped"
+    broken = desk.ask("broken", lambda tell: 1 / 0)
+    broken.ended.wait()
+    assert "ZeroDivisionError" in broken.failure
+    assert "ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_server_answers_this_computer_only_and_reports_to_nobody() -> None:
+    """No address but localhost, no usage statistics."""
+    given = orders("remus_diving_plane", port=9000, browser=False)
+    assert "--server.address=localhost" in given
+    assert "--browser.gatherUsageStats=false" in given
+    assert given[-2:] == ["--", "remus_diving_plane"]
+    assert Path(given[1]).is_file()
+
+
+@pytest.mark.parametrize("arguments", [["--port", "80"], ["no_such_problem"]])
+def test_command_that_cannot_start_says_so(arguments: list[str], capsys) -> None:
+    """A wrong port or problem is bad input, before any server runs."""
+    assert main(["app", "--no-browser", *arguments]) == BAD_INPUT
+    assert capsys.readouterr().err.startswith("Error: ")
+
+
+def test_missing_extra_is_named(monkeypatch, capsys) -> None:
+    """Without streamlit the command says what to install."""
+    monkeypatch.setitem(sys.modules, "streamlit", None)
+    monkeypatch.setattr("oed_sysid.app.launch.find_spec", lambda name: None)
+    assert main(["app"]) == BAD_INPUT
+    assert 'pip install "oed_sysid[app]"' in capsys.readouterr().err
+
+
+def test_application_is_not_imported_with_the_package() -> None:
+    """Naming the commands costs no streamlit."""
+    import subprocess
+
+    code = (
+        "import sys, json, oed_sysid.cli.application; print(json.dumps('streamlit' in sys.modules))"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert json.loads(run.stdout) is False
