@@ -107,7 +107,9 @@ def improve(
     tell("locating where the believed model fails")
     location = locate(bench.train, base_fit, likeliest(first))
     unknown = None
-    if remainder(state.bench.train, state.fit) > REMAINDER_LIMIT:
+    # Where the search was cut short, a known effect may yet explain what remains.
+    exhausted = len(state.added) < max_effects
+    if exhausted and remainder(state.bench.train, state.fit) > REMAINDER_LIMIT:
         tell("looking for a term that no known effect holds")
         earlier = fits[-2] if len(fits) > 1 else base_fit
         unknown = find_unknown(state.bench, state.added, state.fit, earlier)
