@@ -106,13 +106,13 @@ def improve(
     assert first is not None
     tell("locating where the believed model fails")
     location = locate(bench.train, base_fit, likeliest(first))
+    fits = _consistent(state.bench, steps, fits)
     unknown = None
     # Where the search was cut short, a known effect may yet explain what remains.
     exhausted = len(state.added) < max_effects
     if exhausted and remainder(state.bench.train, state.fit) > REMAINDER_LIMIT:
         tell("looking for a term that no known effect holds")
-        earlier = fits[-2] if len(fits) > 1 else base_fit
-        unknown = find_unknown(state.bench, state.added, state.fit, earlier)
+        unknown = find_unknown(state.bench, state.added, [base_fit, *fits])
     sigma = _sigma(model, state.fit, state.bench.train.units)
     return _result(state, model, base_fit, first, location, steps, fits, rejected, sigma, unknown)
 
@@ -297,6 +297,14 @@ def _result(
 def _at_estimates(effect: Effect, fit: GreyBox) -> Effect:
     own = {p.name for p in effect.parameters}
     return effect.with_values({k: v for k, v in fit.values.items() if k in own})
+
+
+def _consistent(
+    bench: Workbench, steps: Sequence[tuple[Refit, Ranking, float]], fits: Sequence[GreyBox]
+) -> list[GreyBox]:
+    """The fits of all steps, each with the effects of its own and earlier steps only."""
+    present = [refit.score.effect for refit, _, _ in steps]
+    return [_with_only(bench, present[: i + 1], fit) for i, fit in enumerate(fits)]
 
 
 def _with_only(bench: Workbench, present: Sequence[Effect], fit: GreyBox) -> GreyBox:

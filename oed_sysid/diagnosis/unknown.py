@@ -8,14 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from oed_sysid.diagnosis.conclusion import remainder
 from oed_sysid.diagnosis.greybox import GreyBox, estimate
+from oed_sysid.diagnosis.improvement import REMAINDER_LIMIT
 from oed_sysid.diagnosis.linearise import SuperModel
 from oed_sysid.diagnosis.propose import Proposals, propose
 from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.effects import Effect
 
-# A term in place of a known effect must not be less likely than both together by more.
-PLACE_MARGIN = 6.0
+# A known effect stays beside a term only if both together are likelier by more than this,
+# about what any claim needs: what a model lacks is imitated by effects that it does not lack.
+PLACE_MARGIN = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,20 +73,18 @@ class Unknown:
 
 
 def find_unknown(
-    bench: Workbench, added: Sequence[Effect], fit: GreyBox, earlier: GreyBox
+    bench: Workbench, added: Sequence[Effect], path: Sequence[GreyBox]
 ) -> Unknown | None:
-    """Propose a term beside the effects found, or in place of the last one.
+    """Propose a term beside the effects found, or in place of some or all of them.
 
     Parameters
     ----------
     bench : Workbench
         At the present fit.
     added : sequence of Effect
-        Known effects in the model.
-    fit : GreyBox
-        The fit with them.
-    earlier : GreyBox
-        The fit without the last of them.
+        Known effects in the model, in the order in which they were added.
+    path : sequence of GreyBox
+        The fits without any of them, with the first, with the first two, ...
 
     Returns
     -------
@@ -91,11 +92,10 @@ def find_unknown(
         None where no term explains more than chance, or where the untouched
         records do not confirm it.
     """
-    options = [(tuple(added), fit)]
-    if added:
-        options.append((tuple(added[:-1]), earlier))
+    present = path[-1]
     best: Unknown | None = None
-    for kept, start in options:
+    for count in sorted({0, max(len(added) - 1, 0), len(added)}):
+        kept, start = tuple(added[:count]), path[count]
         proposals = propose(bench.train, start)
         if proposals.best is None:
             continue
@@ -104,18 +104,46 @@ def find_unknown(
         found = _fit(wide, kept, effect, start, proposals.best.fit.values)
         if found is None:
             continue
+        kept, found = _without_imitations(wide, kept, effect, found)
         gone = tuple(e.name for e in added if e not in kept)
-        option = Unknown(
-            effect, proposals, gone, kept, fit.objective - found.objective, np.nan, wide, found
-        )
-        if best is None or found.objective < best.fit.objective + PLACE_MARGIN * len(gone):
+        gain = present.objective - found.objective
+        option = Unknown(effect, proposals, gone, kept, gain, np.nan, wide, found)
+        if best is None or _cost(option) < _cost(best):
             best = option
+        if remainder(wide.train, found) < REMAINDER_LIMIT:
+            break  # fewer effects explain everything
     if best is None or best.gain < (0.0 if best.replaces else best.proposals.needed):
         return None
     if bench.test is None:
         return best
-    gain = bench.test_objective(fit) - best.bench.test_objective(best.fit)
+    gain = bench.test_objective(present) - best.bench.test_objective(best.fit)
     return replace(best, test_gain=gain) if gain > 0 else None
+
+
+def _cost(option: Unknown) -> float:
+    """Minus twice the log-likelihood, and what every known effect has to be worth."""
+    return option.fit.objective + PLACE_MARGIN * len(option.kept)
+
+
+def _without_imitations(
+    bench: Workbench, kept: tuple[Effect, ...], term: Effect, fit: GreyBox
+) -> tuple[tuple[Effect, ...], GreyBox]:
+    """Drop known effects, the least likely first, that are not needed beside the term."""
+    while kept:
+        options = []
+        for effect in kept:
+            others = tuple(e for e in kept if e is not effect)
+            values = dict(fit.values) | dict.fromkeys(effect.amplitude_names, 0.0)
+            without = _fit(bench, others, term, fit, values)
+            if without is not None:
+                options.append((others, without))
+        if not options:
+            break
+        others, without = min(options, key=lambda pair: pair[1].objective)
+        if without.objective - fit.objective > PLACE_MARGIN:
+            break
+        kept, fit = others, without
+    return kept, fit
 
 
 def _with_term(bench: Workbench, effect: Effect) -> Workbench:
