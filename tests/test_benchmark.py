@@ -23,6 +23,7 @@ from oed_sysid.benchmark import (
     run_cell,
     verdicts,
 )
+from oed_sysid.benchmark.tables import verdict_table
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.errors import ModelError, ProblemError
 from oed_sysid.report.benchmark_plots import figure_benchmark
@@ -161,7 +162,7 @@ def test_few_runs_must_all_agree() -> None:
     wins = [outcome("wins", [0.01, 0], seed=s) for s in range(2)]
     found = verdicts(measure([*ours, *clear, *mixed, *wins]), "multiple_shooting")
     assert {one.other: one.outcome for one in found} == {
-        "clear": "better", "mixed": "equal", "wins": "worse",
+        "clear": "better", "mixed": "undecided", "wins": "worse",
     }  # fmt: skip
 
 
@@ -174,7 +175,19 @@ def test_many_runs_may_disagree_a_little() -> None:
     worse = [outcome("clear", [0.02 * e, 0], seed=s) for s, e in enumerate(scatter * factor)]
     shuffled = [outcome("mixed", [0.024 * e, 0], seed=s) for s, e in enumerate(scatter[::-1])]
     found = verdicts(measure([*ours, *worse, *shuffled]), "multiple_shooting")
-    assert {one.other: one.outcome for one in found} == {"clear": "better", "mixed": "equal"}
+    assert {one.other: one.outcome for one in found} == {"clear": "better", "mixed": "undecided"}
+
+
+@pytest.mark.parametrize("n_runs", [3, 10])
+def test_alike_is_shown_and_not_assumed(n_runs: int) -> None:
+    """Runs that all give the same error are alike; a scatter of a third leaves it undecided."""
+    scatter = np.tile([0.75, 1.0, 1.3], 4)[:n_runs]
+    ours = [outcome("multiple_shooting", [0.02, 0], seed=s) for s in range(n_runs)]
+    same = [outcome("same", [0.0202, 0], seed=s) for s in range(n_runs)]
+    loose = [outcome("loose", [0.02 * e, 0], seed=s) for s, e in enumerate(scatter)]
+    found = verdicts(measure([*ours, *same, *loose]), "multiple_shooting")
+    assert {one.other: one.outcome for one in found} == {"same": "equal", "loose": "undecided"}
+    assert "= 1 " in "".join(verdict_table(found))
 
 
 @pytest.mark.parametrize("name", PROBLEMS)

@@ -15,6 +15,8 @@ from oed_sysid.benchmark.cell import Cell, Outcome
 DETERMINED = 0.25
 # Two estimators are not told apart where their errors differ by less than this share.
 EQUAL = 0.05
+# They are called alike where even the scatter of the runs leaves no room for more than this.
+ALIKE = 0.1
 # From so many runs on their scatter is known well enough to be used.
 MANY = 5
 # Less than this no measurement is about.
@@ -98,10 +100,12 @@ class Verdict:
     """One estimator against another in one setting.
 
     ``outcome`` is ``better`` or ``worse`` if the errors of determined parameters
-    differ by more than 5 % and the runs agree about it, else ``equal``. Fewer than
-    five runs agree if none says the contrary by more than 5 %; more do if the mean
-    logarithm of the ratio, run by run, is two standard errors from zero.
-    ``ratio`` is the other's error over ours.
+    differ by more than 5 % and the runs agree about it. Fewer than five runs agree
+    if none says the contrary by more than 5 %; more do if the mean logarithm of the
+    ratio, run by run, is two standard errors from zero. ``equal`` means shown to be
+    so: no run, or of five and more that mean with its two standard errors, leaves
+    the range of 10 %. What is neither is ``undecided``. ``ratio`` is the other's
+    error over ours.
     """
 
     problem: str
@@ -141,8 +145,9 @@ def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
             continue
         own = mine[row.setting]
         ratio = max(row.rmse_determined, EXACT) / max(own.rmse_determined, EXACT)
-        outcome = "equal"
-        if abs(np.log(ratio)) > np.log(1 + EQUAL) and _told_apart(own.by_seed, row.by_seed):
+        logs = np.log(np.maximum(row.by_seed, EXACT) / np.maximum(own.by_seed, EXACT))
+        outcome = "equal" if _alike(logs) else "undecided"
+        if abs(np.log(ratio)) > np.log(1 + EQUAL) and _told_apart(logs):
             outcome = "better" if ratio > 1 else "worse"
         found.append(
             Verdict(row.problem, row.noise, row.sampling, ours, row.estimator, outcome, ratio)
@@ -150,14 +155,23 @@ def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
     return tuple(found)
 
 
-def _told_apart(ours: Sequence[float], others: Sequence[float]) -> bool:
-    """Whether paired runs on the same data say who is better."""
-    logs = np.log(np.maximum(others, EXACT) / np.maximum(ours, EXACT))
+def _told_apart(logs: np.ndarray) -> bool:
+    """Whether paired runs on the same data, as logarithms of ratios, say who is better."""
     if len(logs) >= MANY:
-        error = float(np.std(logs, ddof=1)) / np.sqrt(len(logs))
-        return bool(abs(np.mean(logs)) > 2.0 * error)
+        return bool(abs(np.mean(logs)) > _two_errors(logs))
     slack = np.log(1 + EQUAL)
     return bool((logs >= -slack).all() or (logs <= slack).all())
+
+
+def _alike(logs: np.ndarray) -> bool:
+    """Whether paired runs say that nobody is ahead by more than :data:`ALIKE`."""
+    if len(logs) >= MANY:
+        return bool(abs(np.mean(logs)) + _two_errors(logs) < np.log(1 + ALIKE))
+    return bool((np.abs(logs) < np.log(1 + ALIKE)).all())
+
+
+def _two_errors(logs: np.ndarray) -> float:
+    return 2.0 * float(np.std(logs, ddof=1)) / np.sqrt(len(logs))
 
 
 def _setting(cell: Cell) -> tuple[str, int, float]:

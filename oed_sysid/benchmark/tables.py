@@ -30,8 +30,8 @@ HEADERS = (
     "iterations",
 )
 LEGEND = (
-    "How many times larger the other's error of determined parameters is; in brackets where the "
-    "runs do not tell the two apart, **bold** where the other wins."
+    "How many times larger the other's error of determined parameters is; **bold** where the other "
+    "wins, = where the runs show that they are within 10 %, in brackets where they do not decide."
 )
 
 
@@ -146,7 +146,7 @@ def _ratio(verdict: Verdict | None) -> str:
     if verdict is None:
         return ""
     shown = f"{verdict.ratio:.2g}" if verdict.ratio < 1000 else "> 1000"
-    marks = {"worse": f"**{shown}**", "equal": f"({shown})"}
+    marks = {"worse": f"**{shown}**", "equal": f"= {shown}", "undecided": f"({shown})"}
     return marks.get(verdict.outcome, shown)
 
 
