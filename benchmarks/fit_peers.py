@@ -43,14 +43,15 @@ PEERS = {
     "parmest_collocation": 50.0,
     "do_mpc_horizon": 50.0,
     "pints_cma": 50.0,
+    "pybop_cma": 50.0,
     "pysindy_sparse": 0.0,
 }
 
 
-def task(share: float) -> tuple[Model, Dataset]:
+def task(share: float, n_samples: int = N_SAMPLES) -> tuple[Model, Dataset]:
     """Our model at the start values, priors dropped, and the record."""
     model = load_problem("remus_diving_plane").model
-    times = STEP * np.arange(N_SAMPLES)
+    times = STEP * np.arange(n_samples)
     fin = 0.1 * np.sign(np.sin(2 * np.pi * times / 14.0)) + 0.05 * np.sin(0.9 * times)
     inputs = {"fin_command": fin, "thrust": 9.0}
     run = simulate_inputs(model, times, inputs=inputs, initial={"u": 1.5, "z": 10.0})
@@ -98,8 +99,9 @@ def main() -> None:
     parser.add_argument("peers", nargs="*", default=list(PEERS))
     parser.add_argument("--python", default=sys.executable, help="interpreter that has the peers")
     parser.add_argument("--share", type=float, default=0.7, help="start values over true ones")
+    parser.add_argument("--samples", type=int, default=N_SAMPLES, help="length of the record")
     options = parser.parse_args()
-    model, data = task(options.share)
+    model, data = task(options.share, options.samples)
     seconds, fit = ours(model, data)
     assert fit.status.ok, fit.status
     best = np.array([fit.values[name] for name in NAMES])
@@ -107,7 +109,7 @@ def main() -> None:
     print(machine())
     print(f"{'':22} {'solve, s':>9} {'build, s':>9} {'off':>8}   times ours")
     print(f"{'multiple shooting':22} {seconds:>9.4f} {'':>9} {0.0:>8.2f}   1")
-    lines = [verdict("our fit of 2,400 samples", 1e3 * seconds, 40.0, "ms")]
+    lines = [verdict(f"our fit of {options.samples:,} samples", 1e3 * seconds, 40.0, "ms")]
     with tempfile.TemporaryDirectory() as folder:
         path, record = Path(folder) / "dive.npz", data[0]
         np.savez(

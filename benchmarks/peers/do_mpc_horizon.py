@@ -46,9 +46,18 @@ def main() -> None:
     def solve() -> np.ndarray:
         horizon.x0, horizon.p_est0 = outputs[0], np.full(8, share())
         horizon.set_initial_guess()
-        for y, u in zip(outputs[:-1], inputs[:-1], strict=True):
-            horizon.data.update(_y=np.concatenate([y, u]))
-        horizon.make_step(np.concatenate([outputs[-1], inputs[-1]]))
+        # Its own guess keeps the first state throughout and ends in another optimum.
+        for k, y in enumerate(outputs):
+            horizon.opt_x_num["_x", k] = [y] * len(horizon.opt_x_num["_x", k])
+            if k + 1 < n:
+                horizon.opt_x_num["_u", k] = inputs[k]
+        # A measurement belongs to the end of an interval, its command to the whole of it.
+        rows = np.hstack([outputs[1:], inputs[:-1]])
+        for row in rows[:-1]:
+            horizon.data.update(_y=row)
+        horizon.make_step(rows[-1])
+        if not horizon.solver_stats["success"]:
+            raise RuntimeError(horizon.solver_stats["return_status"])
         return np.array(horizon.p_est0.cat).ravel() * TRUE
 
     report(solve, build)

@@ -13,7 +13,7 @@ _rates = njit(rates)
 
 
 @njit
-def _simulate(inputs: np.ndarray, p: np.ndarray, x0: np.ndarray) -> np.ndarray:
+def simulate(inputs: np.ndarray, p: np.ndarray, x0: np.ndarray) -> np.ndarray:
     n = len(inputs)
     path = np.empty((n, 5))
     x = x0.copy()
@@ -37,6 +37,6 @@ def _fast(x: np.ndarray, command: np.ndarray, p: np.ndarray) -> list[float]:
 
 def residuals(unknowns: np.ndarray, inputs: np.ndarray, outputs: np.ndarray) -> np.ndarray:
     """Weighted residuals ``(n * 5,)``; large where the model diverges."""
-    path = _simulate(inputs, unknowns[:8], unknowns[8:])
+    path = simulate(inputs, unknowns[:8], unknowns[8:])
     scaled = (path - outputs) / NOISE
     return np.nan_to_num(scaled, nan=1e6, posinf=1e6, neginf=-1e6).ravel()
