@@ -62,6 +62,8 @@ def test_design_completes_a_fit(ship: Path, tmp_path: Path) -> None:
     [
         (["--criterion", "Q"], "Choose one of D, A, E"),
         (["--family", "sines"], "Choose one of levels"),
+        (["--avoid", "0.1:0.2"], "add --family multisine"),
+        (["--family", "multisine", "--avoid", "0.1"], "write bands as 0.1:0.2"),
         (["--effort", "huge"], "Choose one of quick"),
         (["--like", "spiral"], "no experiment 'spiral'"),
         (["--discriminate", "wind"], "no candidate 'wind'"),

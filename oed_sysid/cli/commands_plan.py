@@ -132,6 +132,15 @@ def design(
     family: Annotated[
         str, typer.Option("--family", metavar="levels|multisine|pulses", help="Kind of command.")
     ] = "levels",
+    avoid: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--avoid",
+            metavar="LOW:HIGH...",
+            help="Frequencies that must not be excited, Hz; for --family multisine.",
+            show_default=False,
+        ),
+    ] = None,
     effort: Annotated[
         str,
         typer.Option(
@@ -196,7 +205,7 @@ def design(
             sample_time=pattern.sample_time,
             rng=np.random.default_rng(seed),
             criterion=_criterion(chosen, criterion, discriminate or []),
-            parametrisation=_family(family),
+            parametrisation=_family(family, avoid or []),
             constants=pattern.constants,
             initial=pattern.initial,
             caution=caution,
@@ -255,10 +264,16 @@ def _criterion(problem: Problem, name: str, rivals: list[str]) -> Any:
     return _choice("criterion", name, {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()})
 
 
-def _family(name: str) -> Any:
+def _family(name: str, avoid: list[str]) -> Any:
     from oed_sysid.design import Levels, Multisines, Pulses
 
-    families = {"levels": Levels(), "multisine": Multisines(), "pulses": Pulses()}
+    if avoid and name != "multisine":
+        raise DesignError("Frequencies can be avoided by sines only: add --family multisine.")
+    try:
+        bands = [(float(low), float(high)) for low, _, high in (b.partition(":") for b in avoid)]
+    except ValueError:
+        raise DesignError(f"--avoid {' '.join(avoid)}: write bands as 0.1:0.2, in Hz.") from None
+    families = {"levels": Levels(), "multisine": Multisines(forbidden=bands), "pulses": Pulses()}
     return _choice("family", name, families)
 
 

@@ -9,7 +9,16 @@ import typer
 
 # Options that take several values after one flag; see oed_sysid.cli.arguments.
 SEVERAL = (
-    *("--train", "--test", "--experiment", "--records", "--with", "--discriminate", "--limit"),
+    *(
+        "--train",
+        "--test",
+        "--experiment",
+        "--records",
+        "--with",
+        "--discriminate",
+        "--limit",
+        "--avoid",
+    ),
     *("--problems", "--estimators", "--noise", "--sampling"),
 )
 

@@ -1,6 +1,7 @@
 """Experiments that tell most: criteria, families of commands, limits, search."""
 
 from oed_sysid.design.assurance import Assurance, assess_limits
+from oed_sysid.design.campaign import Stage, campaign
 from oed_sysid.design.caution import Caution
 from oed_sysid.design.criteria import (
     AOptimal,
@@ -15,7 +16,8 @@ from oed_sysid.design.criteria import (
 )
 from oed_sysid.design.discrimination import Discriminate
 from oed_sysid.design.experiment_design import design_experiment, design_series
-from oed_sysid.design.parametrisation import Grid, Levels, Multisines, Parametrisation, Pulses
+from oed_sysid.design.multisines import Multisines
+from oed_sysid.design.parametrisation import Grid, Levels, Parametrisation, Pulses
 from oed_sysid.design.reference import Reference
 from oed_sysid.design.result import Design
 from oed_sysid.design.robust import Robust
@@ -25,6 +27,8 @@ from oed_sysid.design.zigzags import ZigZags
 __all__ = [
     "design_experiment",
     "design_series",
+    "campaign",
+    "Stage",
     "Design",
     "Reference",
     "Criterion",
