@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from oed_sysid.diagnosis.advice import advice
 from oed_sysid.diagnosis.error_table import Errors, Yardstick
 from oed_sysid.diagnosis.greybox import GreyBox
 from oed_sysid.diagnosis.locate import Located
@@ -117,6 +118,17 @@ class Improvement:
         return dict(self.location.evidence)
 
     @property
+    def advice(self) -> list[str]:
+        """What to believe, what not, and what to do next at sea; one line each."""
+        return advice(
+            self.steps,
+            self.ranking,
+            self.parameters,
+            explained=self.explained,
+            commanded=bool(self.base.inputs),
+        )
+
+    @property
     def explained(self) -> bool:
         """Whether what remains is noise: no disturbance is needed any more."""
         return self.remainder < REMAINDER_LIMIT
@@ -180,6 +192,8 @@ class Improvement:
                 *self._story(),
                 "",
                 *self.yardstick.table(self.base_rms, self.steps[-1].rms if self.steps else None),
+                "",
+                *self.advice,
                 "",
                 *self._closing(),
             ]

@@ -1,0 +1,63 @@
+"""The advice after a search: what is believed, doubted, and asked of the next manoeuvre."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from oed_sysid import Force, Parameter
+from oed_sysid.diagnosis.advice import advice
+from oed_sysid.diagnosis.rank import Ranking
+from oed_sysid.diagnosis.score import Score
+
+
+def candidate(name: str, needs: str, error: float) -> Score:
+    """Score of a candidate of typical size one whose error in these records is given."""
+    parameter = Parameter(f"E_{name}", 0.0, "N", scale=1.0)
+    effect = Force(name, {"X": f"E_{name}"}, (parameter,), needs=needs)
+    key = parameter.name
+    return Score(effect, 1.0, 1, {key: 0.0}, {key: error}, 0.5, np.ones((3, 1)))
+
+
+RANKING = Ranking(
+    (
+        candidate("drag", "coasting", 0.01),
+        candidate("bias", "several speeds", 0.01),
+        candidate("faint", "storms", 5.0),
+    ),
+    (),
+    np.ones(3),
+)
+ESTIMATES = ({"name": "E_drag", "value": 2.0, "std_error": 0.1, "unit": "N"},)
+
+
+def step(*group: str, test_gain: float = 9.0) -> SimpleNamespace:
+    """A step as far as the advice looks at it."""
+    effect = next(s.effect for s in RANKING.scores if s.effect.name == group[0])
+    return SimpleNamespace(added=group[0], group=group, effect=effect, test_gain=test_gain)
+
+
+def test_one_effect_is_believed_with_its_size() -> None:
+    """A single confirmed effect is stated with value and error; what is invisible is not denied."""
+    text = "\n".join(advice([step("drag")], RANKING, ESTIMATES, explained=True))
+    assert "drag is missing, the untouched records agree: E_drag = 2 +/- 0.1 N" in text
+    assert "that faint is absent: its typical" in text
+    assert "Next at sea" not in text
+
+
+def test_a_group_is_not_believed_to_be_its_first_member() -> None:
+    """Rivals are named, with the manoeuvres that they need and the command that designs one."""
+    text = "\n".join(advice([step("drag", "bias")], RANKING, ESTIMATES, explained=False))
+    assert "drag or bias is missing" in text
+    assert "that it is drag (E_drag = 2 +/- 0.1 N): bias does as well" in text
+    assert "coasting; several speeds" in text
+    assert "--discriminate drag bias" in text
+    assert "more is missing than was found" in text
+
+
+def test_an_untested_claim_is_not_believed() -> None:
+    """Without untouched records the claim waits for one."""
+    text = "\n".join(advice([step("drag", test_gain=np.nan)], RANKING, ESTIMATES, explained=True))
+    assert "untouched records agree" not in text
+    assert "drag before an untouched record has confirmed it" in text
