@@ -5,6 +5,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import streamlit as st
 
@@ -22,6 +23,7 @@ from oed_sysid.app.panels import message, style
 from oed_sysid.app.study import Study
 from oed_sysid.errors import OedSysidError
 
+_ICON = str(Path(__file__).with_name("icon.svg"))
 # Title, address and symbol of each page, in the order of the work.
 PAGES: tuple[tuple[str, str, str, Callable[[Study], None]], ...] = (
     ("Fit", "fit", "tune", page_fit.show),
@@ -40,8 +42,8 @@ def show(initial: str | None = None) -> None:
     initial : str, optional
         Problem to begin with.
     """
-    # Without an icon: those that streamlit offers by name are fetched from elsewhere.
-    st.set_page_config("oed_sysid", layout="wide")
+    # An own icon of the browser's tab: that of a page's symbol would be fetched from elsewhere.
+    st.set_page_config("oed_sysid", _ICON, layout="wide")
     choices.begin(initial)
     style()
     first = st.Page(

@@ -102,6 +102,7 @@ def _wish(study: Study) -> tasks.DesignWish:
         "Length [s]",
         1.0,
         1e5,
+        format="%.4g",
         key=choices.preset(keep("duration", like), float(pattern.duration or 60.0)),
     )
     effort = third.selectbox("Effort", list(tasks.EFFORTS), key=keep("effort"))
@@ -123,8 +124,8 @@ def _wish(study: Study) -> tasks.DesignWish:
     first, second, _ = st.columns(3, vertical_alignment="bottom")
     certainty = first.selectbox(
         "Keep limits on uncertain vehicles",
-        (None, 0.9, 0.95, 0.99),
-        format_func=lambda share: "only state the risk" if share is None else f"to {share:.0%}",
+        (0.0, 0.9, 0.95, 0.99),
+        format_func=lambda share: f"in {share:.0%} of them" if share else "only state the risk",
         key=keep("certainty"),
     )
     after = second.toggle(
@@ -133,7 +134,16 @@ def _wish(study: Study) -> tasks.DesignWish:
         disabled=study.train is None,
     )
     return tasks.DesignWish(
-        like, duration, ranges, rates, criterion, family, effort, rivals, bool(after), certainty
+        like,
+        duration,
+        ranges,
+        rates,
+        criterion,
+        family,
+        effort,
+        rivals,
+        bool(after),
+        certainty or None,
     )
 
 
@@ -152,10 +162,12 @@ def _limits(
         one, two, three = st.columns(3)
         least = one.number_input(
             f"{words}, least [{commands.shown(channel.unit)}]",
+            format="%.4g",
             key=choices.preset(keys("least"), turn * lower),
         )
         most = two.number_input(
             f"largest [{commands.shown(channel.unit)}]",
+            format="%.4g",
             key=choices.preset(keys("most"), turn * upper),
         )
         rate = three.number_input(
@@ -163,6 +175,7 @@ def _limits(
             min_value=0.0,
             value=None,
             placeholder="no limit",
+            format="%.4g",
             key=choices.preset(keys("rate"), believed and turn * believed),
         )
         if abs(least - turn * lower) + abs(most - turn * upper) > 1e-9 * abs(turn * upper):

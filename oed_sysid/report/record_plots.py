@@ -40,6 +40,8 @@ def figure_record(record: Record) -> Figure:
         clean(ax)
     for ax in list(grid.T.flat)[len(shown) :]:
         ax.set_visible(False)
-    for ax in grid[-1]:
-        ax.set_xlabel("time $t$ [s]")
+    for column in grid.T:
+        lowest = [ax for ax in column if ax.get_visible()][-1]
+        lowest.set_xlabel("time $t$ [s]")
+        lowest.tick_params(labelbottom=True)
     return figure
