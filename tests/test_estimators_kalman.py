@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Model, Output, Parameter, State, load_problem
+from oed_sysid.benchmark import load_scenario
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators import JointKalmanFilter, OutputError
 from oed_sysid.record import Record
@@ -97,3 +98,23 @@ def test_unknown_names_are_refused() -> None:
         JointKalmanFilter(process_std={"y": 1.0}).fit(RAMP, ramp_data())
     with pytest.raises(ModelError, match="kind is"):
         JointKalmanFilter(kind="particle")
+
+
+@pytest.mark.slow
+def test_points_far_out_make_the_unscented_filter_too_sure() -> None:
+    """On the torpedo 95 % intervals hold the truth nine times of ten, but not from far points."""
+    scenario = load_scenario("torpedo")
+    model = scenario.with_noise(scenario.noise(1.0))
+    held: dict[float, list[bool]] = {3.0**0.5: [], 4.0: []}
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        data = Dataset(tuple(simulate(model, run, rng=rng) for run in scenario.train))
+        away = {n: v * (1 + 0.3 * rng.uniform(-1, 1)) for n, v in scenario.truth.items()}
+        for reach, found in held.items():
+            filter_ = JointKalmanFilter("unscented", reach=reach)
+            fit = filter_.fit(model.with_values(away), data)
+            intervals = {name: fit.interval(name) for name in fit.names}
+            found += [low <= scenario.truth[n] <= high for n, (low, high) in intervals.items()]
+    near, far = (float(np.mean(found)) for found in held.values())
+    assert near >= 0.85
+    assert far < near - 0.1

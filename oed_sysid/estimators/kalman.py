@@ -20,6 +20,8 @@ from oed_sysid.start_states import check_channels, measured_states
 KINDS = ("extended", "unscented")
 # A measured start state is known this many noise levels well before its first measurement.
 START_SPREAD = 10.0
+# Of a normal distribution, as it enters the covariance of the points of the unscented filter.
+PEAKEDNESS = 2.0
 DIVERGED = Status(
     "diverged",
     "the filter left the numbers. Start closer, give smaller parameter_std, add process_std, or "
@@ -32,7 +34,7 @@ class JointKalmanFilter:
     r"""Kalman filter whose state is the vehicle's state and the free parameters.
 
     The extended filter linearises one step with the exact derivatives of the
-    compiled kernel; the unscented one sends ``2n`` points through it. Without
+    compiled kernel; the unscented one sends ``2n + 1`` points through it. Without
     process noise the extended filter is a recursive, approximate output-error
     method: one pass over the data, each sample linearised once. Samples that
     were linearised far from the truth are not looked at again, so the stated
@@ -54,6 +56,11 @@ class JointKalmanFilter:
         Uncertainty of start states that are not measured; by default their scale.
     initial : mapping of str to float
         Mean of some start states; others are measured, or zero.
+    reach : float
+        Distance of the points of the unscented filter, in standard deviations.
+        Further out, at the :math:`\sqrt{n}` of the cubature rule, ten parameters
+        known to a half are tried at minus and plus two times their values, and
+        stated errors come out far too small.
     passes : int
         How often the data is gone through; each pass starts with the values
         of the one before and the first uncertainty, so that errors stay those
@@ -62,8 +69,10 @@ class JointKalmanFilter:
     References
     ----------
     Ljung (1979), Asymptotic behavior of the extended Kalman filter as a parameter
-    estimator for linear systems, IEEE Trans. Automatic Control 24; Arasaratnam &
-    Haykin (2009), Cubature Kalman filters, same journal 54 (the points used here).
+    estimator for linear systems, IEEE Trans. Automatic Control 24; Wan & van der
+    Merwe (2000), The unscented Kalman filter for nonlinear estimation, AS-SPCC;
+    Arasaratnam & Haykin (2009), Cubature Kalman filters, IEEE TAC 54, for the rule
+    that ``reach`` departs from.
     """
 
     kind: str = "extended"
@@ -72,11 +81,14 @@ class JointKalmanFilter:
     parameter_std: Mapping[str, float] = field(default_factory=dict)
     state_std: Mapping[str, float] = field(default_factory=dict)
     initial: Mapping[str, float] = field(default_factory=dict)
+    reach: float = 3.0**0.5
     passes: int = 1
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise ModelError(f"kind is {self.kind!r}. Choose one of {', '.join(KINDS)}.")
+        if not self.reach > 0:
+            raise ModelError(f"reach is {self.reach}. Give a positive number of deviations.")
         if self.passes < 1:
             raise ModelError(f"passes is {self.passes}. Go through the data at least once.")
 
@@ -301,12 +313,12 @@ class _Filter:
         *,
         first: bool,
     ) -> tuple[np.ndarray, ...]:
-        """Prediction over one step with ``2n`` equally weighted points."""
-        n, n_z = len(mean), self.n_z
+        """Prediction over one step with the mean and two points per direction."""
+        n, n_z, reach = len(mean), self.n_z, self.settings.reach
         values, vectors = np.linalg.eigh(0.5 * (spread + spread.T))
-        offsets = vectors * np.sqrt(n * np.maximum(values, 0.0))
-        points = np.vstack([mean + offsets.T, mean - offsets.T])
-        outputs = np.empty((2 * n, len(self.sigma)))
+        offsets = vectors * (reach * np.sqrt(np.maximum(values, 0.0)))
+        points = np.vstack([mean, mean + offsets.T, mean - offsets.T])
+        outputs = np.empty((2 * n + 1, len(self.sigma)))
         row = 0 if first else 1
         for i, point in enumerate(points):
             full = point * self.scale
@@ -314,14 +326,18 @@ class _Filter:
             outputs[i] = run.outputs[row]
             if not first:
                 points[i, :n_z] = run.states[1] / self.scale[:n_z]
-        mean = points.mean(axis=0)
-        centred = points - mean
-        spread = centred.T @ centred / (2 * n)
+        # Moments about the image of the mean: the weights of Wan & van der Merwe, summed so that
+        # no negative weight of the middle point can make a covariance indefinite.
+        away, change = points[1:] - points[0], outputs[1:] - outputs[0]
+        weight = 0.5 / reach**2
+        shift, expected = weight * away.sum(axis=0), weight * change.sum(axis=0)
+        both = PEAKEDNESS - reach**2 / n
+        spread = weight * away.T @ away + both * np.outer(shift, shift)
         if not first:
             spread = spread + np.diag(self.intensity * (times[1] - times[0]))
-        expected = outputs.mean(axis=0)
-        change = outputs - expected
-        return mean, spread, expected, centred.T @ change / (2 * n), change.T @ change / (2 * n)
+        cross = weight * away.T @ change + both * np.outer(shift, expected)
+        own = weight * change.T @ change + both * np.outer(expected, expected)
+        return points[0] + shift, spread, outputs[0] + expected, cross, own
 
     def _correct(
         self,
