@@ -1,24 +1,29 @@
 """Designed manoeuvres against zigzags of the same duration and limits.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.design [remus nps mariner] [--confirm 60] [--robust]
+    OMP_NUM_THREADS=1 python -m benchmarks.design [remus nps mariner] [--confirm 60]
+    OMP_NUM_THREADS=1 python -m benchmarks.design nps --angles 10 --robust
+    OMP_NUM_THREADS=1 python -m benchmarks.design nps --angles 10 --everywhere
 
 Two comparisons: within the *envelope* of the zigzag N/N the design gets the
 zigzag's own actuator amplitude, rate and largest attitude as limits; within
 the limits of the *vehicle* both may use what is allowed at sea (the zigzag
 does not use all of it). Priors are ignored, start states are unknown.
 ``--confirm`` repeats both experiments with noise and fits each; ``--robust``
-replays designs on vehicles whose every coefficient is off by up to 30 per cent.
+replays designs with and without caution on vehicles with other coefficients;
+``--everywhere`` looks for better optima inside the envelope.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 
 import numpy as np
 
 from benchmarks.design_systems import SYSTEMS, System
-from oed_sysid.design import Design, DOptimal, Levels, Robust, design_experiment
+from oed_sysid.design import Caution, Design, Levels, Multisines, design_experiment
+from oed_sysid.design.robust import draw_models
 from oed_sysid.errors import SimulationError
 from oed_sysid.experiment import Experiment
 from oed_sysid.model import Model
@@ -26,13 +31,11 @@ from oed_sysid.sensitivity import confirm_bound, information_of
 from oed_sysid.simulate import simulate_inputs
 
 
-def designed(
-    system: System, degrees: float, criterion: DOptimal | Robust, *, envelope: bool
-) -> Design:
+def designed(system: System, degrees: float, *, envelope: bool) -> Design:
     limits, _ = system.limits(degrees, envelope=envelope)
     return design_experiment(
         system.model, limits=limits, duration=system.duration, sample_time=system.sample_time,
-        criterion=criterion, parametrisation=Levels(60), constants=system.constants,
+        parametrisation=Levels(60), constants=system.constants,
         initial=system.initial, prior=None, rng=np.random.default_rng(1), n_workers=2,
     )  # fmt: skip
 
@@ -49,7 +52,7 @@ def compare(name: str, system: System, degrees: float, n_confirm: int, *, envelo
     zigzag = system.zigzag(degrees)
     _, reach = system.limits(degrees, envelope=envelope)
     began = time.perf_counter()
-    design = designed(system, degrees, DOptimal(), envelope=envelope)
+    design = designed(system, degrees, envelope=envelope)
     mean, worst = gains(system.model, zigzag, design.experiment)
     words = (
         ", ".join(f"|{k}| <= {np.degrees(v):.1f} deg" for k, v in reach.items())
@@ -78,36 +81,70 @@ def compare(name: str, system: System, degrees: float, n_confirm: int, *, envelo
     return design
 
 
-def robustness(name: str, system: System, degrees: float, plain: Design, n_draws: int = 12) -> None:
-    """Replay designs on wrong vehicles; the zigzag closes its loop on each of them."""
+def robustness(
+    name: str, system: System, degrees: float, *, informed: bool, n_draws: int = 100
+) -> None:
+    """Replay designs on other vehicles; zigzag and gain are theirs, the integration finer."""
     limits, _ = system.limits(degrees, envelope=False)
-    robust = designed(system, degrees, Robust(DOptimal(), spread=0.3, n_sets=4), envelope=False)
     zigzag = system.zigzag(degrees)
-    for label, design in (("nominal design", plain), ("robust design", robust)):
-        nominal, _ = gains(system.model, zigzag, design.experiment)
-        rng = np.random.default_rng(3)
-        kept, outside = [], 0
-        for _ in range(n_draws):
-            wrong = {
-                n: system.model.values[n] * (1 + 0.3 * rng.uniform(-1, 1))
-                for n in system.model.free_names
-            }
-            truth = system.model.with_values(wrong)
+    prior = information_of(system.model, system.zigzag(5.0), priors=None) if informed else None
+    spread = None if informed else 0.3
+    what = "drawn from what a 5/5 zigzag tells" if informed else "off by up to 30 %"
+    print(f"{name}, coefficients {what}:", flush=True)
+    nominal = 0.0
+    for label, caution in (("nominal", None), ("cautious", Caution(0.95, spread))):
+        began = time.perf_counter()
+        design = design_experiment(
+            system.model, limits=limits, duration=system.duration, sample_time=system.sample_time,
+            parametrisation=Levels(30), constants=system.constants, initial=system.initial,
+            prior=prior, caution=caution, n_starts=1, n_candidates=40, n_steps=12,
+            rng=np.random.default_rng(1), n_workers=2,
+        )  # fmt: skip
+        seconds = time.perf_counter() - began
+        gain, worst = gains(system.model, zigzag, design.experiment)
+        nominal = nominal or gain
+        found, outside = [], 0
+        for index, truth in enumerate(
+            draw_models(system.model, spread, n_draws, prior, np.random.default_rng(3))
+        ):
+            finer = replace(truth, step=truth.step / 5)
             try:
                 run = simulate_inputs(
-                    truth,
-                    design.trajectory.times,
-                    inputs=design.trajectory.inputs,
+                    finer, design.trajectory.times, inputs=design.trajectory.inputs,
                     initial=system.initial,
-                )
-                kept.append(gains(truth, zigzag, design.experiment)[0])
+                )  # fmt: skip
                 outside += bool(limits.violations(run.times, run.signals))
+                if index < 20:
+                    found.append(gains(truth, zigzag, design.experiment)[0])
             except SimulationError:
                 outside += 1
+        stated = "" if design.assurance is None else f"; stated: {design.assurance.report()}"
         print(
-            f"  {label}: gain {nominal:.2f} at the nominal values; on {n_draws} wrong vehicles "
-            f"median {np.median(kept):.2f} ({np.median(kept) / nominal:.0%}), lowest "
-            f"{min(kept):.2f}; {outside} leave the limits",
+            f"  {label} design: gain {gain:.2f} (worst {worst:.2f}) at the nominal values, "
+            f"median of 20 others {np.median(found):.2f} ({np.median(found) / nominal:.0%} of the "
+            f"nominal design's {nominal:.2f}), lowest {min(found):.2f}; {outside} of {n_draws} "
+            f"leave the limits{stated}; {seconds:.0f} s",
+            flush=True,
+        )
+
+
+def globally(name: str, system: System, degrees: float) -> None:
+    """Several families from many starts, inside the zigzag's envelope: is there anything better?"""
+    limits, _ = system.limits(degrees, envelope=True)
+    zigzag = system.zigzag(degrees)
+    families = (Levels(60), Levels(30), Levels(40, "linear"), Multisines(20))
+    for family in families:
+        design = design_experiment(
+            system.model, limits=limits, duration=system.duration, sample_time=system.sample_time,
+            parametrisation=family, constants=system.constants, initial=system.initial,
+            prior=None, n_starts=6, n_candidates=200, n_steps=15, rng=np.random.default_rng(11),
+            n_workers=2,
+        )  # fmt: skip
+        mean, worst = gains(system.model, zigzag, design.experiment)
+        ends = ", ".join(f"{value:.2f}" for value in sorted(design.start_values))
+        print(
+            f"{name} {degrees:g}/{degrees:g} envelope, {family.name}: starts end at {ends}, "
+            f"best {design.value:.2f}, gain {mean:.2f}, worst {worst:.2f}, {design.seconds:.0f} s",
             flush=True,
         )
 
@@ -118,6 +155,7 @@ def main() -> None:
     parser.add_argument("--angles", nargs="+", type=float, default=[5.0, 10.0])
     parser.add_argument("--confirm", type=int, default=0)
     parser.add_argument("--robust", action="store_true")
+    parser.add_argument("--everywhere", action="store_true", help="many starts, many families")
     parser.add_argument("--vehicle", action="store_true", help="only within the vehicle's limits")
     options = parser.parse_args()
     for name in options.systems:
@@ -126,9 +164,13 @@ def main() -> None:
             for envelope in (True, False):
                 if envelope and options.vehicle:
                     continue
-                design = compare(name, system, degrees, options.confirm, envelope=envelope)
+                if not (options.robust or options.everywhere):
+                    compare(name, system, degrees, options.confirm, envelope=envelope)
             if options.robust:
-                robustness(name, system, degrees, design)
+                for informed in (False, True):
+                    robustness(name, system, degrees, informed=informed)
+            if options.everywhere:
+                globally(name, system, degrees)
 
 
 if __name__ == "__main__":
