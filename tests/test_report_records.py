@@ -16,7 +16,9 @@ def test_record_is_drawn_in_degrees_without_what_was_not_measured() -> None:
     record = problem.data()[0]
     outputs = np.array(record.outputs)
     outputs[:, 1] = np.nan
-    bare = Record("run", record.times, record.inputs, outputs, record.channels)
+    bare = Record(
+        "run", record.times, record.inputs, outputs, record.channels, missing_outputs=("w",)
+    )
     shown = [ax for ax in figure_record(bare).axes if ax.get_visible()]
     assert len(shown) == len(problem.model.inputs) + len(problem.model.outputs) - 1
     pitch = next(ax for ax in shown if "pitch angle" in ax.get_ylabel())
