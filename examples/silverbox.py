@@ -16,19 +16,19 @@ linear = MultipleShooting().fit(problem.model, train)
 print(linear.report())
 print()
 
-found = improve(problem.model, train, test, candidates=problem.effects, max_effects=3)
+found = improve(problem.model, train, test, candidates=problem.effects, max_effects=4)
 print(found.report())
 print()
 
 # The same structures as plain least-squares fits, one effect more each time.
 model, errors = problem.model, {"linear": linear}
 for step in found.steps:
-    model = model + problem.effect(step.added)
+    model = model + step.effect
     errors[f"+ {step.added}"] = MultipleShooting().fit(model, train)
-print("error in mV            train   test")
+print("error in mV              train   test")
 for name, fit in errors.items():
     mistake = fit.predict(test).rms["y"]
-    print(f"{name:20} {1e3 * fit.rms['y']:7.3f} {1e3 * mistake:6.3f}")
+    print(f"{name:22} {1e3 * fit.rms['y']:7.3f} {1e3 * mistake:6.3f}")
 print()
 
 first, last = (1e3 * fit.predict(test).rms["y"] for fit in (linear, fit))
