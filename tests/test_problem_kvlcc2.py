@@ -15,7 +15,8 @@ from oed_sysid.turning import turning_circle
 
 HEADING = load_problem("kvlcc2")
 MMG = load_problem("kvlcc2", variant="mmg")
-CHOSEN = ("helm_zero", "rudder_lift_shape", "propeller_wake_by_drift")
+# Chosen by runs left out; what is extrapolated stops before the last one, see the README.
+CHOSEN = ("helm_zero", "rudder_lift_shape", "propeller_wake_by_drift", "propeller_race")
 HELD_OUT = "20_05"
 LENGTH, SPEED, RATE = 7.0, 1.179, math.radians(15.8)
 
@@ -25,9 +26,9 @@ needs_data = pytest.mark.skipif(
 )
 
 
-def chosen_model():
+def chosen_model(names=CHOSEN):
     """The MMG model with the effects that the training records ask for."""
-    return MMG.model + [MMG.effect(name) for name in CHOSEN]
+    return MMG.model + [MMG.effect(name) for name in names]
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +73,7 @@ OWN = (
             "rudder_lift_shape",
             "propeller_wake_by_drift",
             "rudder_wake_by_drift",
+            "propeller_race",
             "flow_straightening_by_side",
             "hull_asymmetry",
             "even_hull_forces",
@@ -170,7 +172,7 @@ def test_gain_and_time_constant_depend_on_the_manoeuvre(heading) -> None:
 
 @needs_data
 def test_held_out_zigzag(heading, motion, without_20_05) -> None:
-    """A run that no fit has seen: heading four times better than Nomoto, speeds in the scatter."""
+    """A run that no fit has seen: heading five times better than Nomoto, speeds in the scatter."""
     fit = without_20_05
     assert fit.status.ok
     assert fit.seconds < 60
@@ -178,12 +180,19 @@ def test_held_out_zigzag(heading, motion, without_20_05) -> None:
     train, test = heading.split(HELD_OUT)
     nomoto = MultipleShooting().fit(HEADING.model, train)
     error = fit.predict(motion.split(HELD_OUT)[1]).rms
-    assert nomoto.predict(test).rms["psi"] > 4.0 * error["psi"]
-    assert math.degrees(error["psi"]) < 0.5
+    assert nomoto.predict(test).rms["psi"] > 5.0 * error["psi"]
+    assert math.degrees(error["psi"]) < 0.35
     # Twice the scatter between two runs of the same test, see README.
     assert error["v"] < 0.010
     assert math.degrees(error["r"]) < 0.14
     assert error["u"] < 0.0084
+
+
+@needs_data
+def test_race_of_the_propeller_is_weaker_than_published(without_20_05) -> None:
+    """The race factor is well determined, below the published 0.5, and helps runs left out."""
+    size = without_20_05.values["E_propeller_race"]
+    assert -0.5 < size < -4 * without_20_05.std_errors["E_propeller_race"]
 
 
 @needs_data
@@ -216,7 +225,7 @@ def test_turning_circle_from_zigzags_alone(motion) -> None:
     Free-running 7 m model, Yasukawa & Yoshimura (2015), table 4, in lengths: advance 3.25 and
     3.11, tactical diameter 3.34 and 3.08, to starboard and port. Not used for fitting.
     """
-    fit = MultipleShooting().fit(chosen_model(), motion)
+    fit = MultipleShooting().fit(chosen_model(CHOSEN[:3]), motion)
     assert fit.status.ok
     circle = turning_circle(fit, speed=SPEED, rate=RATE, length=LENGTH, n_draws=50)
     published = {"starboard": (3.25, 3.34), "port": (3.11, 3.08)}

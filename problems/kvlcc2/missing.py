@@ -72,6 +72,15 @@ RUDDER_WAKE = Environment(
     source=SOURCE,
     needs="large drift to both sides",
 )
+# Freeing the race factor kappa, 0.5 in [1], by a fifth: it multiplies what the race adds.
+PROPELLER_RACE = Environment(
+    "propeller_race",
+    {"race": "1 + (race - 1)*(1 + E_propeller_race)"},
+    (small("propeller_race", "1", 0.2),),
+    description="the rudder feels more or less of the propeller's race than published",
+    source=SOURCE,
+    needs="the speed loss of strong and weak zigzags, which tells it from the wake ratio epsilon",
+)
 STRAIGHTENING = Environment(
     "flow_straightening_by_side",
     {"gamma_R": "gamma_R*(1 + E_flow_straightening_by_side*tanh(beta_R/0.05))"},
@@ -115,6 +124,7 @@ def manoeuvring_effects() -> tuple[Effect, ...]:
         LIFT_SHAPE,
         PROPELLER_WAKE,
         RUDDER_WAKE,
+        PROPELLER_RACE,
         STRAIGHTENING,
         HULL_ASYMMETRY,
         EVEN_HULL,
