@@ -108,11 +108,12 @@ def improve(
     location = locate(bench.train, base_fit, likeliest(first))
     fits = _consistent(state.bench, steps, fits)
     unknown = None
-    # Where the search was cut short, a known effect may yet explain what remains.
-    exhausted = len(state.added) < max_effects
-    if exhausted and remainder(state.bench.train, state.fit) > REMAINDER_LIMIT:
+    if remainder(state.bench.train, state.fit) > REMAINDER_LIMIT:
         tell("looking for a term that no known effect holds")
         unknown = find_unknown(state.bench, state.added, [base_fit, *fits])
+        if unknown is not None and len(state.added) == max_effects and not unknown.explains:
+            # The search was cut short: a known effect may yet explain what remains.
+            unknown = None
     sigma = _sigma(model, state.fit, state.bench.train.units)
     return _result(state, model, base_fit, first, location, steps, fits, rejected, sigma, unknown)
 

@@ -53,6 +53,11 @@ class Unknown:
     bench: Workbench
     fit: GreyBox
 
+    @property
+    def explains(self) -> bool:
+        """Whether no disturbance is needed beside the term."""
+        return remainder(self.bench.train, self.fit) < REMAINDER_LIMIT
+
     def to_dict(self) -> dict[str, Any]:
         """Return the term as plain data for JSON."""
         best = self.proposals[0]
@@ -110,7 +115,7 @@ def find_unknown(
         option = Unknown(effect, proposals, gone, kept, gain, np.nan, wide, found)
         if best is None or _cost(option) < _cost(best):
             best = option
-        if remainder(wide.train, found) < REMAINDER_LIMIT:
+        if option.explains:
             break  # fewer effects explain everything
     if best is None or best.gain < (0.0 if best.replaces else best.proposals.needed):
         return None
