@@ -126,7 +126,8 @@ def _estimates(fit: Fit) -> Section:
     pictures = [
         Picture.of(
             figure,
-            "Estimates with 95 % intervals, divided by what was believed before (grey bars).",
+            "Estimates with 95 % intervals, divided by what was believed before (grey bars), or by "
+            "themselves where nothing was.",
         )
     ]
     if len(fit.names) > 1:

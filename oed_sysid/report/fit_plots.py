@@ -196,9 +196,13 @@ def plot_intervals(
         if truth and name in truth:
             ax.plot(truth[name] / scale[name], row, "|", color=TRUTH, ms=14, mew=2, label="truth")
     ax.set_yticks(rows, [symbol_of(name) for name in names])
-    ax.set(xlabel="value relative to what was believed before [-]")
+    parameters = [several[0].model.parameter(name) for name in names if name in several[0].names]
+    believed = any(parameter.prior_mean is not None for parameter in parameters)
+    what = "what was believed before" if believed else "the estimate"
+    ax.set(xlabel=f"value relative to {what} [-]", ylim=(-0.6, len(names) - 0.4))
     clean(ax)
-    spread_legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
+    # Above: below, its distance from the axis' label would depend on the height.
+    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return ax
 
 
