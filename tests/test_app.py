@@ -149,7 +149,8 @@ def test_files_of_the_user(ship: Path) -> None:
     good = (ship / "data" / "turning_circle.csv").read_bytes()
     app = opened(ship)
     app.button_group[0].set_value("My CSV files").run()
-    files = [("circle.csv", good, "text/csv"), ("bad.csv", b"t,rudder\n0,1\n", "text/csv")]
+    bad = ("bad.csv", b"t,rudder\n0,1\n", "text/csv")
+    files = [("circle.csv", good, "text/csv"), bad]
     app.file_uploader[0].set_value(files).run()
     assert not app.exception
     assert [error.value for error in app.error if "**bad.csv** was refused" in error.value]
@@ -158,6 +159,28 @@ def test_files_of_the_user(ship: Path) -> None:
     app.button(key="next").click().run()
     assert [button.key for button in app.button if button.key == "ask:fit"]
     assert any("circle" in caption.value for caption in app.caption)
+
+
+def test_file_that_is_taken_back(ship: Path) -> None:
+    """A file is forgotten when it is taken out, and only then."""
+    content = (ship / "data" / "turning_circle.csv").read_bytes()
+    app = opened(ship)
+    app.button_group[0].set_value("My CSV files").run()
+    app.file_uploader[0].set_value([("one.csv", content, "text/csv")]).run()
+    assert app.session_state[f"files:{ship}"] == {"one.csv": content}
+    for _ in range(2):
+        app.run()
+    assert app.session_state[f"files:{ship}"] == {"one.csv": content}
+    app.file_uploader[0].set_value([("two.csv", content, "text/csv")]).run()
+    assert set(app.session_state[f"files:{ship}"]) == {"two.csv"}
+
+
+def test_nothing_is_downloaded_unasked(tmp_path: Path, monkeypatch) -> None:
+    """A problem on records of others opens with simulated ones."""
+    monkeypatch.setenv("OED_SYSID_DATA", str(tmp_path))
+    monkeypatch.setattr("oed_sysid.data_cache._download", lambda *_: pytest.fail("a download"))
+    app = opened("kvlcc2")
+    assert app.button_group[0].value == "Simulated"
 
 
 def test_a_record_cannot_be_learnt_from_and_judged_with(ship: Path) -> None:

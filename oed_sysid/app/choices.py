@@ -13,6 +13,7 @@ from oed_sysid.app.study import Study
 from oed_sysid.dataset import Dataset
 from oed_sysid.errors import DataError
 from oed_sysid.problem import Problem, list_problems, load_problem
+from oed_sysid.problem.catalogue import catalogue_folder
 
 # Streamlit forgets a widget that is not on the page; these keys are kept all the same.
 _KEEP = "keep:"
@@ -72,6 +73,14 @@ def origins(problem: Problem) -> list[str]:
     return [*found, *([SIMULATED] if problem.experiments else []), UPLOADED]
 
 
+def first_origin(source: str, problem: Problem) -> str:
+    """Where records come from before the user says so: nothing is downloaded unasked."""
+    options = origins(problem)
+    if options[0] == WITH_PROBLEM and len(options) > 2 and not any(_folder(source).glob("data/*")):
+        return options[1]
+    return options[0]
+
+
 def stock(source: str, variant: str, origin: str) -> Stock:
     """Records of one origin."""
     problem = problem_of(source, variant)
@@ -94,7 +103,7 @@ def study() -> Study:
     variant = chosen("variant", source, default=DEFAULT_MODEL)
     if variant != DEFAULT_MODEL:
         problem = problem_of(source, variant)
-    origin = chosen("origin", source, variant) or origins(problem)[0]
+    origin = chosen("origin", source, variant) or first_origin(source, problem)
     held = stock(source, variant, origin)
     learn, judge = selection(source, variant, origin, held.names)
     return Study(
@@ -141,11 +150,18 @@ def _subset(records: Dataset | None, names: tuple[str, ...]) -> Dataset | None:
 
 def _stamp(source: str) -> float:
     """Time of the last change of a folder's Python files; zero for a shipped problem."""
-    folder = Path(source).expanduser()
+    folder = _folder(source)
     if source in list_problems() or not folder.is_dir():
         return 0.0
     files = [*folder.glob("*.py"), *folder.glob("data/*.csv")]
     return max((file.stat().st_mtime for file in files), default=0.0)
+
+
+def _folder(source: str) -> Path:
+    """Folder of a shipped or own problem."""
+    shipped = catalogue_folder()
+    own = Path(source).expanduser()
+    return shipped / source if shipped is not None and source in list_problems() else own
 
 
 @st.cache_resource(show_spinner="Reading the problem", max_entries=20)

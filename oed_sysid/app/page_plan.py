@@ -174,7 +174,7 @@ def _limits(
             f"rate [{commands.shown_rate(channel.unit)}]",
             min_value=0.0,
             value=None,
-            placeholder="no limit",
+            placeholder="no limit" if believed is None else "as in the problem",
             format="%.4g",
             key=choices.preset(keys("rate"), believed and turn * believed),
         )

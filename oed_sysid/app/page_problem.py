@@ -59,7 +59,8 @@ def _records(problem: Problem, source: str, variant: str) -> None:
     """Choose records, and which of them to learn from."""
     left, right = st.columns([2, 1], vertical_alignment="bottom")
     options = choices.origins(problem)
-    key = choices.preset(choices.kept("origin", source, variant), options[0])
+    first = choices.first_origin(source, problem)
+    key = choices.preset(choices.kept("origin", source, variant), first)
     left.segmented_control("Records", options, key=key, required=True, label_visibility="collapsed")
     origin = str(st.session_state[key])
     right.toggle(
@@ -102,8 +103,6 @@ def _records(problem: Problem, source: str, variant: str) -> None:
 
 def _upload(problem: Problem, source: str) -> None:
     """Take CSV files, and keep them when the page is left."""
-    held: dict[str, bytes] = st.session_state.setdefault(f"files:{source}", {})
-    shown: set[str] = st.session_state.setdefault(f"shown:{source}", set())
     channels = problem.channels
     wanted: Sequence[Input | Output] = (*channels.inputs, *channels.outputs)
     columns = ", ".join(f"{one.column or one.name} [{one.unit or '-'}]" for one in wanted)
@@ -112,16 +111,25 @@ def _upload(problem: Problem, source: str) -> None:
         type="csv",
         accept_multiple_files=True,
         key=f"upload:{source}",
+        on_change=_take,
+        args=(source,),
     )
-    now = {file.name: file.getvalue() for file in files}
-    for name in shown - set(now):
-        if shown and (now or len(shown) == 1):
-            held.pop(name, None)
-    held.update(now)
-    st.session_state[f"shown:{source}"] = set(now)
+    if not files:  # drawn anew: it shows none of the files that were given before
+        st.session_state[f"shown:{source}"] = set()
+    held = st.session_state.get(f"files:{source}")
     if held and st.button("Forget these files"):
         held.clear()
         st.rerun()
+
+
+def _take(source: str) -> None:
+    """Keep the files that were given, and forget those that were taken back."""
+    held: dict[str, bytes] = st.session_state.setdefault(f"files:{source}", {})
+    now = {file.name: file.getvalue() for file in st.session_state[f"upload:{source}"]}
+    for name in st.session_state.get(f"shown:{source}", set()) - set(now):
+        held.pop(name, None)
+    held.update(now)
+    st.session_state[f"shown:{source}"] = set(now)
 
 
 def _parameters(problem: Problem) -> Table:
