@@ -39,10 +39,14 @@ class Yardstick:
         return cls(dataset.channels.outputs, sigma, signal_spread(dataset))
 
     def table(self, before: Errors, after: Errors | None) -> list[str]:
-        """Errors of the believed and the improved model, in units and per cent of the signal."""
+        """Errors of the believed and the improved model as lines of text."""
+        return [*align(self.rows(before, after)), *self.notes()]
+
+    def rows(self, before: Errors, after: Errors | None) -> list[tuple[str, ...]]:
+        """Errors in units and per cent of the signal, the header first."""
         kinds = [k for k in ("train", "test") if not np.isnan(before[k]).all()]
         models = [before, *([after] if after else [])]
-        rows = [
+        rows: list[tuple[str, ...]] = [
             ("error", "records", "as believed", *(["improved"] if after else []), "noise", "unit")
         ]
         for index, output in enumerate(self.outputs):
@@ -59,7 +63,7 @@ class Yardstick:
                         output.unit.replace("rad", "deg", 1) if angle else output.unit,
                     )
                 )
-        return [*align(rows), *self.notes()]
+        return rows
 
     def notes(self) -> Sequence[str]:
         """Where noise levels are from, if nobody declared them."""
