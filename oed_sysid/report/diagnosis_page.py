@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import numpy as np
+
 from oed_sysid.dataset import Dataset
 from oed_sysid.diagnosis.diagnose import Diagnosis
 from oed_sysid.diagnosis.locate import Located
@@ -89,10 +93,14 @@ def evidence_section(ranking: Ranking) -> Section:
             f"{len(hidden)} of {len(ranking.scores)} candidates would not be seen in these "
             "records at their typical size. That they were not found says nothing about them."
         )
-        rows = tuple(
-            (name, ", ".join(f"{key} {value:.3g}" for key, value in limits.items()) or "any size")
-            for name, limits in hidden.items()
-        )
+        rows = tuple((name, _visible_from(limits)) for name, limits in hidden.items())
         headers = ("candidate", "would be seen from")
         tables.append(Table(headers, rows, caption="Invisible at typical size", words=(1,)))
     return Section("Evidence", tuple(words), tuple(tables), (picture,))
+
+
+def _visible_from(limits: Mapping[str, float]) -> str:
+    """Amplitudes from which a candidate would show; none where free parameters imitate it."""
+    if not all(np.isfinite(value) for value in limits.values()):
+        return "no size: the free parameters imitate it"
+    return ", ".join(f"{key} = {value:.3g}" for key, value in limits.items())

@@ -39,6 +39,7 @@ def improvement_page(
     records = "untouched" if which == "test" else "training"
     sections = [
         _steps(improvement),
+        _advice(improvement),
         located_section(improvement.location, train),
         evidence_section(improvement.ranking),
     ]
@@ -128,8 +129,22 @@ def _steps(improvement: Improvement) -> Section:
     if improvement.rejected:
         refused = ", ".join(dict.fromkeys(improvement.rejected))
         words.append(f"Refused, because the untouched records became less likely: {refused}.")
-    tables = (Table(headers, rows, words=(6,)),) if rows else ()
+    tables = (*([Table(headers, rows, words=(6,))] if rows else []), _in_units(improvement))
     return Section("What is missing", tuple(words), tables=tables, pictures=(picture,))
+
+
+def _advice(improvement: Improvement) -> Section:
+    """What to believe, what not, and what to do next at sea."""
+    words = tuple(line.replace("  - ", "\N{BULLET} ") for line in improvement.advice)
+    return Section("What to believe, and what to do next at sea", words)
+
+
+def _in_units(improvement: Improvement) -> Table:
+    """Errors of every output in its unit."""
+    after = improvement.steps[-1].rms if improvement.steps else None
+    header, *rows = improvement.yardstick.rows(improvement.base_rms, after)
+    caption = " ".join(improvement.yardstick.notes())
+    return Table(header, tuple(rows), caption=caption, words=(1,))
 
 
 def _estimates(improvement: Improvement) -> Section:

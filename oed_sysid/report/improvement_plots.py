@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from oed_sysid.diagnosis.improvement import Improvement
 from oed_sysid.diagnosis.locate import CLEAR, Located
@@ -117,7 +118,9 @@ def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes
     finite = values[np.isfinite(values)]
     if finite.size and finite.max() > 8.0:
         ax.set_yscale("log")
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter(NullFormatter())
     else:
         ax.set_ylim(0.0, 1.15 * max(finite.max(initial=1.0), 1.2))
     ax.set_xticks(places, words, rotation=0 if len(places) < 4 else 20)

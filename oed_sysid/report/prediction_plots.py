@@ -179,6 +179,9 @@ def figure_predictions(
         axes[-2, 1].set_xlabel("time $t$ [s]")
     axes[0, 0].set_title(f"{data.name}: measured and predicted")
     axes[0, 1].set_title("measured − predicted, in units of the noise")
+    # Room above the curves, so that the legend hides none of them.
+    low, high = axes[0, 0].get_ylim()
+    axes[0, 0].set_ylim(low, high + 0.18 * (high - low))
     spread_legend(axes[0, 0], loc="upper right", ncols=3, fontsize=8, markerscale=3)
     figure.align_ylabels()
     return figure
