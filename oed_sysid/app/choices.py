@@ -76,8 +76,8 @@ def origins(problem: Problem) -> list[str]:
 def first_origin(source: str, problem: Problem) -> str:
     """Where records come from before the user says so: nothing is downloaded unasked."""
     options = origins(problem)
-    if options[0] == WITH_PROBLEM and len(options) > 2 and not any(_folder(source).glob("data/*")):
-        return options[1]
+    if options[0] == WITH_PROBLEM and not any(_folder(source).glob("data/*")):
+        return UPLOADED
     return options[0]
 
 
