@@ -7,7 +7,7 @@ import pytest
 
 from oed_sysid import Dataset, Output, Record
 from oed_sysid.channels import Channels
-from oed_sysid.estimators.noise_levels import noise_floor, white_levels
+from oed_sysid.estimators.noise_levels import credible_levels, noise_floor, white_levels
 
 CHANNELS = Channels((), (Output("y", "m", "level"),))
 
@@ -43,3 +43,16 @@ def test_motion_without_noise_is_not_called_noise() -> None:
     motion = np.sin(0.1 * 0.1 * np.arange(500))
     levels, _ = white_levels(Dataset((record(motion, 0.0),)))
     assert levels[0] < 1e-6
+
+
+def test_a_filtered_log_is_not_measured_without_error() -> None:
+    """The last digit of a file is no sensor's noise; noise that one sees is left as it is."""
+    motion = np.sin(0.2 * 0.1 * np.arange(3000))
+    rounded = Dataset((record(np.round(motion, 8), 0.0),))
+    levels, seen = credible_levels(rounded)
+    assert not seen[0]
+    assert levels[0] == pytest.approx(1e-3 * np.std(motion), rel=0.1)
+    fine = Dataset((record(motion, 1e-4),))
+    levels, seen = credible_levels(fine)
+    assert seen[0]
+    assert levels[0] == pytest.approx(1e-4, rel=0.2)

@@ -13,7 +13,7 @@ from oed_sysid.diagnosis.horizon import Forecasts, forecasts
 from oed_sysid.diagnosis.misfit import OutputMisfit, output_misfit
 from oed_sysid.diagnosis.regimes import Signal, regimes
 from oed_sysid.errors import DataError
-from oed_sysid.estimators.noise_levels import given_levels, noise_floor
+from oed_sysid.estimators.noise_levels import credible_levels, given_levels
 from oed_sysid.fit import Fit, align
 from oed_sysid.kernels import kernel
 from oed_sysid.model import Model
@@ -314,7 +314,7 @@ def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray,
     that a fit estimated, and the fastest wiggles of the records.
     """
     fits = [item for item in given if isinstance(item, Fit)]
-    floor = noise_floor(dataset)
+    floor, _ = credible_levels(dataset)
     sigma = given_levels(_model(given[0]).outputs)
     for fit in reversed(fits):
         sigma = np.where(fit.sigma_estimated, sigma, fit.sigma)

@@ -15,15 +15,12 @@ from oed_sysid.diagnosis.linearise import SuperModel, deviations, disturbed_equa
 from oed_sysid.effects import Effect
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.estimators.multiple_shooting import MultipleShooting
-from oed_sysid.estimators.noise_levels import given_levels, signal_spread, white_levels
+from oed_sysid.estimators.noise_levels import credible_levels, given_levels
 from oed_sysid.fit import Fit
 from oed_sysid.model import Model
 
 # Correlation times to begin with, in samples: 1 s and 0.4 s in a log of ten samples a second.
 FORCE_TIME, COLOUR_TIME = 10.0, 4.0
-# Where a sensor's noise is not declared, it is not taken to be finer than this share of
-# the signal: filtered records would otherwise seem to be measured without any error.
-FINEST_NOISE = 1e-3
 # Share of the white level seen in the fastest wiggles that an estimate must leave standing.
 LEAST_SEEN = 0.7
 
@@ -64,8 +61,7 @@ class Workbench:
                 f"The noise of {', '.join(unknown)} is not declared, so it cannot be taken as "
                 "known. Set noise_std on these outputs, or let the noise be estimated."
             )
-        floor, seen = white_levels(train)
-        floor = np.where(seen, floor, np.maximum(floor, FINEST_NOISE * signal_spread(train)))
+        floor, seen = credible_levels(train)
         white = np.where(np.isfinite(levels), levels, floor)
         # What the fastest wiggles show is there, whatever disturbances could explain of it.
         least = np.where(seen, LEAST_SEEN * np.minimum(floor, white), 0.0)

@@ -17,6 +17,9 @@ SMALLEST_SHARE = 1e-9
 # Orders of differences in which white noise is looked for, and the share of one order's level
 # below which the next one's means that motion was seen, not noise.
 LOWEST_ORDER, HIGHEST_ORDER, STILL_FALLING = 3, 12, 0.85
+# White noise below this share of the signal is the last digit of a file, not a sensor; and where
+# no sensor's noise is seen, as in a filtered log, it is not taken to be finer than FINEST_NOISE.
+LAST_DIGIT, FINEST_NOISE = 1e-5, 1e-3
 
 
 def noise_floor(dataset: Dataset) -> np.ndarray:
@@ -63,6 +66,24 @@ def white_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
     spread = signal_spread(dataset)
     known = np.isfinite(levels)
     return np.where(known, np.maximum(levels, SMALLEST_SHARE * spread), spread), seen & known
+
+
+def credible_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Noise levels that sensors may have, and whether the records show them.
+
+    As :func:`white_levels`, but a level that is not seen, or is that of the last
+    digit of a file, is at least a thousandth of the signal's spread: filtered
+    records would otherwise seem to be measured without any error.
+
+    Returns
+    -------
+    levels : ndarray (n_outputs,)
+    seen : ndarray of bool (n_outputs,)
+    """
+    levels, seen = white_levels(dataset)
+    spread = signal_spread(dataset)
+    seen = seen & (levels > LAST_DIGIT * spread)
+    return np.where(seen, levels, np.maximum(levels, FINEST_NOISE * spread)), seen
 
 
 def _difference_level(measured: Sequence[np.ndarray], order: int) -> float:
