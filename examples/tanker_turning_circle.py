@@ -39,7 +39,9 @@ for names in (EFFECTS[:1], (*EFFECTS, "propeller_race")):
     other = ship.model + [ship.effect(name) for name in names]
     others.append(turning_circle(MultipleShooting().fit(other, runs), **SHIP, n_draws=0))
 
-print("\nin lengths                predicted   <= 20 deg  fewer  more   all errors  published  error")
+print(
+    "\nin lengths                predicted   <= 20 deg  fewer  more   all errors  published  error"
+)
 errors = []
 for (quantity, side), published in PUBLISHED.items():
     value, std = circle.value(quantity, side) / LENGTH, circle.std(quantity, side) / LENGTH
