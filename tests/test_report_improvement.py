@@ -130,7 +130,16 @@ def test_report_tells_the_story(story) -> None:
     found, comparison, train = story
     page = report.improvement_page(found, comparison, train=train, title="My ship")
     titles = [section.title for section in page.sections]
-    assert titles[:3] == ["What is missing", "Where the believed model fails", "Evidence"]
+    assert titles[:4] == [
+        "What is missing",
+        "What to believe, and what to do next at sea",
+        "Where the believed model fails",
+        "Evidence",
+    ]
+    assert all(
+        any(line.strip(" -") in p for p in page.sections[1].paragraphs) for line in found.advice
+    )
+    assert [row[1] for row in page.sections[0].tables[-1].rows][:2] == ["training", "untouched"]
     assert any(HIDDEN in sentence for sentence in page.verdict)
     assert page.verdict[-1].startswith("Verdict")
     html = page.html()
