@@ -22,9 +22,16 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.design_systems import SYSTEMS, System
-from oed_sysid.design import Caution, Design, Levels, Multisines, design_experiment
+from oed_sysid.design import (
+    Caution,
+    Design,
+    Levels,
+    Multisines,
+    assess_limits,
+    design_experiment,
+)
 from oed_sysid.design.robust import draw_models
-from oed_sysid.errors import SimulationError
+from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiment import Experiment
 from oed_sysid.model import Model
 from oed_sysid.sensitivity import confirm_bound, information_of
@@ -91,15 +98,24 @@ def robustness(
     spread = None if informed else 0.3
     what = "drawn from what a 5/5 zigzag tells" if informed else "off by up to 30 %"
     print(f"{name}, coefficients {what}:", flush=True)
+    standard = assess_limits(
+        system.model, zigzag, limits=limits, spread=spread, prior=prior, n_vehicles=100,
+        rng=np.random.default_rng(3),
+    )  # fmt: skip
+    print(f"  {zigzag.name} itself: {standard.report()}", flush=True)
     nominal = 0.0
     for label, caution in (("nominal", None), ("cautious", Caution(0.95, spread))):
         began = time.perf_counter()
-        design = design_experiment(
-            system.model, limits=limits, duration=system.duration, sample_time=system.sample_time,
-            parametrisation=Levels(30), constants=system.constants, initial=system.initial,
-            prior=prior, caution=caution, n_starts=1, n_candidates=40, n_steps=12,
-            rng=np.random.default_rng(1), n_workers=2,
-        )  # fmt: skip
+        try:
+            design = design_experiment(
+                system.model, limits=limits, duration=system.duration,
+                sample_time=system.sample_time, parametrisation=Levels(30),
+                constants=system.constants, initial=system.initial, prior=prior, caution=caution,
+                n_starts=1, n_candidates=40, n_steps=12, rng=np.random.default_rng(1), n_workers=2,
+            )  # fmt: skip
+        except DesignError as error:
+            print(f"  {label} design: {error}", flush=True)
+            continue
         seconds = time.perf_counter() - began
         gain, worst = gains(system.model, zigzag, design.experiment)
         nominal = nominal or gain

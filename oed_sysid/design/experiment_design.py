@@ -34,7 +34,7 @@ from oed_sysid.simulate import simulate_inputs
 from oed_sysid.threads import single_threaded
 
 # Rounds with more and stricter vehicles, until fresh ones confirm the probability asked for.
-_N_STRICTER = 2
+_N_STRICTER = 3
 
 
 @single_threaded
@@ -144,7 +144,7 @@ def design_experiment(
     for _ in range(_N_STRICTER):
         if assurance is None or caution is None or assurance.probability >= caution.probability:
             break
-        plan = plan.stricter(rng)
+        plan = plan.stricter(assurance, rng)
         objective, found, best, experiment = task(plan, begin=best)
         assurance = plan.assured(experiment, rng)
     trajectory = simulate_inputs(

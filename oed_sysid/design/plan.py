@@ -29,6 +29,9 @@ from oed_sysid.sensitivity.noise import Colour, Noise, noise_of
 from oed_sysid.sensitivity.noise import Levels as NoiseLevels
 from oed_sysid.simulate import simulate
 
+# Failures allowed in the next round, beside what proportion says.
+_STRICTER = 0.7
+
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -124,13 +127,25 @@ class Plan:
         """Start state, ``(n_own,)``."""
         return np.array([self.initial.get(n, 0.0) for n in self.model.state_names])
 
-    def stricter(self, rng: np.random.Generator) -> Plan:
-        """Return the plan with twice as many uncertain vehicles, none of which may fail."""
+    def stricter(self, found: Assurance, rng: np.random.Generator) -> Plan:
+        """Return the plan with more uncertain vehicles, of which fewer may fail.
+
+        Parameters
+        ----------
+        found : Assurance
+            What this plan led to; it was not enough.
+        rng : numpy.random.Generator
+        """
         caution = self.caution
         if caution is None:
             return self
-        more = draw_models(self.model, caution.spread, len(self.guards), self.prior, rng)
-        return replace(self, guards=(*self.guards, *more), n_waived=0)
+        more = draw_models(self.model, caution.spread, caution.n_sets, self.prior, rng)
+        share = (1 - caution.probability) / max(1 - found.probability, 1e-3)
+        n_sets = len(self.guards) + len(more)
+        allowed = int(_STRICTER * share * self.n_waived * n_sets / len(self.guards))
+        # Without progress by counting, none may fail any more.
+        n_waived = allowed if allowed < self.n_waived * n_sets / len(self.guards) else 0
+        return replace(self, guards=(*self.guards, *more), n_waived=n_waived)
 
     def assured(self, experiment: Experiment, rng: np.random.Generator) -> Assurance | None:
         """On how many fresh vehicles an experiment keeps the limits; None without caution."""
