@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from oed_sysid import Fit, load_problem, new_problem, read_csv
-from oed_sysid.app import commands, tasks
+from oed_sysid.app import commands, plans, tasks
 from oed_sysid.app.jobs import Desk
 from oed_sysid.app.launch import orders
 from oed_sysid.app.records import archive, likely_test, read_uploads, simulated
@@ -236,20 +236,18 @@ def test_simulated_records_are_those_of_the_command(ship: Path, tmp_path: Path, 
 
 def test_design_command_finds_the_same_trial(study: Study, tmp_path: Path, monkeypatch) -> None:
     """The command shown for a design writes the commands that the page offers."""
-    from oed_sysid.app.page_plan import commands_csv
-
-    wish = tasks.DesignWish(
+    wish = plans.DesignWish(
         "zigzag_10_10",
         40.0,
         (("rudder", -np.radians(10), np.radians(10)),),
         (("rudder", np.radians(3)),),
     )
-    outcome = tasks.design(study, wish, lambda text: None)
+    outcome = plans.design(study, wish, lambda text: None)
     monkeypatch.chdir(tmp_path)
     assert main(shlex.split(commands.design(study, wish))[1:]) == DONE
     tables = [
         np.genfromtxt(io.BytesIO(text), delimiter=",", skip_header=1)
-        for text in (commands_csv(outcome.result), (tmp_path / "design.csv").read_bytes())
+        for text in (plans.commands_csv(outcome.result), (tmp_path / "design.csv").read_bytes())
     ]
     np.testing.assert_allclose(*tables, atol=1e-6)
     assert np.abs(tables[0][:, 1]).max() <= np.radians(10) * (1 + 1e-9)
@@ -260,7 +258,7 @@ def test_efforts_are_those_of_the_command_line() -> None:
     """The same word means the same search."""
     from oed_sysid.cli.commands_plan import EFFORTS
 
-    assert tasks.EFFORTS == EFFORTS
+    assert plans.EFFORTS == EFFORTS
 
 
 def test_commands_name_model_noise_and_records(study: Study) -> None:

@@ -6,8 +6,8 @@ import shlex
 from collections.abc import Iterable
 from math import degrees
 
+from oed_sysid.app.plans import DesignWish
 from oed_sysid.app.study import Study
-from oed_sysid.app.tasks import DesignWish
 
 
 def describe(study: Study) -> str:

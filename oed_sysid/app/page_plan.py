@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
 from functools import partial
-from pathlib import Path
 
 import streamlit as st
 
-from oed_sysid.app import choices, commands, tasks
+from oed_sysid.app import choices, commands, plans
 from oed_sysid.app.panels import Asked, command, download, html_download, work
 from oed_sysid.app.panels import show as show_page
 from oed_sysid.app.study import Study
-from oed_sysid.design import Design
 from oed_sysid.errors import ProblemError
 from oed_sysid.experiment import Experiment
 
@@ -53,7 +50,7 @@ def _rank(study: Study) -> None:
     runs = () if _RECORDS in picked else tuple(name for name in names if name in picked)
     line = commands.rank(study, runs)
     about = Asked("What trials tell", "rank", line)
-    outcome = work("Rank", ("rank", runs, *study.key), about, partial(tasks.rank, study, runs))
+    outcome = work("Rank", ("rank", runs, *study.key), about, partial(plans.rank, study, runs))
     if outcome is not None:
         show_page(outcome.page)
         html_download(outcome.page, "rank")
@@ -73,7 +70,7 @@ def _design(study: Study) -> None:
         line = f"{commands.fit(study)}\n{line}"
     about = Asked("Designed trial", "design", line)
     outcome = work(
-        "Design", ("design", wish, *study.key), about, partial(tasks.design, study, wish)
+        "Design", ("design", wish, *study.key), about, partial(plans.design, study, wish)
     )
     if outcome is not None:
         show_page(outcome.page)
@@ -81,7 +78,7 @@ def _design(study: Study) -> None:
             st.columns([1, 1, 1, 3]),
             (
                 partial(html_download, outcome.page, "design"),
-                partial(download, "Commands (CSV)", partial(commands_csv, outcome.result),
+                partial(download, "Commands (CSV)", partial(plans.commands_csv, outcome.result),
                         "design.csv", "text/csv"),
                 partial(download, "Card", outcome.result.sea_trial_card, "card.txt", "text/plain"),
             ),
@@ -92,7 +89,7 @@ def _design(study: Study) -> None:
     command(line)
 
 
-def _wish(study: Study) -> tasks.DesignWish:
+def _wish(study: Study) -> plans.DesignWish:
     """Ask what the experiment shall be."""
     problem, keep = study.problem, partial(choices.kept, study.source, study.variant)
     first, second, third = st.columns(3)
@@ -105,7 +102,7 @@ def _wish(study: Study) -> tasks.DesignWish:
         format="%.4g",
         key=choices.preset(keep("duration", like), float(pattern.duration or 60.0)),
     )
-    effort = third.selectbox("Effort", list(tasks.EFFORTS), key=keep("effort"))
+    effort = third.selectbox("Effort", list(plans.EFFORTS), key=keep("effort"))
     ranges, rates = _limits(study, pattern)
     first, second, third = st.columns(3)
     rivals = tuple(
@@ -133,7 +130,7 @@ def _wish(study: Study) -> tasks.DesignWish:
         key=keep("after"),
         disabled=study.train is None,
     )
-    return tasks.DesignWish(
+    return plans.DesignWish(
         like,
         duration,
         ranges,
@@ -183,11 +180,3 @@ def _limits(
         if rate is not None and rate != (believed and turn * believed):
             rates.append((channel.name, rate / turn))
     return tuple(ranges), tuple(rates)
-
-
-def commands_csv(design: Design) -> bytes:
-    """Return the commands of a design as the file that an autopilot plays."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "design.csv"
-        design.write_csv(path)
-        return path.read_bytes()

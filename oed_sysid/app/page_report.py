@@ -8,8 +8,8 @@ from functools import partial
 
 import streamlit as st
 
-from oed_sysid.app.page_plan import commands_csv
 from oed_sysid.app.panels import Asked, asked, desk, download, html_download
+from oed_sysid.app.plans import commands_csv
 from oed_sysid.app.records import archive
 from oed_sysid.app.study import Study
 from oed_sysid.app.tasks import Outcome

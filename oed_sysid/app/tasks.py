@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from oed_sysid.app.jobs import Tell
 from oed_sysid.app.study import Study
-from oed_sysid.errors import DesignError
 from oed_sysid.estimators import MultipleShooting
-from oed_sysid.experiment import Limits
 
 if TYPE_CHECKING:
     from oed_sysid.fit import Fit
@@ -20,11 +16,7 @@ if TYPE_CHECKING:
     from oed_sysid.report import Page
 
 BELIEVED = "as believed"
-_DRAWING = "drawing"
-# Starts that are refined, rough manoeuvres tried, and steps of refinement.
-EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
-# How wrong coefficients may be before there is a fit, as a share of their values.
-UNCERTAINTY = 0.3
+DRAWING = "drawing"
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,52 +27,12 @@ class Outcome:
     page: Page
 
 
-@dataclass(frozen=True)
-class DesignWish:
-    """What a designed experiment shall be; as the options of ``oed-sysid design``.
-
-    Parameters
-    ----------
-    like : str
-        Experiment that lends sampling, constant inputs and start state.
-    duration : float
-        Length, s.
-    ranges : tuple of (str, float, float)
-        Input, least and largest command, SI.
-    rates : tuple of (str, float)
-        Input and largest slope, SI per second.
-    criterion, family, effort : str
-        As on the command line.
-    rivals : tuple of str
-        Candidates to tell apart; then no criterion is needed.
-    after_fit : bool
-        Whether to complete what the training records told already.
-    certainty : float or None
-        Probability with which limits are kept although coefficients are
-        uncertain; None only states it.
-    seed : int
-        Of the search.
-    """
-
-    like: str
-    duration: float
-    ranges: tuple[tuple[str, float, float], ...] = ()
-    rates: tuple[tuple[str, float], ...] = ()
-    criterion: str = "D"
-    family: str = "levels"
-    effort: str = "quick"
-    rivals: tuple[str, ...] = ()
-    after_fit: bool = False
-    certainty: float | None = None
-    seed: int = 0
-
-
 def fit(study: Study, tell: Tell) -> Outcome:
     """Estimate the parameters of the believed model."""
     from oed_sysid.report import fit_page
 
-    result = _fit(study, study.problem.model, tell)
-    tell(_DRAWING)
+    result = fitted(study, study.problem.model, tell)
+    tell(DRAWING)
     return Outcome(result, fit_page(result))
 
 
@@ -94,10 +46,10 @@ def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outc
     for names in groups:
         effects = [study.problem.effect(name) for name in names]
         models[f"with {' and '.join(names)}"] = study.problem.model + effects
-    fits = {name: _fit(study, model, tell) for name, model in models.items()}
+    fits = {name: fitted(study, model, tell) for name, model in models.items()}
     tell("predicting the untouched records")
     result = compare_models(fits, untouched)
-    tell(_DRAWING)
+    tell(DRAWING)
     return Outcome(result, comparison_page(result, title=study.problem.title))
 
 
@@ -109,7 +61,7 @@ def diagnose(study: Study, tell: Tell) -> Outcome:
     problem, train = study.problem, study.training()
     tell("looking where the model fails, and scoring all candidates")
     result = look(problem.model, train, candidates=problem.effects, known_noise=study.known_noise)
-    tell(_DRAWING)
+    tell(DRAWING)
     return Outcome(result, diagnosis_page(result, train, title=problem.title))
 
 
@@ -131,102 +83,18 @@ def improve(study: Study, max_effects: int, tell: Tell) -> Outcome:
     )
     # As any user would fit them: plain fits, judged on the same records.
     models = {BELIEVED: problem.model} | ({"improved": result.model} if result.steps else {})
-    fits = {name: _fit(study, model, tell) for name, model in models.items()}
+    fits = {name: fitted(study, model, tell) for name, model in models.items()}
     tell("predicting")
     comparison = compare_models(fits, study.test or train)
-    tell(_DRAWING)
+    tell(DRAWING)
     return Outcome(result, improvement_page(result, comparison, train=train, title=problem.title))
 
 
-def rank(study: Study, experiments: tuple[str, ...], tell: Tell) -> Outcome:
-    """Rank parameters by what experiments, or without any the training records, tell."""
-    from oed_sysid.report import ranking_page
-    from oed_sysid.sensitivity import identifiable_subset, information_of, rank_parameters
+def fitted(study: Study, model: Model, tell: Tell) -> Fit:
+    """Fit a model to the training records."""
 
-    problem = study.problem
-    runs = [problem.experiment(name) for name in experiments] or study.training()
-    tell("computing sensitivities")
-    ranking = rank_parameters(problem.model, runs)
-    subset = identifiable_subset(
-        information_of(problem.model, runs, priors=None), problem.model.values
-    )
-    tell(_DRAWING)
-    return Outcome((ranking, subset), ranking_page(ranking, subset, title=problem.title))
-
-
-def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
-    """Design the manoeuvre that tells most, within the limits."""
-    from oed_sysid.design import Caution, Discriminate, assess_limits, design_experiment
-    from oed_sysid.report import design_page
-
-    problem = study.problem
-    pattern = problem.experiment(wish.like)
-    believed = _fit(study, problem.model, tell) if wish.after_fit else problem.model
-    if wish.rivals:
-        criterion: Any = Discriminate([problem.effect(name) for name in wish.rivals])
-    else:
-        criterion = _choice("criterion", wish.criterion, _criteria())
-    n_starts, n_candidates, n_steps = _choice("effort", wish.effort, EFFORTS)
-    limits = limits_of(problem.limits, wish)
-    spread = None if wish.after_fit else UNCERTAINTY
-    result = design_experiment(
-        believed,
-        limits=limits,
-        duration=wish.duration,
-        sample_time=pattern.sample_time,
-        rng=np.random.default_rng(wish.seed),
-        criterion=criterion,
-        parametrisation=_choice("family", wish.family, _families()),
-        constants=pattern.constants,
-        initial=pattern.initial,
-        caution=None if wish.certainty is None else Caution(wish.certainty, spread),
-        n_starts=n_starts,
-        n_candidates=n_candidates,
-        n_steps=n_steps,
-        progress=lambda state: tell(
-            f"designing: start {state.start + 1}, round {state.round + 1}, {state.value:.4g}"
-        ),
-    )
-    if result.assurance is None:
-        tell("simulating other vehicles")
-        stated = assess_limits(
-            result.model, result.experiment, limits=limits, spread=spread, prior=result.prior,
-            rng=np.random.default_rng(wish.seed), n_vehicles=200,
-        )  # fmt: skip
-        result = replace(result, assurance=stated)
-    tell(_DRAWING)
-    return Outcome(result, design_page(result, title=problem.title))
-
-
-def limits_of(limits: Limits, wish: DesignWish) -> Limits:
-    """Return the problem's limits with the ranges and rates that were wished."""
-    ranges = {name: (lower, upper) for name, lower, upper in wish.ranges}
-    return replace(
-        limits, inputs={**limits.inputs, **ranges}, rates={**limits.rates, **dict(wish.rates)}
-    )
-
-
-def _fit(study: Study, model: Model, tell: Tell) -> Fit:
     def iteration(state: Any) -> None:
         tell(f"fitting: iteration {state.iteration}, cost {state.cost:.6g}")
 
     tell(f"fitting {model.name}")
     return MultipleShooting(noise=study.noise, progress=iteration).fit(model, study.training())
-
-
-def _criteria() -> Mapping[str, Any]:
-    from oed_sysid.design import AOptimal, DOptimal, EOptimal
-
-    return {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()}
-
-
-def _families() -> Mapping[str, Any]:
-    from oed_sysid.design import Levels, Multisines, Pulses
-
-    return {"levels": Levels(), "multisine": Multisines(), "pulses": Pulses()}
-
-
-def _choice(what: str, name: str, choices: Mapping[str, Any]) -> Any:
-    if name not in choices:
-        raise DesignError(f"There is no {what} {name!r}. Choose one of {', '.join(choices)}.")
-    return choices[name]
