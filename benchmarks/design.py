@@ -23,8 +23,11 @@ import numpy as np
 
 from benchmarks.design_systems import SYSTEMS, System
 from oed_sysid.design import (
+    AOptimal,
     Caution,
     Design,
+    DOptimal,
+    EOptimal,
     Levels,
     Multisines,
     assess_limits,
@@ -38,11 +41,13 @@ from oed_sysid.sensitivity import confirm_bound, information_of
 from oed_sysid.simulate import simulate_inputs
 
 
-def designed(system: System, degrees: float, *, envelope: bool) -> Design:
+def designed(
+    system: System, degrees: float, criterion: AOptimal | DOptimal | EOptimal, *, envelope: bool
+) -> Design:
     limits, _ = system.limits(degrees, envelope=envelope)
     return design_experiment(
         system.model, limits=limits, duration=system.duration, sample_time=system.sample_time,
-        parametrisation=Levels(60), constants=system.constants,
+        criterion=criterion, parametrisation=Levels(60), constants=system.constants,
         initial=system.initial, prior=None, rng=np.random.default_rng(1), n_workers=2,
     )  # fmt: skip
 
@@ -55,11 +60,19 @@ def gains(model: Model, zigzag: Experiment, other: Experiment) -> tuple[float, f
     return float(np.exp(np.mean(np.log(theirs / ours)))), float(theirs.max() / ours.max())
 
 
-def compare(name: str, system: System, degrees: float, n_confirm: int, *, envelope: bool) -> Design:
+def compare(
+    name: str,
+    system: System,
+    degrees: float,
+    n_confirm: int,
+    criterion: AOptimal | DOptimal | EOptimal,
+    *,
+    envelope: bool,
+) -> None:
     zigzag = system.zigzag(degrees)
     _, reach = system.limits(degrees, envelope=envelope)
     began = time.perf_counter()
-    design = designed(system, degrees, envelope=envelope)
+    design = designed(system, degrees, criterion, envelope=envelope)
     mean, worst = gains(system.model, zigzag, design.experiment)
     words = (
         ", ".join(f"|{k}| <= {np.degrees(v):.1f} deg" for k, v in reach.items())
@@ -67,9 +80,16 @@ def compare(name: str, system: System, degrees: float, n_confirm: int, *, envelo
     )
     print(
         f"{name} against {zigzag.name} ({words}): geometric mean {mean:.2f}x, worst {worst:.2f}x "
-        f"smaller; {time.perf_counter() - began:.1f} s, log det {design.value:.1f}",
+        f"smaller; criterion {criterion.name} {design.value:.1f}, "
+        f"{time.perf_counter() - began:.1f} s",
         flush=True,
     )
+    for reference in design.references:
+        if reference.note:
+            mean, worst = design.gain(reference)
+            print(
+                f"  {reference.name} {reference.note}: {mean:.2f}x, worst {worst:.2f}x", flush=True
+            )
     for label, experiment in (("design", design.experiment), ("zigzag", zigzag)):
         if n_confirm:
             found = confirm_bound(
@@ -85,7 +105,6 @@ def compare(name: str, system: System, degrees: float, n_confirm: int, *, envelo
                 f"{np.max(found.found / sizes):.2%}",
                 flush=True,
             )
-    return design
 
 
 def robustness(
@@ -173,7 +192,11 @@ def main() -> None:
     parser.add_argument("--robust", action="store_true")
     parser.add_argument("--everywhere", action="store_true", help="many starts, many families")
     parser.add_argument("--vehicle", action="store_true", help="only within the vehicle's limits")
+    parser.add_argument("--criterion", choices=list("DAE"), default="D")
     options = parser.parse_args()
+    criteria: dict[str, AOptimal | DOptimal | EOptimal]
+    criteria = {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()}
+    criterion = criteria[options.criterion]
     for name in options.systems:
         system = SYSTEMS[name]()
         for degrees in options.angles:
@@ -181,7 +204,7 @@ def main() -> None:
                 if envelope and options.vehicle:
                     continue
                 if not (options.robust or options.everywhere):
-                    compare(name, system, degrees, options.confirm, envelope=envelope)
+                    compare(name, system, degrees, options.confirm, criterion, envelope=envelope)
             if options.robust:
                 for informed in (False, True):
                     robustness(name, system, degrees, informed=informed)
