@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from oed_sysid.benchmark import OURS, UNITS, Benchmark, Row
 from oed_sysid.report.style import NEUTRAL, clean, model_style, new_axes, new_figure
@@ -60,6 +61,8 @@ def plot_errors(rows: Sequence[Row], *, ax: Axes | None = None) -> Axes:
         ax.axhspan(place - 0.45, place + 0.45, color=NEUTRAL, alpha=0.18, lw=0)
     ax.set_xscale("log")
     ax.xaxis.set_major_formatter("{x:g}")
+    # Within a decade matplotlib would also label 2, 3, 4 and 6, one over the other.
+    ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.set(xlabel="error of determined parameters [%]")
