@@ -309,6 +309,9 @@ def test_zigzag_family_reacts_and_keeps_limits() -> None:
     assert found.experiment.reacts
     assert LIMITS.violations(found.trajectory.times, found.trajectory.signals) == ()
     assert found.gain(found.references[0])[0] > 1.0
+    card = found.sea_trial_card()
+    assert "reversed when psi reaches" in card
+    assert "NO LIMIT" not in card
 
 
 def test_robust_design_keeps_limits_for_all_sampled_vehicles() -> None:

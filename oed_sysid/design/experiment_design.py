@@ -235,7 +235,7 @@ def _searched(
         found = Found(zigzag, nearest, (float("-inf") if zigzag is None else zigzag.value,))
         if zigzag is None or loop is None:
             raise DesignError(_infeasible(plan, found))
-        return objective, found, zigzag, replace(loop, name=name)
+        return objective, found, zigzag, replace(loop, name=name, limits=plan.limits)
     objective = plan.objective(parametrisation.on(plan.grid), workers)
     _check_neutral(plan)
     if begin is not None:
