@@ -161,6 +161,8 @@ def start_levels(
     estimated = measured & (unknown if noise != "estimate" else True)
     if noise != "estimate":
         _check_positive(names, np.where(unknown, 1.0, declared))
+    if not estimated.any():
+        return np.where(measured, declared, 1.0), estimated
     if earlier is not None and earlier.shape == declared.shape:
         floor = earlier
     else:
