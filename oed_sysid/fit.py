@@ -336,6 +336,11 @@ class Fit:
                 "the sandwich covariance."
             )
         lines += [f"  Not identifiable: {text}." for text in self.information.null_directions()]
+        if bounded := [r.split()[0] for r in self._parameter_table() if r.endswith("at bound")]:
+            lines.append(
+                f"  {', '.join(bounded)} at bound: widen it if it may be wrong. A log that counts "
+                "an angle the other way does this too: Input(..., sign=-1)."
+            )
         correlation = self.correlation
         pairs = [
             (abs(correlation[i, j]), self.names[i], self.names[j], correlation[i, j])

@@ -98,7 +98,10 @@ class Located:
     def verdict(self) -> str:
         """The finding in one or two sentences."""
         if self.best is None:
-            return "No place needs a disturbance: what is left is noise."
+            return (
+                "No place stands out: noise of the sensors, as strong as it has to be, explains "
+                "what is left as well as a disturbance at any one place would."
+            )
         words = {place.name: _words(place) for place in self.places}
         text = f"Something is missing {words[self.best]}"
         rivals = [words[name] for name in self.group if name != self.best]
