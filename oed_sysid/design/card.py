@@ -95,7 +95,7 @@ def _orders(model: Model, trajectory: Trajectory, units: dict[str, str]) -> list
         lines.append(f"  ... and {len(found) - _MOST_ORDERS} more")
     end = trajectory.times[-1]
     lines.append(f"  {end:>8.6g}  end of the run: controls neutral, recover")
-    lines.append("  By hand: these orders. Better: play the CSV file, which has every sample.")
+    lines.append("  By hand: these orders. Better: play the table that --out writes.")
     return lines
 
 
