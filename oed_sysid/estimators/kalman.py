@@ -116,10 +116,10 @@ class JointKalmanFilter:
         """
         began = time.perf_counter()
         check_channels(model, dataset)
-        self._check_names(model)
+        self.check(model)
         levels = given_levels(model.outputs)
         sigma = np.where(np.isfinite(levels), levels, noise_floor(dataset))
-        filter_ = _Filter(self, model, sigma)
+        filter_ = JointFilter(self, model, sigma)
         values, covariance = filter_.first_values()
         prior = covariance
         for index in range(self.passes):
@@ -151,7 +151,8 @@ class JointKalmanFilter:
             },
         )
 
-    def _check_names(self, model: Model) -> None:
+    def check(self, model: Model) -> None:
+        """Raise :class:`ModelError` where settings and model do not belong together."""
         for setting, known in (
             ("process_std", model.state_names),
             ("state_std", model.state_names),
@@ -173,7 +174,7 @@ class JointKalmanFilter:
             )
 
 
-class _Filter:
+class JointFilter:
     """Mean and covariance of ``[full state, free parameters]``, in scaled units."""
 
     def __init__(self, settings: JointKalmanFilter, model: Model, sigma: np.ndarray) -> None:
@@ -217,40 +218,67 @@ class _Filter:
         self, record: Record, values: np.ndarray, covariance: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Filter one record; return the parameters and their covariance after it."""
-        mean, spread = self._start(record, values, covariance)
+        measured = {i: series[0] for i, series in measured_states(self.model, record).items()}
+        mean, spread = self.begin(record.times[0], record.inputs[0], measured, values, covariance)
         times, inputs = record.times, record.inputs
+        for k in range(len(times)):
+            window = slice(max(k - 1, 0), max(k - 1, 0) + 2)
+            mean, spread = self.learn(
+                mean, spread, times[window], inputs[window], record.outputs[k], first=k == 0
+            )
+            if not np.isfinite(mean).all():
+                break
+            self.track.append((mean * self.scale)[self.n_z :])
+            variance = np.diag(spread)[self.n_z :]
+            self.spread.append(np.sqrt(np.maximum(variance, 0.0)) * self.scale[self.n_z :])
+        return self.parameters(mean, spread)
+
+    def learn(
+        self,
+        mean: np.ndarray,
+        spread: np.ndarray,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        outputs: np.ndarray,
+        *,
+        first: bool,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Scaled mean and covariance after the sample at the later of two times.
+
+        The first sample is at the earlier one, where the mean is already.
+        """
         step = self._extended if self.settings.kind == "extended" else self._unscented
         with np.errstate(all="ignore"):
-            for k in range(len(times)):
-                window = slice(max(k - 1, 0), max(k - 1, 0) + 2)
-                moved = step(mean, spread, times[window], inputs[window], first=k == 0)
-                mean, spread, predicted, cross, innovation_covariance = moved
-                mean, spread = self._correct(
-                    mean, spread, record.outputs[k] - predicted, cross, innovation_covariance
-                )
-                if not np.isfinite(mean).all():
-                    break
-                self.track.append((mean * self.scale)[self.n_z :])
-                variance = np.diag(spread)[self.n_z :]
-                self.spread.append(np.sqrt(np.maximum(variance, 0.0)) * self.scale[self.n_z :])
+            mean, spread, predicted, cross, expected = step(
+                mean, spread, times, inputs, first=first
+            )
+            return self._correct(mean, spread, outputs - predicted, cross, expected)
+
+    def parameters(self, mean: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters and their covariance, in their own units."""
         unit = self.scale[self.n_z :]
         block = spread[self.n_z :, self.n_z :] * unit[:, None] * unit
         return (mean * self.scale)[self.n_z :], block
 
-    def _start(
-        self, record: Record, values: np.ndarray, covariance: np.ndarray
+    def begin(
+        self,
+        time: float,
+        inputs: np.ndarray,
+        measured: Mapping[int, float],
+        values: np.ndarray,
+        covariance: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Scaled mean and covariance before the first measurement."""
         model, n_own = self.model, self.kernel.n_own
         own = np.zeros(n_own)
         std = np.array([self.settings.state_std.get(s.name, s.scale) for s in model.states])
         sources = {output.source: i for i, output in enumerate(model.outputs)}
-        for position, series in measured_states(model, record).items():
-            own[position] = series[0]
+        for position, value in measured.items():
+            own[position] = value
             std[position] = START_SPREAD * self.sigma[sources[model.state_names[position]]]
         for name, value in self.settings.initial.items():
             own[model.state_names.index(name)] = value
-        z, dz = self.kernel.start(own, record.inputs[0], self._all(values), record.times[0])
+        z, dz = self.kernel.start(own, inputs, self._all(values), time)
         n_free = len(values)
         shape = np.zeros((self.n_z + n_free, n_own + n_free))
         shape[: self.n_z] = dz

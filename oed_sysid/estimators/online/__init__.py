@@ -5,10 +5,12 @@
 :class:`RecursiveLSSVM`       the same solution in the size of the features, flat cost
 :class:`RecursiveLeastSquares`  with exponential forgetting
 :class:`EquationStream`       from a model and samples to features and targets
+:class:`KalmanStream`         states and parameters together, by Kalman filter
 :class:`OnlineRegression`     all of this behind the interface of the estimators
 ============================  ========================================================
 """
 
+from oed_sysid.estimators.online.filter import KalmanStream
 from oed_sysid.estimators.online.incremental import IncrementalLSSVM
 from oed_sysid.estimators.online.recursive import RecursiveLeastSquares, RecursiveLSSVM
 from oed_sysid.estimators.online.regression import OnlineRegression
@@ -17,6 +19,7 @@ from oed_sysid.estimators.online.stream import EquationStream
 __all__ = [
     "EquationStream",
     "IncrementalLSSVM",
+    "KalmanStream",
     "OnlineRegression",
     "RecursiveLSSVM",
     "RecursiveLeastSquares",
