@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy import optimize
 
 from oed_sysid.diagnosis import innovations as filters
 from oed_sysid.diagnosis.innovations import Deviations, NoiseModel, whiten
 from oed_sysid.diagnosis.lanes import innovations_by_model
 from oed_sysid.diagnosis.noise import estimate_noise
+from oed_sysid.diagnosis.restricted import Grounds, restricted
 
 N_TIMES, N_STATES, N_FORCES, N_OUTPUTS = 9, 3, 2, 2
 WHITE, COLOUR, FORCE = np.array([0.2, 0.1]), np.array([0.15, 0.05]), np.array([0.5, 0.8])
@@ -115,6 +119,26 @@ def test_a_lane_that_breaks_down_leaves_the_others_alone() -> None:
     assert np.isfinite(found[0][0].log_determinant)
     assert found[2][0].log_determinant == pytest.approx(found[0][0].log_determinant)
     assert not np.isfinite(found[1][0].log_determinant)
+
+
+def test_unknown_scale_is_the_most_likely_one() -> None:
+    """Where levels are not known, the best common factor on all of them is found in one go."""
+    rng = np.random.default_rng(5)
+    records = [small_record(seed) for seed in range(2)]
+    columns = tuple(3.0 * rng.standard_normal((N_TIMES, N_OUTPUTS, 4)) for _ in records)
+    grounds = Grounds(columns, np.zeros((1, 2)), WHITE)
+    noise = noise_model("forces")
+
+    def objective(log_scale: float) -> float:
+        size = np.exp(log_scale)
+        scaled = noise.with_levels(size * WHITE, 0 * COLOUR, size * FORCE)
+        return restricted(grounds, [scaled], [records])[0].objective
+
+    best = optimize.minimize_scalar(objective, bounds=(-5.0, 5.0), method="bounded")
+    free = replace(grounds, scale_known=False)
+    found = restricted(free, [noise.with_levels(WHITE, 0 * COLOUR, FORCE)], [records])[0]
+    assert found.objective == pytest.approx(best.fun, rel=1e-9)
+    assert found.scale == pytest.approx(np.exp(best.x), rel=1e-3)
 
 
 def long_record(n_times: int) -> Deviations:

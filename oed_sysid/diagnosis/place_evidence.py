@@ -22,8 +22,6 @@ from oed_sysid.errors import SimulationError
 # ratio within which the best is settled.
 LEVELS = (0.03, 0.12, 0.5, 2.0, 8.0)
 SETTLED = 1.15
-# Multiples of the white level that are tried where noise alone has to explain all.
-WEAKER = np.geomspace(1.0, 1024.0, 6)
 # At the edge of the levels tried, so small a gain is not followed.
 FLAT = 0.2
 # Levels tried beyond the first ones, at most.
@@ -77,12 +75,14 @@ def evidence(
         Of the disturbances, s.
     """
     chosen = range(len(found.where)) if chosen is None else chosen
-    grounds = found.grounds
+    # A level that nobody declared must not make every misfit evidence for a disturbance.
+    stated = all(output.noise_std is not None for output in found.system.model.outputs)
+    grounds = replace(found.grounds, scale_known=stated)
     nothing = np.zeros_like(grounds.white)
     quiet = NoiseModel(grounds.white, nothing, np.zeros(1), force_time=correlation_time)
     records = [[stretch.alone(index) for stretch in found.stretches] for index in chosen]
     units = found.units(correlation_time)[list(chosen)]
-    base = _noise_alone(found, quiet, records[0])
+    base = restricted(grounds, [quiet], [records[0]])[0].objective
     logs = np.log(LEVELS)
     tables = [
         {float(x): s for x, s in zip(logs, solutions, strict=True)}
@@ -102,9 +102,9 @@ def evidence(
     result = []
     for position, index in enumerate(chosen):
         solution = tables[position][best[position]]
-        level = float(units[position] * np.exp(best[position]))
+        level = solution.scale * float(units[position] * np.exp(best[position]))
         gain = max(base - solution.objective, 0.0)
-        noise = replace(quiet, force=np.array([level]))
+        noise = replace(quiet, white=solution.scale * quiet.white, force=np.array([level]))
         lines = records[position]
         result.append(Evidence(found.where[index], gain, level, grounds, lines, noise, solution))
     return sorted(result, key=lambda e: -e.gain)
@@ -168,29 +168,6 @@ def _next_level(table: dict[float, Restricted]) -> float | None:
     else:
         trial = centre + 0.5 * (below * right - above * left) / max(below + above, 1e-12)
     return None if min(abs(trial - x) for x in known) < np.log(SETTLED) else float(trial)
-
-
-def _noise_alone(found: Along, quiet: NoiseModel, records: Sequence[Deviations]) -> float:
-    """Objective of white noise alone, as strong as it has to be where nobody declared its level.
-
-    Otherwise the gain would mostly say that a misfit is larger than a noise that
-    is small, not that it has a shape.
-    """
-    free = np.array([output.noise_std is None for output in found.system.model.outputs])
-    if not free.any():
-        return restricted(found.grounds, [quiet], [records])[0].objective
-    centre, step = np.log(WEAKER[len(WEAKER) // 2]), np.log(WEAKER[1] / WEAKER[0])
-    trials = np.log(WEAKER)
-    best = np.inf
-    while step > np.log(SETTLED):
-        whites = [np.where(free, quiet.white * np.exp(x), quiet.white) for x in trials]
-        models = [replace(quiet, white=white) for white in whites]
-        values = [s.objective for s in restricted(found.grounds, models, [records] * len(models))]
-        if min(values) < best:
-            best, centre = min(values), trials[int(np.argmin(values))]
-        step /= 2.0
-        trials = np.array([centre - step, centre + step])
-    return best
 
 
 def _best(table: dict[float, Restricted]) -> float:

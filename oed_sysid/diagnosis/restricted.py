@@ -28,11 +28,15 @@ class Grounds:
         of its value from the prior mean in these; zero without a prior.
     white : ndarray (n_outputs,)
         White sensor noise.
+    scale_known : bool
+        Whether noise levels are what they say; otherwise a common factor on all of
+        them is estimated, so that only their ratios and the shape of the noise count.
     """
 
     columns: tuple[np.ndarray, ...]
     prior: np.ndarray
     white: np.ndarray
+    scale_known: bool = True
 
     @property
     def n_own(self) -> int:
@@ -58,11 +62,14 @@ class Restricted:
         What parameters, then initial states of each record, should change by.
     covariance : ndarray (n_unknowns, n_unknowns)
         Of that correction.
+    scale : float
+        Most likely factor on all noise levels; 1 where they are known.
     """
 
     objective: float
     correction: np.ndarray
     covariance: np.ndarray
+    scale: float = 1.0
 
 
 def restricted(
@@ -89,7 +96,8 @@ def restricted(
         parts = found[index * n : (index + 1) * n]
         grams = [_gram(part.white) for part in parts]
         log_determinant = sum(part.log_determinant for part in parts)
-        result.append(_restricted(grounds, grams, log_determinant))
+        n_samples = int(sum(line.present.sum() for line in records[index]))
+        result.append(_restricted(grounds, grams, log_determinant, n_samples))
     return result
 
 
@@ -101,7 +109,7 @@ def _gram(white: np.ndarray) -> np.ndarray:
 
 
 def _restricted(
-    grounds: Grounds, grams: Sequence[np.ndarray], log_determinant: float
+    grounds: Grounds, grams: Sequence[np.ndarray], log_determinant: float, n_samples: int
 ) -> Restricted:
     n_names = len(grounds.prior)
     n_unknowns = n_names + grounds.n_own * len(grams)
@@ -126,7 +134,18 @@ def _restricted(
     projected = basis.T @ right
     # Unseen directions drop out of every model alike.
     determinant = 2.0 * float(np.log(size).sum()) + float(np.log(values[seen]).sum())
-    objective = log_determinant + square - float(projected @ projected) + determinant
+    left = square - float(projected @ projected)
+    scale, misfit = 1.0, left
+    if not grounds.scale_known:
+        # With all variances multiplied by s, the objective is n log s + left / s, least at
+        # s = left / n for n samples less the unknowns that were seen.
+        freedom = max(n_samples - int(seen.sum()), 1)
+        scale = float(np.sqrt(max(left, np.finfo(float).tiny) / freedom))
+        misfit = freedom * (1.0 + 2.0 * np.log(scale))
+    objective = log_determinant + misfit + determinant
     return Restricted(
-        objective if np.isfinite(objective) else np.inf, basis @ projected, basis @ basis.T
+        objective if np.isfinite(objective) else np.inf,
+        basis @ projected,
+        scale**2 * (basis @ basis.T),
+        scale,
     )
