@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from diving_plane import PROBLEM, records
 
-from oed_sysid import Input, Model, Output, Parameter, State
+from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, load_problem
 from oed_sysid.diagnosis.along import System
 from oed_sysid.diagnosis.dictionary import Signal, Term, signals_along, terms
 from oed_sysid.diagnosis.innovations import NoiseModel
@@ -154,3 +154,19 @@ def test_models_without_axes_have_a_dictionary() -> None:
     assert {term.equation for term in found} == {"p"}
     damping = next(term for term in found if term.expression == "abs(p)*p")
     assert same_dimension(damping.effect(model, {"p": "rad/s"}, 1.0).parameters[0].unit, "1")
+
+
+def test_a_heading_is_no_cause() -> None:
+    """Signals of a steering model leave out the heading, on which nothing depends."""
+    ship = load_problem("kvlcc2").model
+    record = Record(
+        "any",
+        np.arange(5.0),
+        np.linspace(0.0, 0.1, 5)[:, None],
+        np.zeros((5, len(ship.outputs))),
+        ship.channels,
+    )
+    states = np.linspace(0.0, 0.2, 5)[:, None] * np.ones(len(ship.states))
+    named = {signal.name for signal in signals_along(ship, Dataset((record,)), [states]).signals}
+    assert "r" in named
+    assert "psi" not in named

@@ -14,7 +14,7 @@ from itertools import combinations_with_replacement, product
 
 import numpy as np
 
-from oed_sysid import dimensions, notation
+from oed_sysid import dimensions, expressions, notation
 from oed_sysid.channels import Output
 from oed_sysid.dataset import Dataset
 from oed_sysid.diagnosis.linearise import disturbed_equations
@@ -214,7 +214,10 @@ def _kinds(model: Model) -> list[tuple[str, str, str]]:
     velocities = set(model.axes.values())
     through_water = {text: signal for signal, text in model.signals.items()}
     found = []
+    cyclic = _cyclic(model)
     for state in model.states:
+        if state.name in cyclic:
+            continue
         name = through_water.get(state.name, state.name)
         if state.name in velocities or not model.axes:
             found.append((name, state.unit, "motion"))
@@ -227,6 +230,19 @@ def _kinds(model: Model) -> list[tuple[str, str, str]]:
         unit = inputs.get(text, "")
         found.append((signal, unit, "motion" if unit == "rad" or not model.axes else "thrust"))
     return found
+
+
+def _cyclic(model: Model) -> set[str]:
+    """Coordinates that merely integrate a velocity, and on which no equation depends.
+
+    Calm water is the same at every place and heading: a heading of a steering
+    model is no cause of a force.
+    """
+    if model.axes:
+        return set()
+    states = set(model.state_names)
+    used = {name for text in model.kinematics.values() for name in expressions.names(text)}
+    return {s for s, text in model.kinematics.items() if text in states and s not in used}
 
 
 def terms(model: Model, signals: Sequence[Signal]) -> list[Term]:
