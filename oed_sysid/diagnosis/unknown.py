@@ -115,14 +115,26 @@ def find_unknown(
         option = Unknown(effect, proposals, gone, kept, gain, np.nan, wide, found)
         if best is None or _cost(option) < _cost(best):
             best = option
-        if option.explains:
+        if _worthwhile(option, len(added)) and option.explains:
             break  # fewer effects explain everything
-    if best is None or best.gain < (0.0 if best.replaces else best.proposals.needed):
+    if best is None or not _worthwhile(best, len(added)):
         return None
     if bench.test is None:
         return best
     gain = bench.test_objective(present) - best.bench.test_objective(best.fit)
     return replace(best, test_gain=gain) if gain > 0 else None
+
+
+def _worthwhile(option: Unknown, n_known: int) -> bool:
+    """Whether a term is worth more than the known effects that it joins or replaces.
+
+    One of many terms must gain what chance does not; one in place of a known
+    effect must beat it clearly, since it may say the same in other words.
+    """
+    if not option.replaces:
+        return option.gain > option.proposals.needed
+    fewer = n_known - len(option.kept) - 1
+    return option.gain + PLACE_MARGIN * fewer > PLACE_MARGIN
 
 
 def _cost(option: Unknown) -> float:
