@@ -79,7 +79,10 @@ def test_correlation_time_of_sensor_noise_is_found() -> None:
     truth = -0.2 / np.log(0.9)
     assert truth / 2 < fit.noise.colour_time < truth * 2
     np.testing.assert_allclose(fit.noise.colour, [0.01, 0.004], rtol=0.3)
-    assert improve(SHIP, *found, candidates=CANDIDATES).verdict == "nothing_missing"
+    improved = improve(SHIP, *found, candidates=CANDIDATES)
+    assert improved.verdict == "nothing_missing"
+    assert improved.explained
+    assert "correlated over about" in improved.report().splitlines()[-1]
 
 
 def test_no_candidates_is_said() -> None:

@@ -18,6 +18,9 @@ from oed_sysid.diagnosis.greybox import (
 from oed_sysid.estimators.noise_levels import residual_levels
 from oed_sysid.information import Information
 
+# Twice the log-likelihood that disturbances may gain before they count as real.
+REMAINDER_LIMIT = 14.0
+
 
 def information(task: Task, fit: GreyBox) -> Information:
     """Information of the parameters in the metric of the noise model, starts eliminated."""
@@ -46,13 +49,28 @@ def parameter_table(task: Task, fit: GreyBox) -> tuple[Mapping[str, Any], ...]:
 
 
 def remainder(task: Task, fit: GreyBox) -> float:
-    """Gain in twice the log-likelihood that disturbances bring over white noise alone.
+    """Gain in twice the log-likelihood that forces bring over noise of the sensors alone.
 
+    Sensor noise may be correlated in time where it needs no force beside it.
     The white levels of the alternative are its own most likely ones, unless the
     task declares them known.
     """
     if fit.noise.is_white:
         return 0.0
+    coloured = fit.noise.with_levels(fit.noise.white, fit.noise.colour, 0 * fit.noise.force)
+    without_forces = with_noise(task, fit, coloured).objective - fit.objective
+    return max(min(without_forces, _over_white(task, fit)), 0.0)
+
+
+def sensor_correlation_time(task: Task, fit: GreyBox) -> float | None:
+    """Correlation time of the sensors' noise, s; None where white noise explains them too."""
+    if not fit.noise.has_colour or _over_white(task, fit) < REMAINDER_LIMIT:
+        return None
+    return fit.noise.colour_time
+
+
+def _over_white(task: Task, fit: GreyBox) -> float:
+    """Gain of everything beyond white noise of the sensors."""
     levels = fit.noise.white
     alternative = fit
     for _ in range(1 if task.known_noise else 3):
@@ -71,4 +89,4 @@ def remainder(task: Task, fit: GreyBox) -> float:
         alternative,
         fit.noise.with_levels(levels, 0 * fit.noise.colour, 0 * fit.noise.force),
     )
-    return max(best.objective - fit.objective, 0.0)
+    return best.objective - fit.objective

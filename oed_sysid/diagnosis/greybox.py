@@ -244,7 +244,8 @@ def with_noise(task: Task, fit: GreyBox, noise: NoiseModel) -> GreyBox:
     """Return the same fit judged under another noise model."""
     series = [r[:, :, None] for r in residuals(task.dataset, fit.outputs)]
     white, log_det = whiten(noise, task.deviations, series)
-    objective = log_det + sum(float(np.sum(w**2)) for w in white)
+    with np.errstate(over="ignore"):  # what overflows is not likely
+        objective = log_det + sum(float(np.sum(w**2)) for w in white)
     for name in fit.names:
         parameter = task.super_model.model.parameter(name)
         if parameter.prior_std is not None and parameter.prior_mean is not None:

@@ -8,10 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.dataset import Dataset
-from oed_sysid.diagnosis.conclusion import parameter_table, remainder
+from oed_sysid.diagnosis.conclusion import (
+    REMAINDER_LIMIT,
+    parameter_table,
+    remainder,
+    sensor_correlation_time,
+)
 from oed_sysid.diagnosis.error_table import Yardstick
 from oed_sysid.diagnosis.greybox import GreyBox, estimate
-from oed_sysid.diagnosis.improvement import REMAINDER_LIMIT, Improvement, Step
+from oed_sysid.diagnosis.improvement import Improvement, Step
 from oed_sysid.diagnosis.innovations import NoiseModel
 from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.rank import (
@@ -292,6 +297,7 @@ def _result(
         yardstick=Yardstick.of(bench.train.dataset, sigma),
         rejected=tuple(rejected),
         proposed=() if unknown is None else (unknown.to_dict(),),
+        sensor_time=sensor_correlation_time(bench.train, state.fit),
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.diagnosis.advice import advice
+from oed_sysid.diagnosis.conclusion import REMAINDER_LIMIT
 from oed_sysid.diagnosis.error_table import Errors, Yardstick
 from oed_sysid.diagnosis.greybox import GreyBox
 from oed_sysid.diagnosis.locate import Located
@@ -17,8 +18,6 @@ from oed_sysid.effects import Effect
 from oed_sysid.fit import align
 from oed_sysid.model import Model
 
-# Twice the log-likelihood that disturbances may gain before they count as real.
-REMAINDER_LIMIT = 14.0
 # Evidence (gain less the cost of freedom) from which a candidate is mentioned as a hint.
 HINT = 4.0
 
@@ -82,14 +81,16 @@ class Improvement:
     location : Located
         Where the believed model fails: stage, equation or sensor, and when.
     remainder : float
-        Twice the log-likelihood that disturbances still explain after the last
-        step beyond white noise.
+        Twice the log-likelihood that unknown forces still explain after the last
+        step beyond noise of the sensors.
     base_rms : dict
         Errors of each output in its unit, ``train`` and ``test``, ``(n_outputs,)``.
     yardstick : Yardstick
         Noise and spread of the signals, to compare errors with.
     rejected : tuple of str
         Best candidates that the untouched records refused.
+    sensor_time : float, optional
+        Correlation time of the sensors' noise, s; None where it is white.
     """
 
     model: Model
@@ -106,6 +107,7 @@ class Improvement:
     yardstick: Yardstick
     rejected: tuple[str, ...] = ()
     proposed: tuple[Mapping[str, Any], ...] = ()
+    sensor_time: float | None = None
 
     @property
     def verdict(self) -> str:
@@ -266,7 +268,12 @@ class Improvement:
 
     def _verdict(self) -> list[str]:
         if self.explained:
-            return ["Verdict: the remaining misfit is noise at this level."]
+            colour = (
+                ""
+                if self.sensor_time is None
+                else f", correlated over about {self.sensor_time:.2g} s at the sensors"
+            )
+            return [f"Verdict: the remaining misfit is noise at this level{colour}."]
         return [
             "Verdict: no known effect explains what remains "
             f"(disturbances still gain {self.remainder:.0f} in twice the log-likelihood)."

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.diagnosis.conclusion import remainder
+from oed_sysid.diagnosis.conclusion import REMAINDER_LIMIT, remainder
 from oed_sysid.diagnosis.greybox import GreyBox, estimate
-from oed_sysid.diagnosis.improvement import REMAINDER_LIMIT
 from oed_sysid.diagnosis.linearise import SuperModel
 from oed_sysid.diagnosis.propose import Proposals, propose
 from oed_sysid.diagnosis.workbench import Workbench

@@ -96,7 +96,8 @@ class Interpreted:
 def _chain_rule(jacobian: np.ndarray, s: np.ndarray) -> np.ndarray:
     """Combine a dense ``[d/dz, d/dp]`` with the sensitivities ``s`` of ``z``."""
     n_full = len(s)
-    result = jacobian[:, :n_full] @ s
+    with np.errstate(over="ignore", invalid="ignore"):  # an explosion is told by the states
+        result = jacobian[:, :n_full] @ s
     result[:, n_full:] += jacobian[:, n_full:]
     return result
 
