@@ -271,11 +271,16 @@ def prime_scale(name: str, *, density: float, length: float, speed: float) -> fl
 def latex(name: str) -> str:
     r"""LaTeX symbol of any parameter, without dollar signs.
 
+    A name that ends in ``_prime`` is a nondimensional number and gets a prime.
+
     Examples
     --------
     >>> [latex(name) for name in ("Z_absww", "N_absvr", "M_uuds", "Z_wdot", "tau_max")]
     ['Z_{w|w|}', 'N_{|v|r}', 'M_{uu\\delta_s}', 'Z_{\\dot{w}}', '\\tau_{max}']
     """
+    if name.endswith("_prime"):
+        head, mark, rest = latex(name.removesuffix("_prime")).partition("_")
+        return f"{head}'{mark}{rest}"
     if is_derivative(name):
         return parse(name).latex
     symbol, _, index = name.partition("_")

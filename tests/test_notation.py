@@ -128,3 +128,5 @@ def test_latex_of_other_parameters() -> None:
     assert notation.latex("zgW") == r"\mathrm{zgW}"
     assert notation.latex("omega") == r"\omega"
     assert notation.latex("T_1") == "T_{1}"
+    assert notation.latex("Z_absww_prime") == "Z'_{w|w|}"
+    assert notation.latex("M_uuds_prime") == r"M'_{uu\delta_s}"
