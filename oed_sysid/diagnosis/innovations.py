@@ -19,7 +19,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from oed_sysid.native.compile import load_source
+from oed_sysid.native.compile import call, load_source
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,25 +161,21 @@ def _filter(job: Job) -> Innovations:
     force_memory, colour_memory = memories(noise, record)
     n_full = n_states + record.force_gain.shape[2] + n_outputs
     work = np.empty(2 * n_full * column.shape[2])
-    arrays = [
-        np.ascontiguousarray(a, dtype=float)
-        for a in (
-            record.transition,
-            record.force_gain,
-            record.output,
-            record.present,
-            noise.force**2,
-            force_memory,
-            noise.colour**2,
-            colour_memory,
-            noise.white**2,
-            result,
-            work,
-            roots,
-        )
-    ]
-    library.innovations(
-        len(column), column.shape[2], *(ctypes.c_void_p(a.ctypes.data) for a in arrays)
+    call(
+        library.innovations,
+        column.shape[::2],
+        record.transition,
+        record.force_gain,
+        record.output,
+        record.present,
+        noise.force**2,
+        force_memory,
+        noise.colour**2,
+        colour_memory,
+        noise.white**2,
+        result,
+        work,
+        roots,
     )
     return Innovations(result, roots)
 

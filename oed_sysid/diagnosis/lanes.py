@@ -23,7 +23,7 @@ from oed_sysid.diagnosis.innovations import (
     memories,
     pool,
 )
-from oed_sysid.native.compile import load_source
+from oed_sysid.native.compile import call, load_source
 
 # Noise models filtered together: as many numbers as fit into one wide register.
 LANES = 8
@@ -79,24 +79,22 @@ def _filter(
     seen = record.present > 0
     white = np.empty((*seen.shape, LANES))
     roots = np.empty_like(white)
-    arrays = [
-        np.ascontiguousarray(a, dtype=float)
-        for a in (
-            record.transition,
-            record.force_gain,
-            record.output,
-            record.present,
-            np.where(seen, column[:, :, 0], 0.0),
-            np.stack([model.force**2 for model in rows], axis=1),
-            force_memory,
-            np.stack([model.colour**2 for model in rows], axis=1),
-            colour_memory,
-            np.stack([model.white**2 for model in rows], axis=1),
-            white,
-            roots,
-        )
-    ]
-    broken = library.innovations_lanes(len(seen), *(ctypes.c_void_p(a.ctypes.data) for a in arrays))
+    broken = call(
+        library.innovations_lanes,
+        seen.shape[:1],
+        record.transition,
+        record.force_gain,
+        record.output,
+        record.present,
+        np.where(seen, column[:, :, 0], 0.0),
+        np.stack([model.force**2 for model in rows], axis=1),
+        force_memory,
+        np.stack([model.colour**2 for model in rows], axis=1),
+        colour_memory,
+        np.stack([model.white**2 for model in rows], axis=1),
+        white,
+        roots,
+    )
     if broken:  # in some lane: which one, only filters of their own can tell
         return [innovations([(model, record, column)])[0] for model in models]
     return [

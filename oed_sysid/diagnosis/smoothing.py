@@ -16,7 +16,7 @@ from importlib.resources import files
 import numpy as np
 
 from oed_sysid.diagnosis.innovations import Deviations, NoiseModel, memories
-from oed_sysid.native.compile import load_source
+from oed_sysid.native.compile import call, load_source
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,28 +56,26 @@ def smooth(noise: NoiseModel, record: Deviations, column: np.ndarray) -> Smoothe
         return smooth_numpy(noise, record, column)
     n, m = len(column), column.shape[2]
     size = n_states + n_forces + colour * n_outputs
-    white = np.ascontiguousarray(np.where(record.present[:, :, None] > 0, column, 0.0))
+    white = np.where(record.present[:, :, None] > 0, column, 0.0)
     states, variance = np.empty((n, size, m)), np.empty((n, n_forces))
     force_memory, colour_memory = memories(noise, record)
-    arrays = [
-        np.ascontiguousarray(array, dtype=float)
-        for array in (
-            record.transition,
-            record.force_gain,
-            record.output,
-            record.present,
-            noise.force**2,
-            force_memory,
-            noise.colour**2,
-            colour_memory,
-            noise.white**2,
-        )
-    ]
-    scratch = np.empty(n * size * (2 * n_outputs + size)), np.empty(size * (m + 1))
-    failed = library.smoother(
-        n,
-        m,
-        *(ctypes.c_void_p(a.ctypes.data) for a in (*arrays, white, states, variance, *scratch)),
+    failed = call(
+        library.smoother,
+        (n, m),
+        record.transition,
+        record.force_gain,
+        record.output,
+        record.present,
+        noise.force**2,
+        force_memory,
+        noise.colour**2,
+        colour_memory,
+        noise.white**2,
+        white,
+        states,
+        variance,
+        np.empty(n * size * (2 * n_outputs + size)),
+        np.empty(size * (m + 1)),
     )
     if failed:
         states, variance = np.full_like(states, np.nan), np.full_like(variance, np.nan)

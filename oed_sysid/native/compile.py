@@ -15,12 +15,13 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 
 import casadi as ca
+import numpy as np
 
 from oed_sysid.graph import build
 from oed_sysid.model import Model
@@ -133,6 +134,16 @@ def load_source(
             _say_interpreted(f"{compiler} failed: {text[-1] if text else error}")
             return None
     return ctypes.CDLL(str(library))
+
+
+def call(function: Callable[..., int], sizes: Sequence[int], *arrays: np.ndarray) -> int:
+    """Call compiled code with whole numbers, then the addresses of arrays of doubles.
+
+    Arrays that are not contiguous doubles are copied first; those that receive
+    results have to be.
+    """
+    kept = [np.ascontiguousarray(array, dtype=float) for array in arrays]
+    return function(*sizes, *(ctypes.c_void_p(array.ctypes.data) for array in kept))
 
 
 def _intact(library: Path) -> bool:
