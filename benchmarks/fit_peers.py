@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -74,22 +75,28 @@ def ours(model: Model, data: Dataset, repeats: int = 12) -> tuple[float, Fit]:
     return min(taken), fit
 
 
-def run_peer(name: str, data: Path, python: str) -> dict | str:
-    """What a peer found, or why it is left out."""
+def run_peer(name: str, data: Path, python: str, longest: float = LONGEST) -> dict | str:
+    """What a peer found, or why it is left out; after so many seconds it is ended."""
     environment = {
         **os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
         "PYTHONPATH": str(Path(__file__).resolve().parent.parent),
     }  # fmt: skip
     command = [python, "-m", f"benchmarks.peers.{name}", str(data)]
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=LONGEST, env=environment, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return f"no result after {LONGEST:.0f} s on the clock"
-    lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
-    if done.returncode or not lines:
-        return f"left out: {(done.stderr.strip().splitlines() or ['no output'])[-1][:90]}"
+    # In a group of its own, so that programs which the peer has called end with it.
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
+        start_new_session=True,
+    ) as peer:  # fmt: skip
+        try:
+            output, errors = peer.communicate(timeout=longest)
+        except subprocess.TimeoutExpired:
+            return f"no result after {longest:.0f} s on the clock"
+        finally:
+            if peer.poll() is None:
+                os.killpg(peer.pid, signal.SIGKILL)
+    lines = [line for line in output.splitlines() if line.startswith("{")]
+    if peer.returncode or not lines:
+        return f"left out: {(errors.strip().splitlines() or ['no output'])[-1][:90]}"
     return json.loads(lines[-1])
 
 

@@ -14,6 +14,23 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
+# What AMPL's solvers answer; with the code of a limit the last iterate is still read.
+CODES = {
+    "Solve_Succeeded": 0,
+    "Solved_To_Acceptable_Level": 0,
+    "Infeasible_Problem_Detected": 200,
+    "Maximum_Iterations_Exceeded": 400,
+}
+
+
+def _number(text: str) -> int | float | str:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
 
 def main() -> int:
     """Solve ``stem.nl`` and write ``stem.sol``."""
@@ -24,7 +41,12 @@ def main() -> int:
     problem = ca.NlpBuilder()
     problem.import_nl(f"{stem}.nl")
     nlp = {"x": ca.vertcat(*problem.x), "f": problem.f, "g": ca.vertcat(*problem.g)}
-    options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+    # Expanded, so that derivatives cost little beside the linear algebra, as with AMPL's library.
+    options = {"print_time": False, "expand": True, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+    for word in sys.argv[2:]:  # as Pyomo passes its options: max_iter=300
+        name, _, value = word.partition("=")
+        if value:
+            options[f"ipopt.{name}"] = _number(value)
     solver = ca.nlpsol("solver", "ipopt", nlp, options)
     found = solver(
         x0=problem.x_init,
@@ -33,12 +55,12 @@ def main() -> int:
         lbg=problem.g_lb,
         ubg=problem.g_ub,
     )
-    solved = solver.stats()["success"]
+    status = solver.stats()["return_status"]
     x, duals = np.array(found["x"]).ravel(), np.array(found["lam_g"]).ravel()
-    lines = [solver.stats()["return_status"], "", "Options", "3", "1", "1", "0"]
+    lines = [status, "", "Options", "3", "1", "1", "0"]
     lines += [str(len(duals)), str(len(duals)), str(len(x)), str(len(x))]
     lines += [repr(float(v)) for v in (*-duals, *x)]
-    lines += [f"objno 0 {0 if solved else 500}", ""]
+    lines += [f"objno 0 {CODES.get(status, 500)}", ""]
     Path(f"{stem}.sol").write_text("\n".join(lines), encoding="ascii")
     return 0
 

@@ -1,0 +1,219 @@
+"""The same excitation designed by us and by Pyomo.DoE: what it tells, how long it takes.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.design_peers [cases] [--python PATH]
+
+REMUS-like AUV in the diving plane, 0.5 s, start at level trim and known, held levels of
+the fin within 20 degrees, pitch within 45 degrees, depth 2 to 60 m, criterion
+D in units of the parameters' values, no priors. The peer runs in a process of its own with
+the interpreter of ``--python`` (``pip install pyomo numpy scipy pandas`` there) and begins
+with a square wave; ``--begin ours`` lets it try to improve on our design instead.
+Without a program ``ipopt`` on the path, the stand-in of
+:mod:`benchmarks.peers.ipopt_program` is used, and said so. Both designs are judged by
+our information, and simulated against the limits. Times are on the clock, processor times
+in brackets.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from math import radians
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.design_systems import remus
+from benchmarks.fit_peers import run_peer
+from benchmarks.measure import machine
+from oed_sysid import Experiment, Limits
+from oed_sysid.design import Design, Levels, design_experiment
+from oed_sysid.design.reference import as_piecewise
+from oed_sysid.model import Model
+from oed_sysid.sensitivity import information_of
+from oed_sysid.simulate import Trajectory, simulate, simulate_inputs
+
+STEP, THRUST = 0.5, 9.0
+REACH = radians(20)
+LIMITS = Limits(
+    {"fin_command": (-REACH, REACH)},
+    signals={"theta": (-radians(45), radians(45)), "z": (2.0, 60.0)},
+)
+INITIAL = {"u": 1.519, "z": 20.0}
+LONGEST = 480.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """How long, how many levels, and which parameters are free (the others are known)."""
+
+    duration: float
+    n_levels: int
+    free: tuple[str, ...] = ()
+
+    @property
+    def model(self) -> Model:
+        """Our model with these parameters free and no priors."""
+        model = remus().model
+        held = [name for name in model.free_names if self.free and name not in self.free]
+        return model.fix(*held)
+
+    @property
+    def owner(self) -> np.ndarray:
+        """Which level each sample holds ``(n_times,)``; -1, neutral, at the first."""
+        n_times = round(self.duration / STEP) + 1
+        edges = 1 + np.floor(np.arange(self.n_levels) * (n_times - 1) / self.n_levels)
+        return np.searchsorted(edges, np.arange(n_times), side="right") - 1
+
+
+CASES = {
+    "small": Case(20.0, 10, ("Z_uw", "M_uw", "M_uq", "M_uuds")),
+    "medium": Case(30.0, 15),
+    "long": Case(60.0, 30),
+    "narrow": Case(120.0, 60, ("Z_uw", "M_uw", "M_uq", "M_uuds")),
+    "whole": Case(120.0, 60),
+}
+
+
+def designed(case: Case, n_starts: int = 3) -> Design:
+    """Design by us, with the settings that a user gets, but one thread."""
+    return design_experiment(
+        case.model, limits=LIMITS, duration=case.duration, sample_time=STEP,
+        parametrisation=Levels(case.n_levels), constants={"thrust": THRUST}, initial=INITIAL,
+        prior=None, start="known", rng=np.random.default_rng(1), n_workers=1,
+        n_starts=n_starts,
+    )  # fmt: skip
+
+
+def played(case: Case, levels: np.ndarray) -> Experiment:
+    """The experiment with these levels."""
+    owner = case.owner
+    fin = np.where(owner < 0, 0.0, np.asarray(levels)[owner])
+    return Experiment(
+        "levels", (as_piecewise("fin_command", STEP * np.arange(len(owner)), fin),),
+        duration=case.duration, sample_time=STEP, constants={"thrust": THRUST}, initial=INITIAL,
+    )  # fmt: skip
+
+
+def judge(case: Case, levels: np.ndarray) -> tuple[float, np.ndarray, Trajectory]:
+    """Log determinant, relative standard errors, and the run without noise."""
+    model, experiment = case.model, played(case, levels)
+    sizes = np.abs([model.values[name] for name in model.free_names])
+    found = information_of(model, experiment, priors=None, start="known")
+    value = found.log_determinant + 2 * float(np.sum(np.log(sizes)))
+    record = simulate(model, experiment, noise=False)
+    run = simulate_inputs(model, record.times, inputs=record.inputs, initial=INITIAL)
+    return value, found.std_errors / sizes, run
+
+
+def square(case: Case) -> np.ndarray:
+    """Square wave of four seconds a side."""
+    side = max(1, round(4.0 * case.n_levels / case.duration))
+    return REACH / 2 * (-1.0) ** (np.arange(case.n_levels) // side)
+
+
+def inside(case: Case, levels: np.ndarray, pitch: float) -> np.ndarray:
+    """Smaller levels, until pitch stays below so many radians."""
+    while np.abs(judge(case, levels)[2].signal("theta")).max() > pitch:
+        levels = 0.98 * levels
+    return levels
+
+
+def levels_of(case: Case, design: Design) -> np.ndarray:
+    """Levels ``(n_levels,)`` of one of our designs."""
+    position = [i.name for i in case.model.inputs].index("fin_command")
+    fin = design.trajectory.inputs[:, position]
+    return np.array([fin[case.owner == i][0] for i in range(case.n_levels)])
+
+
+def row(name: str, case: Case, levels: np.ndarray, clock: float, used: float) -> str:
+    value, errors, run = judge(case, levels)
+    limits = "; ".join(LIMITS.violations(run.times, run.signals)) or "limits kept"
+    return (
+        f"  {name:26} log det {value:7.2f}, standard errors: geometric mean "
+        f"{np.exp(np.mean(np.log(errors))):.2%}, worst {errors.max():.2%}; "
+        f"{clock:6.1f} s ({used:.1f} s); {limits}"
+    )
+
+
+def compare(name: str, case: Case, options: argparse.Namespace) -> None:
+    """One case by both."""
+    free = case.model.free_names
+    print(f"{name}: {case.duration:g} s, {case.n_levels} levels, {len(free)} parameters")
+    clock, used = time.perf_counter(), time.process_time()
+    design = designed(case, options.starts)
+    ours = levels_of(case, design)
+    clock, used = time.perf_counter() - clock, time.process_time() - used
+    print(row("oed_sysid", case, ours, clock, used), flush=True)
+    # Its rule of integration differs from ours: bounds a little tighter keep the true limits.
+    margin = radians(options.margin)
+    first = ours if options.begin == "ours" else square(case)
+    first = inside(case, first, radians(44) - margin)
+    print(row("start of Pyomo.DoE", case, first, 0.0, 0.0), flush=True)
+    run = judge(case, first)[2]
+    guess = np.stack([run.signal(s.name) for s in case.model.states], axis=1)
+    low, high = np.full(5, -np.inf), np.full(5, np.inf)
+    low[3:], high[3:] = np.transpose([LIMITS.signals["theta"], LIMITS.signals["z"]])
+    low[3] += margin
+    high[3] -= margin
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "task.npz"
+        np.savez(
+            path, times=run.times, owner=case.owner, start=guess[0], levels=first, guess=guess,
+             corridor=np.stack([low, high]), reach=REACH, thrust=THRUST,
+            free=np.array(free), scale=options.scale,
+            step=options.step, options=np.array(options.ipopt),
+        )  # fmt: skip
+        found = run_peer("pyomo_doe", path, options.python, LONGEST)
+    if isinstance(found, str):
+        print(f"  Pyomo.DoE                  {found}", flush=True)
+        return
+    levels = np.clip(found["levels"], -REACH, REACH)
+    print(row("Pyomo.DoE", case, levels, found["clock"], found["seconds"]))
+    own = found["value"] - 2 * len(free) * np.log(options.scale)
+    print(
+        f"    {found['status']}; of it {found['solve']:.1f} s optimisation; its own log det "
+        f"{own:.2f}; clock over ours {found['clock'] / clock:.0f}",
+        flush=True,
+    )
+
+
+def stand_in(folder: Path) -> None:
+    """Put a program named ipopt on the path that solves by the IPOPT of CasADi."""
+    program = folder / "ipopt"
+    program.write_text(
+        f'#!/bin/sh\nexec {sys.executable} -m benchmarks.peers.ipopt_program "$@"\n',
+        encoding="ascii",
+    )
+    program.chmod(0o755)
+    os.environ["PATH"] = f"{folder}{os.pathsep}{os.environ['PATH']}"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("cases", nargs="*", default=["small", "medium"], help=", ".join(CASES))
+    parser.add_argument("--python", default=sys.executable, help="interpreter that has Pyomo")
+    parser.add_argument("--begin", choices=["square", "ours"], default="square")
+    parser.add_argument("--starts", type=int, default=3, help="starts that we refine")
+    parser.add_argument("--scale", type=float, default=1e-3, help="of sensitivities, Pyomo.DoE")
+    parser.add_argument("--step", type=float, default=1e-2, help="relative, of its differences")
+    parser.add_argument("--margin", type=float, default=0.5, help="degrees of pitch, Pyomo.DoE")
+    parser.add_argument("--ipopt", nargs="*", default=["max_iter=500"], help="name=value")
+    options = parser.parse_args()
+    print(machine())
+    with tempfile.TemporaryDirectory() as folder:
+        if shutil.which("ipopt") is None:
+            print("no program 'ipopt': CasADi's IPOPT stands in, with CasADi's derivatives")
+            stand_in(Path(folder))
+        designed(replace(CASES["small"], free=()))  # the kernel is compiled once
+        for name in options.cases:
+            compare(name, CASES[name], options)
+
+
+if __name__ == "__main__":
+    main()
