@@ -152,12 +152,18 @@ def case(draw: Draw, attempt: int = 0) -> Case:
     return Case(
         draw.key,
         derivatives,
-        _hidden(draw, rng),
+        _weakened(_hidden(draw, rng), attempt),
         CONDITIONS[draw.condition],
         seed,
         wave_frequency=rng.uniform(0.8, 1.25),
         wave_phase=rng.uniform(-math.pi, math.pi),
     )
+
+
+def _weakened(hidden: dict[str, float], attempt: int) -> dict[str, float]:
+    """Amplitudes that fall where half of the attempts capsized already."""
+    factor = 0.8 ** max(attempt - ATTEMPTS // 2, 0)
+    return {name: factor * size for name, size in hidden.items()}
 
 
 def _hidden(draw: Draw, rng: np.random.Generator) -> dict[str, float]:
