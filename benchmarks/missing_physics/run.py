@@ -28,6 +28,7 @@ PLAN = (
     "single/colour5:40 single/force_mid:40 single/gust_mid:40"
 )
 BATCH = 40
+BY_HAND = "<!-- by hand -->\n"
 PAGE = """# How often missing physics is found
 
 Simulated records of a small AUV in the diving plane hide one effect, two, none, or one that
@@ -159,4 +160,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     text = as_markdown(found)
     print(text)
     if options.table:
-        options.table.write_text(PAGE + text + "\n", encoding="utf-8")
+        options.table.write_text(page(text, options.table), encoding="utf-8")
+
+
+def page(table: str, path: Path) -> str:
+    """The page with new tables; what was written by hand below the old ones stays."""
+    old = path.read_text(encoding="utf-8") if path.exists() else ""
+    _, mark, by_hand = old.partition(BY_HAND)
+    return f"{PAGE}{table}\n" + (f"\n{mark}{by_hand}" if mark else "")
