@@ -83,7 +83,7 @@ def remus() -> System:
 
 
 def nps() -> System:
-    """NPS AUV II in Gertler-Hagen form: the twelve stronger coefficients.
+    """NPS AUV II in Gertler-Hagen form: the ten stronger coefficients.
 
     Those that no 5-degree manoeuvre shows (see the sensitivity order of the
     problem's README) are held, as the paper's reduced model drops them.
