@@ -10,11 +10,11 @@ equations, the same integration steps and the same triangularisation at the end.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
 
+from benchmarks.measure import least
 from oed_sysid import graph as graphs
 from oed_sysid import load_problem
 from oed_sysid.kernels import kernel
@@ -38,17 +38,6 @@ play = Play(
 noise = noise_of(model)
 values, runner = model.value_vector, kernel(model)
 free = [model.parameter_names.index(name) for name in model.free_names]
-
-
-def best_time(work: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Least processor time of a warm call, s; other loads on the machine count little."""
-    work()
-    taken = []
-    for _ in range(repeats):
-        began = time.process_time()
-        work()
-        taken.append(time.process_time() - began)
-    return min(taken)
 
 
 def ours() -> np.ndarray:
@@ -173,10 +162,10 @@ matrix = reference.T @ reference
 for label, found in (("ours", ours()), ("one-sided differences", one_sided())):
     error = np.max(np.abs(found.T @ found - matrix) / np.sqrt(np.outer(*[np.diag(matrix)] * 2)))
     print(f"information, {label}: largest relative error {error:.1e}")
-t_ours = best_time(ours)
-t_differences = best_time(one_sided)
-t_casadi = best_time(lambda: factor_of(
-    np.array(jacobian(POINT[:5], POINT[5:])).reshape(N_SAMPLES, 5, -1)))  # fmt: skip
+t_ours = least(ours, REPEATS)
+t_differences = least(one_sided, REPEATS)
+t_casadi = least(lambda: factor_of(
+    np.array(jacobian(POINT[:5], POINT[5:])).reshape(N_SAMPLES, 5, -1)), REPEATS)  # fmt: skip
 print(f"processor time: ours {1e3 * t_ours:.2f} ms; one-sided differences "
       f"{1e3 * t_differences:.2f} ms "
       f"({t_differences / t_ours:.1f}x); CasADi jacobian {1e3 * t_casadi:.1f} ms "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,25 +49,45 @@ def parameter_table(task: Task, fit: GreyBox) -> tuple[Mapping[str, Any], ...]:
     )
 
 
-def remainder(task: Task, fit: GreyBox) -> float:
-    """Gain in twice the log-likelihood that forces bring over noise of the sensors alone.
+@dataclass(frozen=True)
+class Remains:
+    """What a fit leaves unexplained.
 
-    Sensor noise may be correlated in time where it needs no force beside it.
+    Attributes
+    ----------
+    forces : float
+        Gain in twice the log-likelihood that forces bring over noise of the
+        sensors alone, which may be correlated in time where it needs no force
+        beside it.
+    sensor_time : float or None
+        Correlation time of the sensors' noise, s; None where white noise
+        explains them too.
+    """
+
+    forces: float
+    sensor_time: float | None
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether no disturbance is needed any more."""
+        return self.forces < REMAINDER_LIMIT
+
+
+def remains(task: Task, fit: GreyBox) -> Remains:
+    """Judge what a fit leaves.
+
     The white levels of the alternative are its own most likely ones, unless the
     task declares them known.
     """
     if fit.noise.is_white:
-        return 0.0
+        return Remains(0.0, None)
     coloured = fit.noise.with_levels(fit.noise.white, fit.noise.colour, 0 * fit.noise.force)
     without_forces = with_noise(task, fit, coloured).objective - fit.objective
-    return max(min(without_forces, _over_white(task, fit)), 0.0)
-
-
-def sensor_correlation_time(task: Task, fit: GreyBox) -> float | None:
-    """Correlation time of the sensors' noise, s; None where white noise explains them too."""
-    if not fit.noise.has_colour or _over_white(task, fit) < REMAINDER_LIMIT:
-        return None
-    return fit.noise.colour_time
+    over_white = _over_white(task, fit)
+    is_coloured = fit.noise.has_colour and over_white >= REMAINDER_LIMIT
+    return Remains(
+        max(min(without_forces, over_white), 0.0), fit.noise.colour_time if is_coloured else None
+    )
 
 
 def _over_white(task: Task, fit: GreyBox) -> float:

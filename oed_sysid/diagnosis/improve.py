@@ -8,12 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.dataset import Dataset
-from oed_sysid.diagnosis.conclusion import (
-    REMAINDER_LIMIT,
-    parameter_table,
-    remainder,
-    sensor_correlation_time,
-)
+from oed_sysid.diagnosis.conclusion import Remains, parameter_table, remains
 from oed_sysid.diagnosis.error_table import Yardstick
 from oed_sysid.diagnosis.greybox import GreyBox, estimate
 from oed_sysid.diagnosis.improvement import Improvement, Step
@@ -107,20 +102,25 @@ def improve(
         fits.append(state.fit)
         if len(state.added) > 1:
             tell("reconsidering the effects added before")
-            state, steps, fits = _review(state, steps, fits, base_fit)
+            state, steps, fits = _review(state, steps, fits)
     assert first is not None
     tell("locating where the believed model fails")
     location = locate(bench.train, base_fit, likeliest(first))
     fits = _consistent(state.bench, steps, fits)
     unknown = None
-    if remainder(state.bench.train, state.fit) > REMAINDER_LIMIT:
+    left = remains(state.bench.train, state.fit)
+    if not left.is_noise:
         tell("looking for a term that no known effect holds")
         unknown = find_unknown(state.bench, state.added, [base_fit, *fits])
-        if unknown is not None and len(state.added) == max_effects and not unknown.explains:
+        if unknown is not None and len(state.added) == max_effects and not unknown.remains.is_noise:
             # The search was cut short: a known effect may yet explain what remains.
             unknown = None
+    if unknown is not None:
+        left = unknown.remains
     sigma = _sigma(model, state.fit, state.bench.train.units)
-    return _result(state, model, base_fit, first, location, steps, fits, rejected, sigma, unknown)
+    return _result(
+        state, model, base_fit, first, location, steps, fits, rejected, sigma, unknown, left
+    )
 
 
 def _left(state: _State) -> list[Effect]:
@@ -159,7 +159,6 @@ def _review(
     state: _State,
     steps: list[tuple[Refit, Ranking, float]],
     fits: list[GreyBox],
-    base_fit: GreyBox,
 ) -> tuple[_State, list[tuple[Refit, Ranking, float]], list[GreyBox]]:
     """Drop or replace earlier effects that the later ones have made doubtful."""
     for position in range(len(state.added) - 1):
@@ -244,6 +243,7 @@ def _result(
     rejected: list[str],
     sigma: np.ndarray,
     unknown: Unknown | None,
+    left: Remains,
 ) -> Improvement:
     bench = state.bench
 
@@ -291,13 +291,12 @@ def _result(
         if done
         else base_error,
         location=location,
-        remainder=remainder(bench.train, state.fit),
+        remains=left,
         parameters=parameter_table(bench.train, state.fit),
         base_rms=base_rms,
         yardstick=Yardstick.of(bench.train.dataset, sigma),
         rejected=tuple(rejected),
         proposed=() if unknown is None else (unknown.to_dict(),),
-        sensor_time=sensor_correlation_time(bench.train, state.fit),
     )
 
 

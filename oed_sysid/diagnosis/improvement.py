@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.diagnosis.advice import advice
-from oed_sysid.diagnosis.conclusion import REMAINDER_LIMIT
+from oed_sysid.diagnosis.conclusion import Remains
 from oed_sysid.diagnosis.error_table import Errors, Yardstick
 from oed_sysid.diagnosis.greybox import GreyBox
 from oed_sysid.diagnosis.locate import Located
@@ -80,17 +80,14 @@ class Improvement:
         ``train`` and ``test`` errors in units of the noise.
     location : Located
         Where the believed model fails: stage, equation or sensor, and when.
-    remainder : float
-        Twice the log-likelihood that unknown forces still explain after the last
-        step beyond noise of the sensors.
+    remains : Remains
+        What is left unexplained after the last step.
     base_rms : dict
         Errors of each output in its unit, ``train`` and ``test``, ``(n_outputs,)``.
     yardstick : Yardstick
         Noise and spread of the signals, to compare errors with.
     rejected : tuple of str
         Best candidates that the untouched records refused.
-    sensor_time : float, optional
-        Correlation time of the sensors' noise, s; None where it is white.
     """
 
     model: Model
@@ -101,13 +98,12 @@ class Improvement:
     base_error: Mapping[str, float]
     final_error: Mapping[str, float]
     location: Located
-    remainder: float
+    remains: Remains
     parameters: tuple[Mapping[str, Any], ...]
     base_rms: Errors
     yardstick: Yardstick
     rejected: tuple[str, ...] = ()
     proposed: tuple[Mapping[str, Any], ...] = ()
-    sensor_time: float | None = None
 
     @property
     def verdict(self) -> str:
@@ -131,9 +127,14 @@ class Improvement:
         )
 
     @property
+    def remainder(self) -> float:
+        """Gain in twice the log-likelihood that unknown forces would still bring."""
+        return self.remains.forces
+
+    @property
     def explained(self) -> bool:
         """Whether what remains is noise: no disturbance is needed any more."""
-        return self.remainder < REMAINDER_LIMIT
+        return self.remains.is_noise
 
     def at_step(self, count: int) -> Model:
         """Return the model after the first steps only: what came later is undone.
@@ -270,8 +271,8 @@ class Improvement:
         if self.explained:
             colour = (
                 ""
-                if self.sensor_time is None
-                else f", correlated over about {self.sensor_time:.2g} s at the sensors"
+                if self.remains.sensor_time is None
+                else f", correlated over about {self.remains.sensor_time:.2g} s at the sensors"
             )
             return [f"Verdict: the remaining misfit is noise at this level{colour}."]
         return [

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.diagnosis.conclusion import REMAINDER_LIMIT, remainder
+from oed_sysid.diagnosis.conclusion import Remains, remains
 from oed_sysid.diagnosis.greybox import GreyBox, estimate
 from oed_sysid.diagnosis.linearise import SuperModel
 from oed_sysid.diagnosis.propose import Proposals, propose
@@ -41,6 +41,8 @@ class Unknown:
         Its super-model holds the term.
     fit : GreyBox
         The fit with it.
+    remains : Remains
+        What that fit leaves.
     """
 
     effect: Effect
@@ -51,11 +53,7 @@ class Unknown:
     test_gain: float
     bench: Workbench
     fit: GreyBox
-
-    @property
-    def explains(self) -> bool:
-        """Whether no disturbance is needed beside the term."""
-        return remainder(self.bench.train, self.fit) < REMAINDER_LIMIT
+    remains: Remains
 
     def to_dict(self) -> dict[str, Any]:
         """Return the term as plain data for JSON."""
@@ -111,10 +109,11 @@ def find_unknown(
         kept, found = _without_imitations(wide, kept, effect, found)
         gone = tuple(e.name for e in added if e not in kept)
         gain = present.objective - found.objective
-        option = Unknown(effect, proposals, gone, kept, gain, np.nan, wide, found)
+        left = remains(wide.train, found)
+        option = Unknown(effect, proposals, gone, kept, gain, np.nan, wide, found, left)
         if best is None or _cost(option) < _cost(best):
             best = option
-        if _worthwhile(option, len(added)) and option.explains:
+        if _worthwhile(option, len(added)) and left.is_noise:
             break  # fewer effects explain everything
     if best is None or not _worthwhile(best, len(added)):
         return None

@@ -9,6 +9,7 @@ import numpy as np
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators.kalman import JointFilter, JointKalmanFilter
 from oed_sysid.estimators.noise_levels import given_levels
+from oed_sysid.estimators.online.sample import read_sample
 from oed_sysid.model import Model
 from oed_sysid.start_states import measured_columns
 
@@ -73,18 +74,13 @@ class KalmanStream:
         sample : mapping of str to float
             Commands and measured outputs by name; an output may be missing.
         """
-        missing = [name for name in self.model.input_names if name not in sample]
-        if missing:
-            raise ModelError(
-                f"The sample at t = {time:g} s has no {', '.join(missing)}. Every input is needed."
-            )
-        if self._last is not None and not time > self._last[0]:
-            raise ModelError(
-                f"The sample at t = {time:g} s is not later than the one before, at "
-                f"{self._last[0]:g} s. Call start() for a new run."
-            )
-        inputs = np.array([sample[name] for name in self.model.input_names], dtype=float)
-        outputs = np.array([sample.get(name, np.nan) for name in self.model.output_names])
+        inputs, outputs = read_sample(
+            self.model,
+            time,
+            sample,
+            after=None if self._last is None else self._last[0],
+            anew="Call start() for a new run.",
+        )
         if self._last is None:
             seen = {
                 state: outputs[column]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from oed_sysid.errors import ModelError
+from oed_sysid.estimators.online.sample import read_sample
 from oed_sysid.estimators.regression_form import regression_form
 from oed_sysid.estimators.regression_rows import check_rule, rows_from, states_of
 from oed_sysid.model import Model
@@ -107,18 +108,13 @@ class EquationStream:
         sample : mapping of str to float
             Measured outputs and commands by name; a missing output is NaN.
         """
-        missing = [name for name in self.model.input_names if name not in sample]
-        if missing:
-            raise ModelError(
-                f"The sample at t = {time:g} s has no {', '.join(missing)}. Every input is needed."
-            )
-        if self._samples and not time > self._samples[-1][0]:
-            raise ModelError(
-                f"The sample at t = {time:g} s is not later than the one before, at "
-                f"{self._samples[-1][0]:g} s. Start a new stream for a new run."
-            )
-        inputs = np.array([sample[name] for name in self.model.input_names], dtype=float)
-        outputs = np.array([sample.get(name, np.nan) for name in self.model.output_names])
+        inputs, outputs = read_sample(
+            self.model,
+            time,
+            sample,
+            after=self._samples[-1][0] if self._samples else None,
+            anew="Start a new stream for a new run.",
+        )
         self._samples.append((time, inputs, outputs))
         if len(self._samples) < SPANS[self.rule]:
             return []
