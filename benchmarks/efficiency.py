@@ -24,8 +24,8 @@ from joblib import Parallel, delayed
 from scipy.signal import lfilter
 
 from oed_sysid import Dataset, MultipleShooting, load_problem
+from oed_sysid.data.record import Record
 from oed_sysid.model import Model
-from oed_sysid.record import Record
 from oed_sysid.simulate import simulate_inputs
 
 FOLDER = Path("out/efficiency")

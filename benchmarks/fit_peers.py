@@ -31,8 +31,8 @@ import numpy as np
 from benchmarks.measure import machine, verdict
 from benchmarks.peers.task import NAMES, NOISE, STEP
 from oed_sysid import Dataset, Fit, MultipleShooting, load_problem
+from oed_sysid.data.record import Record
 from oed_sysid.model import Model
-from oed_sysid.record import Record
 from oed_sysid.simulate import simulate_inputs
 
 N_SAMPLES, LONGEST = 2400, 240.0

@@ -18,8 +18,8 @@ import numpy as np
 
 from benchmarks.efficiency import NOISE, START, vehicle
 from oed_sysid import Dataset, MultipleShooting
+from oed_sysid.data.record import Record
 from oed_sysid.model import Model
-from oed_sysid.record import Record
 from oed_sysid.simulate import simulate_inputs
 
 TESTS = ((90.0, 0.10, 9.0, 14.0), (90.0, 0.20, 6.0, 9.0), (60.0, 0.05, 12.0, 20.0))

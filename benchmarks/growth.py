@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks.efficiency import NOISE, START, vehicle
 from benchmarks.measure import machine, verdict
 from oed_sysid import Dataset, MultipleShooting
-from oed_sysid.record import Record
+from oed_sysid.data.record import Record
 from oed_sysid.simulate import simulate_inputs
 
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)

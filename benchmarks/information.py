@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.measure import least
-from oed_sysid import graph as graphs
 from oed_sysid import load_problem
-from oed_sysid.kernels import kernel
+from oed_sysid.compiled import graph as graphs
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.sensitivity import Play, noise_of, respond
 from oed_sysid.sensitivity.bound import run_factor, triangle
 from oed_sysid.simulate import simulate_inputs

@@ -21,9 +21,9 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.measure import least, machine, verdict
-from oed_sysid import graph as graphs
 from oed_sysid import load_problem
-from oed_sysid.kernels import Kernel, kernel
+from oed_sysid.compiled import graph as graphs
+from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.model import Model
 
 N_SAMPLES, STEP = 2400, 0.1

@@ -33,7 +33,7 @@ FIT = (
     "print(MultipleShooting().fit(m, d).status.code)"
 )
 COMPILE = (
-    "from oed_sysid import load_problem; from oed_sysid.kernels import kernel; "
+    "from oed_sysid import load_problem; from oed_sysid.compiled.kernels import kernel; "
     "kernel(load_problem('remus_diving_plane').model)"
 )
 

@@ -9,7 +9,7 @@ published and were used for no fit.
 import math
 
 from oed_sysid import Dataset, MultipleShooting, load_problem
-from oed_sysid.turning import turning_circle
+from oed_sysid.predictions.turning_circle import turning_circle
 
 LENGTH = 7.0
 SHIP = {"speed": 1.179, "rate": math.radians(15.8), "length": LENGTH}

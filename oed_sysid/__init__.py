@@ -23,13 +23,13 @@ _HOME = {
     "Input": "channels",
     "Output": "channels",
     "State": "channels",
-    "Dataset": "dataset",
-    "Record": "dataset",
-    "read_csv": "dataset",
-    "write_csv": "dataset",
+    "Dataset": "data.dataset",
+    "Record": "data.dataset",
+    "read_csv": "data.dataset",
+    "write_csv": "data.dataset",
     "Experiment": "experiment",
     "Limits": "experiment",
-    "Fit": "fit",
+    "Fit": "fitting.fit",
     "Model": "model",
     "MultipleShooting": "estimators",
     "OedSysidError": "errors",
@@ -38,8 +38,8 @@ _HOME = {
     "list_problems": "problem",
     "load_problem": "problem",
     "new_problem": "problem",
-    "turning_circle": "turning",
-    "speed_polar": "polar",
+    "turning_circle": "predictions.turning_circle",
+    "speed_polar": "predictions.speed_polar",
     "AOptimal": "design",
     "DOptimal": "design",
     "DsOptimal": "design",
@@ -75,7 +75,7 @@ def __dir__() -> list[str]:
 
 if TYPE_CHECKING:
     from oed_sysid.channels import Channels, Input, Output, State
-    from oed_sysid.dataset import Dataset, Record, read_csv, write_csv
+    from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
     from oed_sysid.design import (
         AOptimal,
         Discriminate,
@@ -96,10 +96,11 @@ if TYPE_CHECKING:
     from oed_sysid.errors import OedSysidError
     from oed_sysid.estimators import MultipleShooting
     from oed_sysid.experiment import Experiment, Limits
-    from oed_sysid.fit import Fit
+    from oed_sysid.fitting.fit import Fit
     from oed_sysid.model import Model
     from oed_sysid.parameters import Parameter
-    from oed_sysid.polar import speed_polar
+    from oed_sysid.predictions.speed_polar import speed_polar
+    from oed_sysid.predictions.turning_circle import turning_circle
     from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
     from oed_sysid.sensitivity import (
         information_of,
@@ -107,4 +108,3 @@ if TYPE_CHECKING:
         reduce_model,
         structural_identifiability,
     )
-    from oed_sysid.turning import turning_circle

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from oed_sysid.dataset import Dataset
+    from oed_sysid.data.dataset import Dataset
     from oed_sysid.diagnosis.compare import Comparison
     from oed_sysid.diagnosis.improvement import Improvement
     from oed_sysid.problem import Problem
@@ -59,8 +59,8 @@ def diving_plane(out: Path) -> Improvement:
 
 def tanker(out: Path) -> Improvement | None:
     """Find what a model with a linear hull lacks in real zigzags of a tanker; None without data."""
-    from oed_sysid.data_cache import data_folder, registered
-    from oed_sysid.dataset import Dataset
+    from oed_sysid.data.dataset import Dataset
+    from oed_sysid.data.third_party import data_folder, registered
     from oed_sysid.problem import load_problem
     from oed_sysid.report import new_figure, plot_zigzag
 

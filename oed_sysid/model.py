@@ -1,7 +1,7 @@
 """A vehicle's model: kinematics, inertia and a set of effects.
 
-A model is text and numbers only. :mod:`oed_sysid.graph` turns it into CasADi
-expressions and :mod:`oed_sysid.kernels` into compiled code.
+A model is text and numbers only. :mod:`oed_sysid.compiled.graph` turns it into CasADi
+expressions and :mod:`oed_sysid.compiled.kernels` into compiled code.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from oed_sysid import expressions
 from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.effects import Effect
 from oed_sysid.errors import ModelError
+from oed_sysid.language import expressions
 from oed_sysid.parameters import Parameter, check_unique
 
 RESERVED = ("t", "h")

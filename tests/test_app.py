@@ -178,7 +178,9 @@ def test_file_that_is_taken_back(ship: Path) -> None:
 def test_nothing_is_downloaded_unasked(tmp_path: Path, monkeypatch) -> None:
     """A problem on records of others waits until the user wants them."""
     monkeypatch.setenv("OED_SYSID_DATA", str(tmp_path))
-    monkeypatch.setattr("oed_sysid.data_cache._download", lambda *_: pytest.fail("a download"))
+    monkeypatch.setattr(
+        "oed_sysid.data.third_party._download", lambda *_: pytest.fail("a download")
+    )
     app = opened("kvlcc2")
     assert app.button_group[0].value == "My CSV files"
     assert app.button_group[0].options[0] == "With the problem"

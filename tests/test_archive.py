@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from vehicles import remus
 
-from oed_sysid.archive import decode, encode
 from oed_sysid.errors import DataError
-from oed_sysid.fit import ARCHIVED
+from oed_sysid.fitting.archive import decode, encode
+from oed_sysid.fitting.fit import ARCHIVED
 
 
 @pytest.mark.parametrize(

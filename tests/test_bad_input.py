@@ -14,7 +14,7 @@ import pytest
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
 from oed_sysid.channels import Output
-from oed_sysid.dataset import Dataset, Record
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.estimators import MultipleShooting
 from oed_sysid.model import Model

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid.csv_table import Table, read_table, write_table
+from oed_sysid.data.csv_table import Table, read_table, write_table
 from oed_sysid.errors import DataError
 
 HEADER = "t [s];theta [rad];z [m]"

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid import data_cache
-from oed_sysid.data_cache import DataFile
+from oed_sysid.data import third_party as data_cache
+from oed_sysid.data.third_party import DataFile
 from oed_sysid.errors import DataError
 
 # Head and tail of the published HSVA_CPMC_KVLCC2_Z_10_10_S.dat (columns narrowed).

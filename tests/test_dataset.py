@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from oed_sysid.channels import Channels, Input, Output
-from oed_sysid.dataset import Dataset, Record, read_csv, write_csv
+from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.errors import DataError
 
 CHANNELS = Channels(

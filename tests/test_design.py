@@ -20,6 +20,7 @@ from oed_sysid import (
     State,
     read_csv,
 )
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design import (
     AOptimal,
     Design,
@@ -46,7 +47,6 @@ from oed_sysid.design.objective import Objective
 from oed_sysid.design.scene import Scene
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Experiment as Plan
-from oed_sysid.kernels import kernel
 from oed_sysid.manoeuvres import Doublet
 from oed_sysid.sensitivity import information_of, noise_of
 from oed_sysid.simulate import simulate, simulate_inputs

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from oed_sysid import Force, Input, Model, MultipleShooting, Output, Parameter, Sensor, State
-from oed_sysid.dataset import Dataset, Record
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.diagnosis.compare import Comparison, compare
-from oed_sysid.diagnosis.horizon import forecasts
+from oed_sysid.diagnosis.forecasts import forecasts
 from oed_sysid.diagnosis.misfit import correlate
 from oed_sysid.diagnosis.regimes import Signal, concentrations, regimes
 from oed_sysid.errors import DataError

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from diving_plane import PROBLEM, records
 
-from oed_sysid.diagnosis.along import along
 from oed_sysid.diagnosis.greybox import estimate
 from oed_sysid.diagnosis.linearise import SuperModel
 from oed_sysid.diagnosis.locate import locate
-from oed_sysid.diagnosis.stages import places
 from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.effects import Force
+from oed_sysid.noise.disturbances import places
+from oed_sysid.noise.linearisation import along
 from oed_sysid.parameters import Parameter
 
 DRAG = -120.0
@@ -106,7 +106,7 @@ def test_smoothed_trajectory_is_near_the_measurements(drag) -> None:  # type: ig
 def test_linear_model_predicts_its_own_columns(drag) -> None:  # type: ignore[no-untyped-def]
     """Sensitivities along the model's own trajectory equal those of the whole simulation."""
     _, task, fit = drag
-    from oed_sysid.diagnosis.along import System
+    from oed_sysid.noise.linearisation import System
 
     system = System.of(task, fit)
     nodes = system.free_run([run.states[0] for run in fit.runs])

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from oed_sysid.diagnosis import innovations as filters
-from oed_sysid.diagnosis.innovations import Deviations, NoiseModel, whiten
 from oed_sysid.diagnosis.lanes import innovations_by_model
-from oed_sysid.diagnosis.noise import estimate_noise
-from oed_sysid.diagnosis.restricted import Grounds, restricted
+from oed_sysid.noise import kalman as filters
+from oed_sysid.noise.kalman import Deviations, NoiseModel, whiten
+from oed_sysid.noise.levels import estimate_noise
+from oed_sysid.noise.restricted_likelihood import Grounds, restricted
 
 N_TIMES, N_STATES, N_FORCES, N_OUTPUTS = 9, 3, 2, 2
 WHITE, COLOUR, FORCE = np.array([0.2, 0.1]), np.array([0.15, 0.05]), np.array([0.5, 0.8])

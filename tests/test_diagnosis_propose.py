@@ -9,14 +9,14 @@ import pytest
 from diving_plane import PROBLEM, records
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, load_problem
-from oed_sysid.diagnosis.along import System
 from oed_sysid.diagnosis.dictionary import Signal, Term, signals_along, terms
-from oed_sysid.diagnosis.innovations import NoiseModel
 from oed_sysid.diagnosis.linearise import SuperModel
 from oed_sysid.diagnosis.propose import propose
 from oed_sysid.diagnosis.term_scores import term_scores
 from oed_sysid.diagnosis.workbench import Workbench
-from oed_sysid.units import same_dimension
+from oed_sysid.language.units import same_dimension
+from oed_sysid.noise.kalman import NoiseModel
+from oed_sysid.noise.linearisation import System
 
 VEHICLE = (
     Signal("u_r", "m/s", "motion", True),

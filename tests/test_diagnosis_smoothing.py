@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid.diagnosis.innovations import Deviations, NoiseModel
-from oed_sysid.diagnosis.smoothing import smooth, smooth_numpy
+from oed_sysid.noise.kalman import Deviations, NoiseModel
+from oed_sysid.noise.smoother import smooth, smooth_numpy
 
 N_TIMES, N_STATES, N_FORCES, N_OUTPUTS = 30, 3, 2, 2
 

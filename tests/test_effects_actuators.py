@@ -10,8 +10,8 @@ import pytest
 
 from oed_sysid import effects
 from oed_sysid.channels import Input, Output, State
+from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.effects import Effect
-from oed_sysid.kernels import Kernel
 from oed_sysid.model import Model
 
 STEP = 0.1

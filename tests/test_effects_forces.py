@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from vehicles import remus, ship
 
-from oed_sysid import effects, expressions
+from oed_sysid import effects
+from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.effects import Effect
 from oed_sysid.errors import ModelError
-from oed_sysid.kernels import Kernel
+from oed_sysid.language import expressions
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
 

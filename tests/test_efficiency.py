@@ -10,7 +10,7 @@ import pytest
 from test_information import ar1
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.estimators import MultipleShooting
 
 TRUTH = np.array(list(TRUE.values()))

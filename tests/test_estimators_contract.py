@@ -24,7 +24,7 @@ from oed_sysid.estimators import (
     SupportVectorRegression,
     TotalLeastSquares,
 )
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.manoeuvres import Multisine
 from oed_sysid.testing import check_estimator
 

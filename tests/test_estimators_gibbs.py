@@ -8,9 +8,9 @@ from scipy import stats
 
 from oed_sysid import Dataset, load_problem
 from oed_sysid.estimators import EquationError, GibbsRegression
-from oed_sysid.estimators.chains import effective_draws, split_r_hat
-from oed_sysid.estimators.gibbs import conjugate_posterior, sample_posterior
-from oed_sysid.estimators.regression_rows import exact_rates
+from oed_sysid.estimators.baselines.chains import effective_draws, split_r_hat
+from oed_sysid.estimators.baselines.gibbs import conjugate_posterior, sample_posterior
+from oed_sysid.estimators.baselines.regression_rows import exact_rates
 from oed_sysid.simulate import simulate
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from oed_sysid import Dataset, Output, Record
 from oed_sysid.channels import Channels
-from oed_sysid.estimators.noise_levels import credible_levels, noise_floor, white_levels
+from oed_sysid.fitting.noise_levels import credible_levels, noise_floor, white_levels
 
 CHANNELS = Channels((), (Output("y", "m", "level"),))
 

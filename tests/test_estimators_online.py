@@ -14,9 +14,9 @@ from oed_sysid.estimators import (
     RecursiveLeastSquares,
     RecursiveLSSVM,
 )
-from oed_sysid.estimators.ls_svm import GaussianKernel, train
-from oed_sysid.estimators.regression_form import regression_form
-from oed_sysid.estimators.regression_rows import rows_of
+from oed_sysid.estimators.baselines.ls_svm import GaussianKernel, train
+from oed_sysid.estimators.baselines.regression_form import regression_form
+from oed_sysid.estimators.baselines.regression_rows import rows_of
 from oed_sysid.simulate import simulate
 
 SHIP = load_problem("online_ship")

@@ -21,12 +21,12 @@ from oed_sysid import (
 from oed_sysid.effects import Actuator, Memory, Sensor
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.estimators import EquationError, LeastSquaresSVM, SupportVectorRegression
-from oed_sysid.estimators.equation_error import is_linear
-from oed_sysid.estimators.ls_svm import GaussianKernel, train
-from oed_sysid.estimators.optional_libraries import optional
-from oed_sysid.estimators.regression_form import regression_form
-from oed_sysid.estimators.regression_rows import exact_rates, local_cubic, rows_of
-from oed_sysid.estimators.total_least_squares import TotalLeastSquares, generalised_tls
+from oed_sysid.estimators.baselines.equation_error import is_linear
+from oed_sysid.estimators.baselines.ls_svm import GaussianKernel, train
+from oed_sysid.estimators.baselines.optional_libraries import optional
+from oed_sysid.estimators.baselines.regression_form import regression_form
+from oed_sysid.estimators.baselines.regression_rows import exact_rates, local_cubic, rows_of
+from oed_sysid.estimators.baselines.total_least_squares import TotalLeastSquares, generalised_tls
 from oed_sysid.manoeuvres import Doublet
 from oed_sysid.simulate import simulate
 from tests.simple_models import NOMOTO

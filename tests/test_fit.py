@@ -10,10 +10,10 @@ from scipy.stats import norm
 from test_information import ar1
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
 from oed_sysid.estimators import MultipleShooting
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.parameters import Parameter
 
 

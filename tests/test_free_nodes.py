@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
-from oed_sysid.free_nodes import climb, free_node_start
+from oed_sysid.fitting.free_nodes import climb, free_node_start
+from oed_sysid.fitting.shooting import Shooting
 from oed_sysid.parameters import Parameter
-from oed_sysid.shooting import Shooting
 
 WILD = {"K": -0.4, "T": 30.0, "alpha": -40.0}
 

@@ -13,8 +13,8 @@ from vehicles import remus, roll_oscillator
 
 from oed_sysid import effects
 from oed_sysid.channels import Input, Output, State
+from oed_sysid.compiled.kernels import Kernel, Run, kernel
 from oed_sysid.errors import ModelError
-from oed_sysid.kernels import Kernel, Run, kernel
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
 

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from oed_sysid.native import compile as compiling
+from oed_sysid.compiled import compile as compiling
 
 ROOT = Path(__file__).resolve().parent.parent
 PROGRAM = """
 import sys
 import numpy as np
 from vehicles import roll_oscillator
-from oed_sysid.kernels import Kernel
+from oed_sysid.compiled.kernels import Kernel
 model = roll_oscillator()
 times = 0.1 * np.arange(50)
 for _ in range(2):
@@ -121,7 +121,7 @@ def test_changed_source_is_another_library(
 
 def test_models_depend_on_their_own_source_only() -> None:
     """The name of a model's library depends on the C file it includes and on no other."""
-    native = ROOT / "oed_sysid" / "native"
+    native = ROOT / "oed_sysid" / "compiled"
     included = set(re.findall(r'"(\w+\.c)"', (native / "generate.py").read_text()))
     included &= {path.name for path in native.glob("*.c")}
     counted = {Path(name).name for name in compiling._GENERATOR if name.endswith(".c")}

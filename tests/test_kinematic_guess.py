@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from vehicles import DIVING_START, SHIP_START, remus, ship
 
-from oed_sysid.dataset import Record
-from oed_sysid.kinematic_guess import kinematic_states, slope
+from oed_sysid.data.dataset import Record
+from oed_sysid.fitting.start_guess import kinematic_states, measured_states, slope
 from oed_sysid.model import Model
 from oed_sysid.simulate import simulate_inputs
-from oed_sysid.start_states import measured_states
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])

@@ -12,7 +12,7 @@ from test_shooting import diving_data
 from vehicles import remus
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_record
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.effects import Force
 from oed_sysid.estimators import MultipleShooting
 from oed_sysid.model import Model

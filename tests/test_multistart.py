@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Model, Output, Parameter, State
+from oed_sysid.batch.parallel import CellProgress
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators import MultipleShooting, Multistart, OutputError
-from oed_sysid.fit import Fit
-from oed_sysid.parallel import CellProgress
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.simulate import simulate_inputs
 
 TRUTH = 1.3
@@ -31,7 +31,7 @@ OSCILLATOR = Model(
 @pytest.fixture(scope="module")
 def data() -> Dataset:
     """Ten periods with noise."""
-    from oed_sysid.record import Record
+    from oed_sysid.data.record import Record
 
     times = np.arange(0.0, 50.0, 0.1)
     run = simulate_inputs(OSCILLATOR, times, inputs={}, initial={"x": 1.0})

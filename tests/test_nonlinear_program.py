@@ -8,10 +8,10 @@ from test_shooting import LAG, diving_data
 from vehicles import remus
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators import MultipleShooting
-from oed_sysid.gauss_newton import Progress
+from oed_sysid.fitting.gauss_newton import Progress
 from oed_sysid.parameters import Parameter
 
 CONDENSED = MultipleShooting(noise=NOISE, coloured="never")

@@ -7,9 +7,9 @@ import pytest
 from vehicles import DIVING_START, remus
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
-from oed_sysid.kernels import Kernel
+from oed_sysid.compiled.kernels import Kernel
+from oed_sysid.compiled.normal_equations import eliminate, gather
 from oed_sysid.model import Model
-from oed_sysid.normal_blocks import eliminate, gather
 from oed_sysid.simulate import simulate_inputs
 
 SIGMA = np.array([0.02, 0.02, 0.004, 0.004, 0.03])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from oed_sysid import notation
 from oed_sysid.errors import ModelError
-from oed_sysid.units import dimension
+from oed_sysid.language import notation
+from oed_sysid.language.units import dimension
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from oed_sysid import Dataset, Experiment, Input, Model, Output, Parameter, Stat
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.estimators import EquationError
 from oed_sysid.manoeuvres import Piecewise
-from oed_sysid.polar import SailingNames, speed_polar
+from oed_sysid.predictions.speed_polar import SailingNames, speed_polar
 from oed_sysid.report import plot_polar
 from oed_sysid.simulate import simulate
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_record
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
 from oed_sysid.estimators import MultipleShooting
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, MultipleShooting, data_cache, load_problem
+from oed_sysid import Dataset, MultipleShooting, load_problem
+from oed_sysid.data import third_party
 from oed_sysid.estimators import IncrementalLSSVM
+from oed_sysid.predictions.turning_circle import turning_circle
 from oed_sysid.simulate import simulate_inputs
 from oed_sysid.testing import check_effect
-from oed_sysid.turning import turning_circle
 
 HEADING = load_problem("kvlcc2")
 MMG = load_problem("kvlcc2", variant="mmg")
@@ -21,7 +22,7 @@ HELD_OUT = "20_05"
 LENGTH, SPEED, RATE = 7.0, 1.179, math.radians(15.8)
 
 needs_data = pytest.mark.skipif(
-    not (data_cache.data_folder() / "kvlcc2_hsva_zigzag").is_dir(),
+    not (third_party.data_folder() / "kvlcc2_hsva_zigzag").is_dir(),
     reason="third-party data is not in OED_SYSID_DATA",
 )
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Record, load_problem
-from oed_sysid.errors import DataError, ModelError
-from oed_sysid.estimators import HeadingDifferences, MultipleShooting
-from oed_sysid.reconstruction import (
+from oed_sysid.data.reconstruction import (
     METHODS,
     archimedes_spiral,
     dense_times,
     densify,
     reconstruct,
 )
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.estimators import HeadingDifferences, MultipleShooting
 from oed_sysid.simulate import simulate
 
 PROBLEM = load_problem("nomoto_sparse_heading")

@@ -10,7 +10,7 @@ import pytest
 
 from oed_sysid import Dataset, Model, load_problem
 from oed_sysid.estimators import EquationError, GibbsRegression, MultipleShooting
-from oed_sysid.estimators.regression_rows import exact_rates
+from oed_sysid.estimators.baselines.regression_rows import exact_rates
 from oed_sysid.simulate import equilibrium, simulate, simulate_inputs
 
 PROBLEM = load_problem("sailboat")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Model, information_of, load_problem
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.estimators import DifferentialSwarm, MultipleShooting
-from oed_sysid.kernels import kernel
 from oed_sysid.simulate import simulate, simulate_inputs
 
 PROBLEM = load_problem("torpedo")

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
 from oed_sysid.channels import Output, State
-from oed_sysid.dataset import Dataset, Record
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators import MultipleShooting
 from oed_sysid.estimators.profile import profile

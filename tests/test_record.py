@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from oed_sysid.channels import Channels, Input, Output
+from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
-from oed_sysid.record import Record
 
 CHANNELS = Channels((Input("fin", "rad"),), (Output("theta", "rad"), Output("q", "rad/s")))
 TIMES = 0.5 * np.arange(11)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oed_sysid import information_of, load_problem, rank_parameters
-from oed_sysid.dataset import Record
+from oed_sysid.data.dataset import Record
 from oed_sysid.report import figure_record, ranking_page, style_sheet
 from oed_sysid.sensitivity import identifiable_subset
 

@@ -10,12 +10,12 @@ from vehicles import DIVING_START, remus
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model
 
 from oed_sysid.channels import Output
-from oed_sysid.dataset import Dataset, Record
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.effects import Actuator, Memory
 from oed_sysid.errors import DataError, ModelError
+from oed_sysid.fitting.shooting import Shooting, replace_values
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
-from oed_sysid.shooting import Shooting, replace_values
 from oed_sysid.simulate import simulate_inputs
 
 LAG = Actuator(

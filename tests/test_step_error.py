@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, State
+from oed_sysid.data.record import Record
 from oed_sysid.estimators.step_error import worst_step_error
-from oed_sysid.gauss_newton import solve
-from oed_sysid.record import Record
-from oed_sysid.shooting import Shooting
+from oed_sysid.fitting.gauss_newton import solve
+from oed_sysid.fitting.shooting import Shooting
 
 
 def relay(force: str) -> Model:

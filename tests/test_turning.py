@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from oed_sysid import Experiment, Input, Model, MultipleShooting, Output, Parameter, State
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.effects import actuator_offset, sensor_bias
 from oed_sysid.errors import ModelError
 from oed_sysid.manoeuvres import ZigZag
+from oed_sysid.predictions.turning_circle import QUANTITIES, turning_circle
 from oed_sysid.simulate import simulate
-from oed_sysid.turning import QUANTITIES, turning_circle
 
 NOMOTO = Model(
     "Nomoto",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oed_sysid import Force, Input, Model, Output, Parameter, State
-from oed_sysid.dataset import Dataset, Record
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.effects.actuators import actuator_lag, actuator_offset
 from oed_sysid.effects.base import Effect
 from oed_sysid.effects.sensors import sensor_bias

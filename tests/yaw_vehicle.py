@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oed_sysid.channels import Input, Output, State
-from oed_sysid.dataset import Dataset, Record
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
 

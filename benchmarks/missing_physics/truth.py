@@ -10,14 +10,14 @@ import numpy as np
 
 from benchmarks.missing_physics.simulator import Case
 from oed_sysid import Force, Parameter
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
 from oed_sysid.diagnosis.improvement import Improvement
-from oed_sysid.diagnosis.innovations import NoiseModel
 from oed_sysid.diagnosis.linearise import SuperModel, deviations
 from oed_sysid.diagnosis.rank import threshold
 from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.effects import Effect
+from oed_sysid.noise.kalman import NoiseModel
 from oed_sysid.problem import Problem
 
 # The hidden terms that no vocabulary holds, as a user would write them.

@@ -8,7 +8,7 @@ import pypesto.optimize
 
 from benchmarks.peers.task import NAMES, NOISE, begin, load, report
 from oed_sysid import load_problem
-from oed_sysid.kernels import kernel
+from oed_sysid.compiled.kernels import kernel
 
 
 def main() -> None:

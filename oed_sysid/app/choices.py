@@ -10,7 +10,7 @@ import streamlit as st
 
 from oed_sysid.app.records import likely_test, read_uploads, simulated
 from oed_sysid.app.study import Study
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
 from oed_sysid.problem import Problem, list_problems, load_problem
 from oed_sysid.problem.catalogue import catalogue_folder

@@ -10,7 +10,7 @@ from oed_sysid.app import choices, commands
 from oed_sysid.app.panels import command, message, part
 from oed_sysid.app.study import content
 from oed_sysid.channels import Input, Output
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.problem import Problem, list_problems
 from oed_sysid.report import Picture, Section, Table, figure_record
 

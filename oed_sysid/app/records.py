@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset, Record, read_csv, write_csv
+from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.errors import DataError
 from oed_sysid.problem import Problem
 from oed_sysid.simulate import simulate

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
 from oed_sysid.problem import Problem
 

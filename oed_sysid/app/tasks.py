@@ -11,7 +11,7 @@ from oed_sysid.app.study import Study
 from oed_sysid.estimators import MultipleShooting
 
 if TYPE_CHECKING:
-    from oed_sysid.fit import Fit
+    from oed_sysid.fitting.fit import Fit
     from oed_sysid.model import Model
     from oed_sysid.report import Page
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from oed_sysid.benchmark.contestants import contestant_by_name
 from oed_sysid.benchmark.scenarios import Scenario, load_scenario
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.experiment import Experiment
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 from oed_sysid.sensitivity import information_of
 from oed_sysid.simulate import simulate, simulate_inputs

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
+from oed_sysid.data.record import closest
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators import (
     CovarianceMatrixAdaptation,
@@ -25,7 +26,6 @@ from oed_sysid.estimators import (
     TotalLeastSquares,
 )
 from oed_sysid.model import Model
-from oed_sysid.record import closest
 
 OURS = "multiple_shooting"
 OURS_BELIEVING = "multiple_shooting_prior"

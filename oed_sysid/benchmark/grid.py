@@ -8,12 +8,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from oed_sysid.batch.parallel import CellProgress, run_cells
 from oed_sysid.benchmark.cell import Cell, Outcome, run_cell
 from oed_sysid.benchmark.contestants import OURS, QUICK, contestant_by_name
 from oed_sysid.benchmark.measures import Row, Verdict, measure, verdicts
 from oed_sysid.benchmark.scenarios import UNITS, load_scenario
 from oed_sysid.errors import ProblemError
-from oed_sysid.parallel import CellProgress, run_cells
 
 PROBLEMS = (
     "auv_diving_plane",

@@ -104,7 +104,7 @@ def simulate(
     """
     import numpy as np
 
-    from oed_sysid.dataset import write_csv
+    from oed_sysid.data.dataset import write_csv
     from oed_sysid.problem import load_problem
     from oed_sysid.simulate import simulate as run
 

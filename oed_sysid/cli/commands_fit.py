@@ -43,7 +43,7 @@ def fit(
 
     [bold]Example[/bold]: oed-sysid fit remus_diving_plane dive_1.csv dive_2.csv --json fit.json
     """
-    from oed_sysid.dataset import read_csv
+    from oed_sysid.data.dataset import read_csv
     from oed_sysid.estimators import MultipleShooting
     from oed_sysid.problem import load_problem
 
@@ -88,7 +88,7 @@ def compare(
 
     [bold]Example[/bold]: oed-sysid compare remus_diving_plane --train t1.csv t2.csv --test v.csv
     """
-    from oed_sysid.dataset import read_csv
+    from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.compare import compare as compare_models
     from oed_sysid.estimators import MultipleShooting
     from oed_sysid.problem import load_problem
@@ -140,9 +140,9 @@ def report(
 
     [bold]Example[/bold]: oed-sysid report fit.json --test validation.csv --out fit.html
     """
-    from oed_sysid.dataset import read_csv
+    from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.compare import compare as compare_models
-    from oed_sysid.fit import Fit
+    from oed_sysid.fitting.fit import Fit
     from oed_sysid.report import fit_page
 
     kept = Fit.load(saved)

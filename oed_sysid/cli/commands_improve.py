@@ -22,7 +22,7 @@ def diagnose(
 
     [bold]Example[/bold]: oed-sysid diagnose remus_diving_plane --train train_*.csv
     """
-    from oed_sysid.dataset import read_csv
+    from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.diagnose import diagnose as look
     from oed_sysid.problem import load_problem
 
@@ -62,7 +62,7 @@ def improve(
 
     [bold]Example[/bold]: oed-sysid improve remus_diving_plane --train train_*.csv --test test_*.csv
     """
-    from oed_sysid.dataset import read_csv
+    from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.compare import compare
     from oed_sysid.diagnosis.improve import improve
     from oed_sysid.estimators import MultipleShooting

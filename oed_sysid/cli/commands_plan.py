@@ -13,7 +13,7 @@ from oed_sysid.cli.terminal import note, progress, say, store, write
 from oed_sysid.errors import DesignError, ProblemError
 
 if TYPE_CHECKING:
-    from oed_sysid.dataset import Dataset
+    from oed_sysid.data.dataset import Dataset
     from oed_sysid.experiment import Experiment
     from oed_sysid.problem import Problem
 
@@ -186,7 +186,7 @@ def design(
 
     from oed_sysid.cli.limit_words import with_limits
     from oed_sysid.design import Caution, assess_limits, design_experiment
-    from oed_sysid.fit import Fit
+    from oed_sysid.fitting.fit import Fit
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
@@ -286,7 +286,7 @@ def _choice(what: str, name: str, choices: Mapping[str, Any]) -> Any:
 def _runs(
     problem: Problem, experiments: list[str], records: list[str]
 ) -> Dataset | list[Experiment]:
-    from oed_sysid.dataset import read_csv
+    from oed_sysid.data.dataset import read_csv
 
     if records and experiments:
         raise ProblemError("Give either --experiment or --records, not both.")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from oed_sysid.errors import OedSysidError
 
 if TYPE_CHECKING:
-    from oed_sysid.gauss_newton import Progress
+    from oed_sysid.fitting.gauss_newton import Progress
 
 
 def say(text: str = "") -> None:

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import beta
 
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.caution import Guards
 from oed_sysid.design.corridor import Corridor
 from oed_sysid.design.robust import draw_models
 from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.information import Information
-from oed_sysid.kernels import kernel
 from oed_sysid.model import Model
 from oed_sysid.simulate import simulate, simulate_inputs
 

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from oed_sysid.dataset import Dataset, Record
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.design.experiment_design import design_experiment
 from oed_sysid.design.result import Design
 from oed_sysid.errors import DesignError
 from oed_sysid.estimators import MultipleShooting
 from oed_sysid.experiment import Experiment
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 
 

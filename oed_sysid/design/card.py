@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed_sysid.design.words import quantity, span, units_of
+from oed_sysid.design.quantities import quantity, span, units_of
 from oed_sysid.model import Model
 from oed_sysid.simulate import Trajectory
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.corridor import Corridor
 from oed_sysid.errors import DesignError
-from oed_sysid.kernels import kernel
 from oed_sysid.model import Model
 
 # Share of the allowed failures that the search may use; the rest is for vehicles it never saw.

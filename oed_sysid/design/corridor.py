@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.design.words import quantity, units_of
+from oed_sysid.design.quantities import quantity, units_of
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Limits
 from oed_sysid.model import Model

@@ -17,21 +17,21 @@ from oed_sysid.design.discrimination import Discriminate
 from oed_sysid.design.objective import Objective, Score
 from oed_sysid.design.parametrisation import Grid, Levels, Parametrisation
 from oed_sysid.design.plan import Plan, plan_of
+from oed_sysid.design.quantities import quantity, units_of
 from oed_sysid.design.reference import Reference, zigzags
 from oed_sysid.design.result import Design
 from oed_sysid.design.robust import Robust
 from oed_sysid.design.search import Found, Progress, search
-from oed_sysid.design.words import quantity, units_of
 from oed_sysid.design.zigzags import ZigZags, search_zigzags
 from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import Information
 from oed_sysid.model import Model
 
 from oed_sysid.sensitivity.noise import Colour, Levels as NoiseLevels  # isort: skip
+from oed_sysid.batch.threads import single_threaded
 from oed_sysid.simulate import simulate_inputs
-from oed_sysid.threads import single_threaded
 
 # Rounds with more and stricter vehicles, until fresh ones confirm the probability asked for.
 _N_STRICTER = 3

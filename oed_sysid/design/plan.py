@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.assurance import Assurance, assess_limits
 from oed_sysid.design.caution import Caution, Guards
 from oed_sysid.design.corridor import Corridor
@@ -20,9 +21,8 @@ from oed_sysid.design.robust import Robust, draw_models
 from oed_sysid.design.scene import Scene
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import Information
-from oed_sysid.kernels import kernel
 from oed_sysid.model import Model
 from oed_sysid.sensitivity.bound import information_of, prior_factor, triangle
 from oed_sysid.sensitivity.noise import Colour, Noise, noise_of

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.csv_table import write_table
+from oed_sysid.data.csv_table import write_table
 from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.card import sea_trial_card
+from oed_sysid.design.quantities import percent
 from oed_sysid.design.reference import Reference
-from oed_sysid.design.words import percent
 from oed_sysid.experiment import Experiment
 from oed_sysid.information import Information
 from oed_sysid.model import Model

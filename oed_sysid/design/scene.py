@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.kernels import kernel
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.model import Model
 from oed_sysid.sensitivity.bound import start_weights
 from oed_sysid.sensitivity.noise import Noise

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
-from oed_sysid.diagnosis.horizon import Forecasts, forecasts
+from oed_sysid.batch.threads import single_threaded
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.diagnosis.forecasts import Forecasts, forecasts
 from oed_sysid.diagnosis.misfit import OutputMisfit, output_misfit
 from oed_sysid.diagnosis.regimes import Signal, regimes
 from oed_sysid.errors import DataError
-from oed_sysid.estimators.noise_levels import credible_levels, given_levels
-from oed_sysid.fit import Fit, align
-from oed_sysid.kernels import kernel
+from oed_sysid.fitting.fit import Fit, align
+from oed_sysid.fitting.noise_levels import credible_levels, given_levels
+from oed_sysid.fitting.prediction import WAYS, Initial, Prediction, predict
 from oed_sysid.model import Model
-from oed_sysid.prediction import WAYS, Initial, Prediction, predict
-from oed_sysid.threads import single_threaded
 
 TWO_SIDED_95 = 1.959964
 # An estimated noise level this far above what the fastest wiggles show is suspect.
@@ -199,7 +199,7 @@ def compare(
     dataset : Dataset
         Records with the models' channels.
     initial : str or mapping
-        Initial states, as :func:`oed_sysid.prediction.predict` takes them.
+        Initial states, as :func:`oed_sysid.fitting.prediction.predict` takes them.
     horizon : float
         How far ahead forecasts look, and length of the windows in which the
         misfit is located, s.

@@ -16,7 +16,7 @@ from oed_sysid.diagnosis.greybox import (
     whitened,
     with_noise,
 )
-from oed_sysid.estimators.noise_levels import residual_levels
+from oed_sysid.fitting.noise_levels import residual_levels
 from oed_sysid.information import Information
 
 # Twice the log-likelihood that disturbances may gain before they count as real.

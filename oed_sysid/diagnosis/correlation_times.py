@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from oed_sysid.diagnosis.greybox import GreyBox, Task, residuals, with_noise
-from oed_sysid.diagnosis.innovations import NoiseModel
-from oed_sysid.diagnosis.noise import estimate_noise
+from oed_sysid.noise.kalman import NoiseModel
+from oed_sysid.noise.levels import estimate_noise
 
 # Ratio of neighbouring times that are tried; between them the likelihood is flat.
 RATIO = 2.0

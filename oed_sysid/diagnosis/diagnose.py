@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.batch.threads import single_threaded
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.rank import Ranking, rank
 from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.effects import Effect
 from oed_sysid.model import Model
-from oed_sysid.threads import single_threaded
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,16 +14,16 @@ from itertools import combinations_with_replacement, product
 
 import numpy as np
 
-from oed_sysid import dimensions, expressions, notation
 from oed_sysid.channels import Output
-from oed_sysid.dataset import Dataset
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.linearise import disturbed_equations
 from oed_sysid.effects import Force
 from oed_sysid.effects.derivatives import factor_of
-from oed_sysid.kernels import kernel
+from oed_sysid.language import dimensions, expressions, notation
+from oed_sysid.language.units import Dimension, dimension
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
-from oed_sysid.units import Dimension, dimension
 
 MOST_FACTORS = 3
 # With more signals than this a product of three has at most two different ones.

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from oed_sysid.channels import Output
-from oed_sysid.dataset import Dataset
-from oed_sysid.estimators.noise_levels import signal_spread
-from oed_sysid.fit import align
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.fitting.fit import align
+from oed_sysid.fitting.noise_levels import signal_spread
 
 # Root mean square errors of every output, ``(n_outputs,)``, on ``train`` and ``test`` records.
 Errors = Mapping[str, np.ndarray]

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
-from oed_sysid.diagnosis.innovations import Deviations, NoiseModel, whiten
+from oed_sysid.compiled.kernels import SelectedRun
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.linearise import SuperModel
-from oed_sysid.diagnosis.noise import estimate_noise
-from oed_sysid.gauss_newton import bounded_step
-from oed_sysid.kernels import SelectedRun
+from oed_sysid.noise.kalman import Deviations, NoiseModel, whiten
+from oed_sysid.noise.levels import estimate_noise
+from oed_sysid.projection import bounded_step
 
 
 @dataclass(frozen=True, eq=False)

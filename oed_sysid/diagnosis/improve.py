@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.batch.threads import single_threaded
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.conclusion import Remains, parameter_table, remains
 from oed_sysid.diagnosis.error_table import Yardstick
 from oed_sysid.diagnosis.greybox import GreyBox, estimate
 from oed_sysid.diagnosis.improvement import Improvement, Step
-from oed_sysid.diagnosis.innovations import NoiseModel
 from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.rank import (
     FALSE_CLAIMS,
@@ -27,7 +27,7 @@ from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.effects import Effect
 from oed_sysid.errors import DataError
 from oed_sysid.model import Model
-from oed_sysid.threads import single_threaded
+from oed_sysid.noise.kalman import NoiseModel
 
 # A rival must be this much more likely to take an earlier effect's place.
 SWAP_MARGIN = 6.0

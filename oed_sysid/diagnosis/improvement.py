@@ -15,7 +15,7 @@ from oed_sysid.diagnosis.greybox import GreyBox
 from oed_sysid.diagnosis.locate import Located
 from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.effects import Effect
-from oed_sysid.fit import align
+from oed_sysid.fitting.fit import align
 from oed_sysid.model import Model
 
 # Evidence (gain less the cost of freedom) from which a candidate is mentioned as a hint.

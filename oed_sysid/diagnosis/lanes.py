@@ -14,7 +14,8 @@ from importlib.resources import files
 
 import numpy as np
 
-from oed_sysid.diagnosis.innovations import (
+from oed_sysid.compiled.compile import call, load_source
+from oed_sysid.noise.kalman import (
     Deviations,
     Innovations,
     Job,
@@ -23,7 +24,6 @@ from oed_sysid.diagnosis.innovations import (
     memories,
     pool,
 )
-from oed_sysid.native.compile import call, load_source
 
 # Noise models filtered together: as many numbers as fit into one wide register.
 LANES = 8
@@ -113,7 +113,7 @@ def _library(n_states: int, n_forces: int, n_outputs: int, colour: int) -> ctype
     sizes = {"NX": n_states, "NF": n_forces, "NY": n_outputs, "COLOUR": colour, "LANES": LANES}
     return load_source(
         "-".join(["innovations_lanes", *map(str, sizes.values())]),
-        lambda: files("oed_sysid.native").joinpath("innovations_lanes.c").read_text(),
+        lambda: files("oed_sysid.compiled").joinpath("innovations_lanes.c").read_text(),
         what="the filter of linear deviations under many noise models",
         flags=tuple(f"-D{name}={size}" for name, size in sizes.items()),
     )

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid import expressions
-from oed_sysid.dataset import Dataset
-from oed_sysid.diagnosis.innovations import Deviations
+from oed_sysid.compiled.kernels import SelectableKernel, SelectedRun, kernel, selectable_kernel
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.effects import Effect, Force
 from oed_sysid.errors import ModelError, SimulationError
-from oed_sysid.kernels import SelectableKernel, SelectedRun, kernel, selectable_kernel
+from oed_sysid.language import expressions
 from oed_sysid.model import Model
+from oed_sysid.noise.kalman import Deviations
 from oed_sysid.parameters import Parameter
 
 DISTURBANCE = "disturbance_"

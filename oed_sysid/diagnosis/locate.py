@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.diagnosis.along import along
 from oed_sysid.diagnosis.greybox import GreyBox, Task, residuals
 from oed_sysid.diagnosis.place_evidence import Evidence, evidence, refined
 from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.diagnosis.residual_forces import ResidualForces, Series, agreement, residual_forces
-from oed_sysid.diagnosis.stages import Place
-from oed_sysid.fit import align
+from oed_sysid.fitting.fit import align
+from oed_sysid.noise.disturbances import Place
+from oed_sysid.noise.linearisation import along
 
 # Correlation times of the disturbances that are tried, s: passing and lasting.
 CORRELATION_TIMES = (1.0, 20.0)

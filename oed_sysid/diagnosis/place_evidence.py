@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.diagnosis.along import Along, smoothed_states
-from oed_sysid.diagnosis.innovations import Deviations, NoiseModel
-from oed_sysid.diagnosis.restricted import Grounds, Restricted, restricted
-from oed_sysid.diagnosis.stages import Place
 from oed_sysid.errors import SimulationError
+from oed_sysid.noise.disturbances import Place
+from oed_sysid.noise.kalman import Deviations, NoiseModel
+from oed_sysid.noise.linearisation import Along, smoothed_states
+from oed_sysid.noise.restricted_likelihood import Grounds, Restricted, restricted
 
 # Levels that are tried first, in units that move some output by its noise, and the
 # ratio within which the best is settled.

@@ -12,15 +12,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from oed_sysid.diagnosis.along import Along, along
 from oed_sysid.diagnosis.dictionary import Signals, Term, signals_along
 from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
 from oed_sysid.diagnosis.linearise import SuperModel
 from oed_sysid.diagnosis.rank import GROUP_WIDTH, threshold
 from oed_sysid.diagnosis.term_scores import TermScore, TermScores, term_scores
 from oed_sysid.effects import Effect
-from oed_sysid.fit import align
+from oed_sysid.fitting.fit import align
 from oed_sysid.model import Model
+from oed_sysid.noise.linearisation import Along, along
 
 # Terms refitted, at most this alike among each other.
 N_REFITS, ALIKE = 8, 0.98

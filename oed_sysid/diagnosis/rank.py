@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
 from oed_sysid.diagnosis.score import Score, scores, two_sided
 from oed_sysid.effects import Effect
-from oed_sysid.fit import align
+from oed_sysid.fitting.fit import align
 
 # Candidates refitted in each round.
 N_REFITS = 7

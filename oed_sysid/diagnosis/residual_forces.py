@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.diagnosis.along import Along
-from oed_sysid.diagnosis.innovations import Deviations, NoiseModel
-from oed_sysid.diagnosis.restricted import Grounds, Restricted, restricted
-from oed_sysid.diagnosis.smoothing import Smoothed, smooth
+from oed_sysid.noise.kalman import Deviations, NoiseModel
+from oed_sysid.noise.linearisation import Along
+from oed_sysid.noise.restricted_likelihood import Grounds, Restricted, restricted
+from oed_sysid.noise.smoother import Smoothed, smooth
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid import expressions
-from oed_sysid.diagnosis.along import Along, Stretch
 from oed_sysid.diagnosis.dictionary import Signals, Term, terms
-from oed_sysid.diagnosis.innovations import whiten
+from oed_sysid.language import expressions
+from oed_sysid.noise.kalman import whiten
+from oed_sysid.noise.linearisation import Along, Stretch
 
 # What is left of a term after projection, below which free parameters imitate it.
 ABSORBED = 0.01

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.correlation_times import with_correlation_times
 from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate, residuals, with_noise
-from oed_sysid.diagnosis.innovations import Deviations, NoiseModel
 from oed_sysid.diagnosis.linearise import SuperModel, deviations, disturbed_equations
 from oed_sysid.effects import Effect
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.estimators.multiple_shooting import MultipleShooting
-from oed_sysid.estimators.noise_levels import credible_levels, given_levels
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.fitting.noise_levels import credible_levels, given_levels
 from oed_sysid.model import Model
+from oed_sysid.noise.kalman import Deviations, NoiseModel
 
 # Correlation times to begin with, in samples: 1 s and 0.4 s in a log of ten samples a second.
 FORCE_TIME, COLOUR_TIME = 10.0, 4.0
@@ -231,7 +231,7 @@ def _idle(outputs: np.ndarray) -> Deviations:
 
 def starting_states(model: Model, dataset: Dataset) -> list[np.ndarray]:
     """Initial states that the first samples suggest, zero where not measured."""
-    from oed_sysid.start_states import measured_states
+    from oed_sysid.fitting.start_guess import measured_states
 
     starts = []
     for record in dataset:

@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from oed_sysid import expressions
 from oed_sysid.errors import ModelError
+from oed_sysid.language import expressions
 from oed_sysid.parameters import Parameter, check_unique
 
 STAGES = ("actuator", "environment", "force", "inertia", "sensor")

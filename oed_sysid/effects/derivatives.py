@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from oed_sysid import notation
 from oed_sysid.effects.amplitudes import amplitude
 from oed_sysid.effects.base import Force
 from oed_sysid.errors import ModelError
+from oed_sysid.language import notation
 from oed_sysid.parameters import Parameter
 
 SNAME = "SNAME (1950), Technical and Research Bulletin 1-5."

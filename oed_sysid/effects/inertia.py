@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from oed_sysid import notation
 from oed_sysid.effects.amplitudes import amplitude
 from oed_sysid.effects.base import Inertia
+from oed_sysid.language import notation
 
 NEWMAN = "Newman (1977), Marine hydrodynamics, ch. 4, MIT Press."
 VANTORRE = "Vantorre et al. (2017), Manoeuvring in shallow and confined water, Encyclopedia."

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from oed_sysid import notation
 from oed_sysid.effects.amplitudes import amplitude
 from oed_sysid.effects.base import ExtraState, Force
+from oed_sysid.language import notation
 from oed_sysid.parameters import Parameter
 
 CUMMINS = "Cummins (1962), The impulse response function and ship motions, Schiffstechnik 9."

@@ -6,7 +6,6 @@ What a diagnosis tries when the user names nothing else. Each has one amplitude
 
 from __future__ import annotations
 
-from oed_sysid import notation
 from oed_sysid.effects import actuators as act
 from oed_sysid.effects import drag, environment, memory, propulsion, restoring
 from oed_sysid.effects import inertia as mass_matrix
@@ -14,6 +13,7 @@ from oed_sysid.effects import sensors as sense
 from oed_sysid.effects import steering as steer
 from oed_sysid.effects.base import Effect
 from oed_sysid.effects.derivatives import coupling
+from oed_sysid.language import notation
 
 SEA_WATER_DENSITY = 1025.0  # kg/m3, at 15 degrees Celsius and 3.5 per cent salinity
 

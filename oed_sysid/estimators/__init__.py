@@ -1,13 +1,21 @@
-"""Estimators: from a model and measured records to a :class:`~oed_sysid.fit.Fit`."""
+"""Estimators: from a model and measured records to a :class:`~oed_sysid.fitting.fit.Fit`."""
 
 from oed_sysid.estimators.base import Estimator
-from oed_sysid.estimators.equation_error import EquationError
-from oed_sysid.estimators.gibbs import GibbsRegression
+from oed_sysid.estimators.baselines.equation_error import EquationError
+from oed_sysid.estimators.baselines.gibbs import GibbsRegression
+from oed_sysid.estimators.baselines.ls_svm import LeastSquaresSVM
+from oed_sysid.estimators.baselines.nomoto import HeadingDifferences
+from oed_sysid.estimators.baselines.population import (
+    CovarianceMatrixAdaptation,
+    DifferentialEvolution,
+    ParticleSwarm,
+)
+from oed_sysid.estimators.baselines.support_vector import SupportVectorRegression
+from oed_sysid.estimators.baselines.swarm import DifferentialSwarm
+from oed_sysid.estimators.baselines.total_least_squares import TotalLeastSquares
 from oed_sysid.estimators.kalman import JointKalmanFilter
-from oed_sysid.estimators.ls_svm import LeastSquaresSVM
 from oed_sysid.estimators.multiple_shooting import MultipleShooting
 from oed_sysid.estimators.multistart import Multistart
-from oed_sysid.estimators.nomoto import HeadingDifferences
 from oed_sysid.estimators.online import (
     EquationStream,
     IncrementalLSSVM,
@@ -16,15 +24,7 @@ from oed_sysid.estimators.online import (
     RecursiveLSSVM,
 )
 from oed_sysid.estimators.output_error import OutputError
-from oed_sysid.estimators.population import (
-    CovarianceMatrixAdaptation,
-    DifferentialEvolution,
-    ParticleSwarm,
-)
 from oed_sysid.estimators.profile import Profile, profile
-from oed_sysid.estimators.support_vector import SupportVectorRegression
-from oed_sysid.estimators.swarm import DifferentialSwarm
-from oed_sysid.estimators.total_least_squares import TotalLeastSquares
 
 __all__ = [
     "Estimator",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from oed_sysid.dataset import Dataset
-from oed_sysid.fit import Fit
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 
 

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
-from oed_sysid.fit import Fit
-from oed_sysid.free_nodes import climb
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.fitting.free_nodes import climb
+from oed_sysid.fitting.shooting import Point, Shooting
 from oed_sysid.model import Model
-from oed_sysid.shooting import Point, Shooting
 
 # Lengths, in samples, of the free-node intervals on the wide way in; beyond the
 # last one they triple until they reach the length of a shooting interval.

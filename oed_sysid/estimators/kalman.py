@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset, Record
+from oed_sysid.compiled.kernels import Kernel, kernel
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators.noise_levels import given_levels, noise_floor
-from oed_sysid.estimators.regression_summary import fit_from_values
-from oed_sysid.fit import Fit, Status
-from oed_sysid.kernels import Kernel, kernel
+from oed_sysid.estimators.baselines.regression_summary import fit_from_values
+from oed_sysid.fitting.fit import Fit, Status
+from oed_sysid.fitting.noise_levels import given_levels, noise_floor
+from oed_sysid.fitting.start_guess import check_channels, measured_states
 from oed_sysid.model import Model
-from oed_sysid.start_states import check_channels, measured_states
 
 KINDS = ("extended", "unscented")
 # A measured start state is known this many noise levels well before its first measurement.

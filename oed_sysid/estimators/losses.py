@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oed_sysid.errors import ModelError
-from oed_sysid.shooting import Loss
+from oed_sysid.fitting.shooting import Loss
 
 
 def huber(residuals: np.ndarray, *, threshold: float = 1.345) -> tuple[np.ndarray, np.ndarray]:

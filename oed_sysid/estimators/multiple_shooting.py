@@ -9,7 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.batch.threads import one_thread
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators.beginning import (
     DOUBTFUL,
@@ -23,16 +24,15 @@ from oed_sysid.estimators.beginning import (
     wide_start,
 )
 from oed_sysid.estimators.losses import loss_by_name
-from oed_sysid.estimators.noise_levels import residual_levels, signal_spread, start_levels
 from oed_sysid.estimators.nonlinear_program import NonlinearProgram
 from oed_sysid.estimators.step_error import with_step_advice
 from oed_sysid.estimators.summary import summarise
-from oed_sysid.fit import Fit
-from oed_sysid.gauss_newton import Progress, Solution, solve
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.fitting.gauss_newton import Progress, Solution, solve
+from oed_sysid.fitting.noise_levels import residual_levels, signal_spread, start_levels
+from oed_sysid.fitting.shooting import Point, Shooting
+from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.model import Model
-from oed_sysid.shooting import Point, Shooting
-from oed_sysid.start_states import check_channels
-from oed_sysid.threads import one_thread
 
 # Most alternations between noise levels and parameters; three or four suffice as a rule.
 NOISE_ROUNDS = 12
@@ -63,12 +63,12 @@ class MultipleShooting:
     start : str
         ``"auto"``, ``"near"`` (trust the start values) or ``"wide"``.
     max_iterations, tolerance
-        See :func:`oed_sysid.gauss_newton.solve`.
+        See :func:`oed_sysid.fitting.gauss_newton.solve`.
     coloured : str
         ``"auto"`` reports the sandwich covariance where residuals are
         correlated; ``"never"`` and ``"always"`` force it.
     progress : callable or None
-        Called with a :class:`~oed_sysid.gauss_newton.Progress` after every iteration.
+        Called with a :class:`~oed_sysid.fitting.gauss_newton.Progress` after every iteration.
     solver : str
         ``"gauss-newton"``, condensed and fast; or ``"ipopt"``, which holds
         every node as an unknown and takes constraints.

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.batch.parallel import CellProgress, run_cells
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators.base import Estimator
 from oed_sysid.estimators.multiple_shooting import MultipleShooting
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
-from oed_sysid.parallel import CellProgress, run_cells
 
 # Twice the log-likelihood may differ by this much among starts that found the same optimum.
 SAME_OPTIMUM = 0.02
@@ -27,7 +27,7 @@ class Multistart:
     """Repeat an estimation from start values spread over a region.
 
     Where several optima exist, one start proves nothing. Starts run on all
-    cores, or on a cluster (:mod:`oed_sysid.parallel`).
+    cores, or on a cluster (:mod:`oed_sysid.batch.parallel`).
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Multistart:
         Folder that keeps the fits, so that an interrupted multistart goes on.
         It belongs to one model, data set and estimator.
     progress : callable, optional
-        Called with a :class:`~oed_sysid.parallel.CellProgress` after every start.
+        Called with a :class:`~oed_sysid.batch.parallel.CellProgress` after every start.
     """
 
     estimator: Estimator = field(default_factory=MultipleShooting)

@@ -1,6 +1,6 @@
 """Multiple shooting as a nonlinear program for IPOPT.
 
-The same problem as :mod:`oed_sysid.gauss_newton` solves, with every node an
+The same problem as :mod:`oed_sysid.fitting.gauss_newton` solves, with every node an
 unknown and continuity an equality constraint, so that the exact Hessian can be
 used and the user may add constraints among parameters. It is slower and needs
 no condensing; see Waechter & Biegler (2006) for the solver.
@@ -15,13 +15,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed_sysid import expressions
+from oed_sysid.compiled.graph import Graph, build
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators.losses import huber, student
-from oed_sysid.gauss_newton import Progress, Solution
-from oed_sysid.graph import Graph, build
+from oed_sysid.fitting.gauss_newton import Progress, Solution
+from oed_sysid.fitting.shooting import Point, Shooting
+from oed_sysid.language import expressions
 from oed_sysid.model import Model
-from oed_sysid.shooting import Point, Shooting
 
 _REASONS = {
     "Solve_Succeeded": "converged",
@@ -195,7 +195,7 @@ class NonlinearProgram:
         tolerance: float = 1e-6,
         callback: Callable[[Progress], None] | None = None,
     ) -> Solution | None:
-        """Minimise with IPOPT; arguments and result as :func:`oed_sysid.gauss_newton.solve`.
+        """Minimise with IPOPT; see :func:`~oed_sysid.fitting.gauss_newton.solve`.
 
         ``shooting`` may differ from the one at construction in its noise levels.
         """

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.estimators.multiple_shooting import MultipleShooting
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 
 

@@ -15,11 +15,11 @@ from scipy.special import gammaincinv
 
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators.beginning import warm_unknowns
-from oed_sysid.estimators.covariance import ReducedProblem
 from oed_sysid.estimators.losses import loss_by_name
-from oed_sysid.fit import Fit
-from oed_sysid.gauss_newton import Solution, solve
-from oed_sysid.shooting import Point, Shooting
+from oed_sysid.fitting.covariance import ReducedProblem
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.fitting.gauss_newton import Solution, solve
+from oed_sysid.fitting.shooting import Point, Shooting
 
 # Doublings of the step before a side is declared open, and refinements of an end.
 MAXIMUM_DOUBLINGS = 12

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from oed_sysid.fit import Fit, Status
-from oed_sysid.gauss_newton import Solution
-from oed_sysid.kernels import kernel
-from oed_sysid.shooting import Shooting
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.fitting.fit import Fit, Status
+from oed_sysid.fitting.gauss_newton import Solution
+from oed_sysid.fitting.shooting import Shooting
 
 FINER = 4
 # Root mean square change, in noise levels, from which the step is worth a word.

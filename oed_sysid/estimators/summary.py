@@ -1,4 +1,4 @@
-"""From the end of the iterations to a :class:`~oed_sysid.fit.Fit`."""
+"""From the end of the iterations to a :class:`~oed_sysid.fitting.fit.Fit`."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import time
 
 import numpy as np
 
-from oed_sysid.estimators.covariance import ReducedProblem
-from oed_sysid.fit import Fit, Status
-from oed_sysid.gauss_newton import Solution
+from oed_sysid.fitting.covariance import ReducedProblem
+from oed_sysid.fitting.fit import Fit, Status
+from oed_sysid.fitting.gauss_newton import Solution
+from oed_sysid.fitting.shooting import Shooting, replace_values
 from oed_sysid.information import Information
-from oed_sysid.shooting import Shooting, replace_values
 
 _ADVICE = {
     "converged": "",

@@ -8,12 +8,12 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 from oed_sysid.channels import Channels
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import closest
 from oed_sysid.effects import Effect
 from oed_sysid.errors import OedSysidError, ProblemError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.model import Model
-from oed_sysid.record import closest
 
 DEFAULT = "default"
 _NAME = re.compile(r"[A-Za-z]\w*")

@@ -9,7 +9,7 @@ from string import Template
 
 import numpy as np
 
-from oed_sysid.dataset import write_csv
+from oed_sysid.data.dataset import write_csv
 from oed_sysid.errors import ProblemError
 from oed_sysid.problem.catalogue import FILE, load_problem
 from oed_sysid.simulate import simulate

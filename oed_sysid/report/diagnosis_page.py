@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.diagnose import Diagnosis
 from oed_sysid.diagnosis.locate import Located
 from oed_sysid.diagnosis.rank import Ranking

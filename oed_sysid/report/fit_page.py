@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oed_sysid.diagnosis.compare import Comparison
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.report.comparison_page import comparison_sections
 from oed_sysid.report.fit_plots import (
     figure_fit,

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from oed_sysid.dataset import Record
-from oed_sysid.fit import Fit
+from oed_sysid.data.dataset import Record
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import autocorrelation, effective_sample_size
 from oed_sysid.report.style import (
     DATA,

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed_sysid.channels import Input, Output
-from oed_sysid.dataset import Dataset, Record
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.diagnosis.locate import Located
 from oed_sysid.errors import DataError
 from oed_sysid.information import effective_sample_size

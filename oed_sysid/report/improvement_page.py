@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.compare import Comparison
 from oed_sysid.diagnosis.improvement import Improvement
 from oed_sysid.report.comparison_page import comparison_sections

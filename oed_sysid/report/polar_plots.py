@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from oed_sysid.errors import DataError
-from oed_sysid.polar import SpeedPolar
+from oed_sysid.predictions.speed_polar import SpeedPolar
 from oed_sysid.report.style import TRUTH, model_style, new_figure, spread_legend
 
 

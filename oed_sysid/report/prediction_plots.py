@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed_sysid.diagnosis.compare import Comparison
-from oed_sysid.prediction import Prediction
+from oed_sysid.fitting.prediction import Prediction
 from oed_sysid.report.fit_plots import plot_input
 from oed_sysid.report.style import (
     DATA,

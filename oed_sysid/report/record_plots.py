@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from oed_sysid.channels import Input, Output
-from oed_sysid.record import Record
+from oed_sysid.data.record import Record
 from oed_sysid.report.style import DATA, DEGREE, TRUTH, clean, label, new_figure
 
 

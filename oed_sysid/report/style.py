@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from oed_sysid import notation
 from oed_sysid.channels import Input, Output, State
+from oed_sysid.language import notation
 
 TRUTH = "black"
 DATA = "0.45"

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from oed_sysid.dataset import Record
+from oed_sysid.data.dataset import Record
 from oed_sysid.errors import DataError
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.fitting.prediction import Prediction
 from oed_sysid.manoeuvres.indices import zigzag_indices
-from oed_sysid.prediction import Prediction
 from oed_sysid.report.style import (
     DATA,
     DEGREE,

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DesignError
 from oed_sysid.information import Information
 from oed_sysid.model import Model

@@ -10,11 +10,11 @@ import numpy as np
 from joblib import Parallel, delayed
 from scipy.stats import chi2
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DesignError
 from oed_sysid.estimators import MultipleShooting
 from oed_sysid.experiment import Experiment
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 from oed_sysid.sensitivity.bound import information_of
 from oed_sysid.simulate import simulate

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.batch.threads import single_threaded
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DesignError
 from oed_sysid.information import Information
-from oed_sysid.kernels import kernel
 from oed_sysid.model import Model
 from oed_sysid.sensitivity.bound import information_of
 from oed_sysid.sensitivity.noise import Colour, Levels
 from oed_sysid.sensitivity.response import Play, Run, plays
 from oed_sysid.simulate.trajectory import state_names
-from oed_sysid.threads import single_threaded
 
 # An error of the estimate beyond this share of the value counts as not determined.
 POOR = 0.5

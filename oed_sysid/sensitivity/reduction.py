@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import SimulationError
 from oed_sysid.model import Model
 from oed_sysid.sensitivity.bound import information_of

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset, Record
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Experiment
-from oed_sysid.kernels import kernel
+from oed_sysid.fitting.start_guess import measured_states
 from oed_sysid.model import Model
 from oed_sysid.simulate import simulate, simulate_inputs
-from oed_sysid.start_states import measured_states
 
 Run = Experiment | Record
 

@@ -9,8 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike
 
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import SimulationError
-from oed_sysid.kernels import kernel
 from oed_sysid.model import Model
 from oed_sysid.simulate.trajectory import input_array, start_array
 

@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from oed_sysid import graph as graph_module
+from oed_sysid.compiled import graph as graph_module
+from oed_sysid.compiled.graph import Graph
 from oed_sysid.errors import SimulationError
-from oed_sysid.graph import Graph
 from oed_sysid.model import Model
 from oed_sysid.simulate.trajectory import Trajectory, input_array, start_array
 

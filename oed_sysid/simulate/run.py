@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from oed_sysid.dataset import Record
+from oed_sysid.compiled.kernels import Run, kernel
+from oed_sysid.data.dataset import Record
 from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiment import Experiment
-from oed_sysid.kernels import Run, kernel
 from oed_sysid.manoeuvres import Controller, command_all
 from oed_sysid.model import Model
 from oed_sysid.simulate.trajectory import simulate_inputs, start_array, state_names

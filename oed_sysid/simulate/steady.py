@@ -10,10 +10,10 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import least_squares
 
-from oed_sysid import graph as graph_module
+from oed_sysid.compiled import graph as graph_module
+from oed_sysid.compiled.graph import Graph
 from oed_sysid.errors import SimulationError
 from oed_sysid.experiment import Limits
-from oed_sysid.graph import Graph
 from oed_sysid.model import Model
 
 if TYPE_CHECKING:

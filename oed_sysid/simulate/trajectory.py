@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from oed_sysid import graph as graph_module
+from oed_sysid.compiled import graph as graph_module
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import SimulationError
-from oed_sysid.kernels import kernel
 from oed_sysid.model import Model
 
 # Real-axis limit of stability of the classical Runge-Kutta method.

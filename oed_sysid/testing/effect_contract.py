@@ -25,13 +25,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid import notation
-from oed_sysid.dimensions import dimension_of
+from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.effects import Effect
 from oed_sysid.errors import OedSysidError
-from oed_sysid.kernels import Kernel
+from oed_sysid.language import notation
+from oed_sysid.language.dimensions import dimension_of
+from oed_sysid.language.units import Dimension, dimension
 from oed_sysid.model import Model
-from oed_sysid.units import Dimension, dimension
 
 _ABSENT = 1e-12  # relative to the outputs
 _MIRROR = 1e-9

@@ -28,10 +28,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.estimators.base import Estimator
 from oed_sysid.experiment import Experiment
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 from oed_sysid.simulate import simulate
 

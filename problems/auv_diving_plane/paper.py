@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from oed_sysid import Dataset, MultipleShooting, load_problem, rank_parameters
 from oed_sysid.estimators import LeastSquaresSVM, SupportVectorRegression
-from oed_sysid.estimators.regression_rows import exact_rates
+from oed_sysid.estimators.baselines.regression_rows import exact_rates
 from oed_sysid.simulate import simulate
 
 problem = load_problem("auv_diving_plane")

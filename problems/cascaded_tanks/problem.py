@@ -22,7 +22,7 @@ from oed_sysid import (
     State,
     read_csv,
 )
-from oed_sysid.data_cache import fetch
+from oed_sysid.data.third_party import fetch
 from oed_sysid.effects import actuator_lag, sensor_lag
 
 FULL = 10.0  # V, reading of a full tank, and end of the sensor's range

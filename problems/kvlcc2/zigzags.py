@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from oed_sysid import Channels, Dataset, read_csv
-from oed_sysid.data_cache import fetch, registered
+from oed_sysid.data.third_party import fetch, registered
 
 FOLDER = "kvlcc2_hsva_zigzag/HSVA"
 # 20 Hz to 2 Hz. Above 1 Hz the signals hold less than 0.6 mm/s, 0.005 deg/s and 0.01 deg,

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from oed_sysid import Dataset, MultipleShooting, Record, load_problem
+from oed_sysid.data.reconstruction import reconstruct
 from oed_sysid.estimators import HeadingDifferences
-from oed_sysid.reconstruction import reconstruct
 from oed_sysid.simulate import simulate
 
 problem = load_problem("nomoto_sparse_heading")

@@ -11,7 +11,7 @@ import numpy as np
 
 from oed_sysid import Dataset, MultipleShooting, load_problem, speed_polar
 from oed_sysid.estimators import EquationError, GibbsRegression
-from oed_sysid.estimators.regression_rows import exact_rates
+from oed_sysid.estimators.baselines.regression_rows import exact_rates
 from oed_sysid.report import plot_polar
 from oed_sysid.simulate import simulate
 

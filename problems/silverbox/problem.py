@@ -22,7 +22,7 @@ from oed_sysid import (
     State,
     read_csv,
 )
-from oed_sysid.data_cache import fetch
+from oed_sysid.data.third_party import fetch
 from oed_sysid.effects import actuator_lag, sensor_bias
 
 SAMPLING = 1e7 / 2**14  # Hz; the file's times are rounded to microseconds

@@ -28,7 +28,7 @@ from oed_sysid import (
     Record,
     State,
 )
-from oed_sysid.data_cache import fetch
+from oed_sysid.data.third_party import fetch
 from oed_sysid.effects import actuator_gain_error, actuator_offset, sensor_bias, sensor_scale
 
 # The file holds the pitch as corrected by its authors; what the glider logged is undone here.

@@ -8,10 +8,10 @@ import numpy as np
 
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators.kalman import JointFilter, JointKalmanFilter
-from oed_sysid.estimators.noise_levels import given_levels
 from oed_sysid.estimators.online.sample import read_sample
+from oed_sysid.fitting.noise_levels import given_levels
+from oed_sysid.fitting.start_guess import measured_columns
 from oed_sysid.model import Model
-from oed_sysid.start_states import measured_columns
 
 
 class KalmanStream:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators.ls_svm import KernelFunction, LinearKernel, check_weight
+from oed_sysid.estimators.baselines.ls_svm import KernelFunction, LinearKernel, check_weight
 
 
 class IncrementalLSSVM:

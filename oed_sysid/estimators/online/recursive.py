@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators.ls_svm import check_weight
+from oed_sysid.estimators.baselines.ls_svm import check_weight
 
 
 class RecursiveLSSVM:

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.dataset import Dataset
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators.ls_svm import check_weight
+from oed_sysid.estimators.baselines.ls_svm import check_weight
+from oed_sysid.estimators.baselines.regression_form import regression_form
+from oed_sysid.estimators.baselines.regression_rows import Rates, check_rule, rows_of
+from oed_sysid.estimators.baselines.regression_summary import fit_from_values
+from oed_sysid.estimators.baselines.separate_equations import SeparateSolution, separate
 from oed_sysid.estimators.online.incremental import IncrementalLSSVM
 from oed_sysid.estimators.online.recursive import RecursiveLeastSquares, RecursiveLSSVM
-from oed_sysid.estimators.regression_form import regression_form
-from oed_sysid.estimators.regression_rows import Rates, check_rule, rows_of
-from oed_sysid.estimators.regression_summary import fit_from_values
-from oed_sysid.estimators.separate_equations import SeparateSolution, separate
-from oed_sysid.fit import Fit
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 
 METHODS = ("recursive", "incremental", "forgetting")
@@ -48,10 +48,10 @@ class OnlineRegression:
         Whether equations without a constant term get one; always so with
         ``"recursive"``.
     scale : str or mapping
-        See :class:`~oed_sysid.estimators.ls_svm.LeastSquaresSVM`.
+        See :class:`~oed_sysid.estimators.baselines.ls_svm.LeastSquaresSVM`.
     rule, rates
         Where derivatives come from, see
-        :class:`~oed_sysid.estimators.equation_error.EquationError`.
+        :class:`~oed_sysid.estimators.baselines.equation_error.EquationError`.
 
     References
     ----------

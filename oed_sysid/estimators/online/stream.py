@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from oed_sysid.errors import ModelError
+from oed_sysid.estimators.baselines.regression_form import regression_form
+from oed_sysid.estimators.baselines.regression_rows import check_rule, rows_from, states_of
 from oed_sysid.estimators.online.sample import read_sample
-from oed_sysid.estimators.regression_form import regression_form
-from oed_sysid.estimators.regression_rows import check_rule, rows_from, states_of
 from oed_sysid.model import Model
 
 # Samples that each rule needs for one row, and which row of them is the newest.
@@ -36,7 +36,7 @@ class EquationStream:
         Actuators must have no memory: on board their signals are measured.
     rule : str
         ``"euler"``, ``"trapezoid"`` or ``"simpson"``, see
-        :mod:`oed_sysid.estimators.regression_rows`; a row is ready one or two
+        :mod:`oed_sysid.estimators.baselines.regression_rows`; a row is ready one or two
         samples late.
 
     Examples

@@ -1,0 +1,1 @@
+"""Many calculations on cores or a cluster, none done twice."""

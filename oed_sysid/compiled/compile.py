@@ -1,0 +1,192 @@
+"""Compile a model's kernel once and keep it on disk.
+
+Safe against processes that compile the same model at the same time, and
+against torn files: a library is loaded only when its digest is right.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from oed_sysid.compiled.generate import source
+from oed_sysid.compiled.graph import build
+from oed_sysid.model import Model
+
+_FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w")
+
+
+def cache_folder() -> Path:
+    """Folder that keeps compiled kernels."""
+    stated = os.environ.get("OED_SYSID_CACHE")
+    return Path(stated) if stated else Path.home() / ".cache" / "oed_sysid"
+
+
+@lru_cache(maxsize=1)
+def _compiler() -> str | None:
+    if os.environ.get("OED_SYSID_COMPILER") == "none":
+        return None
+    for name in (os.environ.get("OED_SYSID_COMPILER"), os.environ.get("CC"), "gcc", "clang", "cc"):
+        if name and shutil.which(name):
+            return name
+    return None
+
+
+# What the code of a model is generated from.
+_GENERATOR = (
+    "compiled/graph.py",
+    "language/expressions.py",
+    "compiled/generate.py",
+    "compiled/trajectory.c",
+)
+
+
+@lru_cache(maxsize=1)
+def _machine_digest() -> str:
+    """Digest of the compiler and the processor the code is for."""
+    digest = hashlib.sha256()
+    digest.update(repr((ca.CasadiMeta.version(), _FLAGS, _compiler(), platform.machine())).encode())
+    try:  # -march=native: another processor needs its own code
+        with open("/proc/cpuinfo") as handle:
+            digest.update(next((line for line in handle if line.startswith("flags")), "").encode())
+    except OSError:
+        digest.update(platform.processor().encode())
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _generator_digest() -> str:
+    """Digest of the files that turn a model's structure into code."""
+    digest = hashlib.sha256()
+    package = files("oed_sysid")
+    for name in _GENERATOR:
+        digest.update(package.joinpath(name).read_bytes())
+    return digest.hexdigest()
+
+
+def load(model: Model, *, selectable: bool = False) -> ctypes.CDLL | None:
+    """Return the library of a model, compiling it if need be; None without a compiler.
+
+    With ``selectable`` the columns of the sensitivities are chosen at run time.
+    """
+    flags = ("-DSELECT",) if selectable else ()
+    return load_source(
+        f"{model.structure_key()}{'-select' if selectable else ''}",
+        lambda: source(build(model)),
+        what=f"the equations of {model.name!r}",
+        flags=flags,
+        made_by=_generator_digest(),
+    )
+
+
+def load_source(
+    key: str,
+    write: Callable[[], str],
+    *,
+    what: str,
+    flags: tuple[str, ...] = (),
+    made_by: str | None = None,
+) -> ctypes.CDLL | None:
+    """Return the library of any generated C source, compiling it if need be.
+
+    A library is found again under a name that holds the key and digests of its
+    source, the flags, the compiler and the processor; another library's source
+    does not enter, so that a change of one recompiles no other.
+
+    Parameters
+    ----------
+    key : str
+        What the source is, and digest of whatever shapes it.
+    write : callable
+        Returns the source; with ``made_by`` called only when it has to be compiled.
+    what : str
+        Words for the message while compiling.
+    flags : tuple of str
+        Further compiler flags.
+    made_by : str, optional
+        Digest of what writes the source, where writing takes long; by default
+        the source itself is digested.
+    """
+    compiler = _compiler()
+    if compiler is None:
+        _say_interpreted("no C compiler (gcc or clang) was found")
+        return None
+    shape = (_machine_digest(), flags, made_by or write())
+    digest = hashlib.sha256(repr(shape).encode()).hexdigest()[:16]
+    library = cache_folder() / f"{key}-{digest}.so"
+    if not _intact(library):
+        try:
+            _compile(write, what, compiler, flags, library)
+        except OSError as error:
+            _say_interpreted(f"{cache_folder()} cannot be written ({error})")
+            return None
+        except subprocess.CalledProcessError as error:
+            text = (error.stderr or b"").decode(errors="replace").strip().splitlines()
+            _say_interpreted(f"{compiler} failed: {text[-1] if text else error}")
+            return None
+    return ctypes.CDLL(str(library))
+
+
+def call(function: Callable[..., int], sizes: Sequence[int], *arrays: np.ndarray) -> int:
+    """Call compiled code with whole numbers, then the addresses of arrays of doubles.
+
+    Arrays that are not contiguous doubles are copied first; those that receive
+    results have to be.
+    """
+    kept = [np.ascontiguousarray(array, dtype=float) for array in arrays]
+    return function(*sizes, *(ctypes.c_void_p(array.ctypes.data) for array in kept))
+
+
+def _intact(library: Path) -> bool:
+    """Whether a cached library is the one that was written: a torn file would crash."""
+    try:
+        stated = library.with_suffix(".sha256").read_text()
+        return hashlib.sha256(library.read_bytes()).hexdigest() == stated
+    except OSError:
+        return False
+
+
+def _compile(
+    write: Callable[[], str], what: str, compiler: str, flags: tuple[str, ...], library: Path
+) -> None:
+    library.parent.mkdir(parents=True, exist_ok=True)
+    print(
+        f"oed_sysid: compiling {what} (once; kept in {library.parent})",
+        file=sys.stderr,
+    )
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        code = Path(folder) / "kernel.c"
+        built = Path(folder) / "kernel.so"
+        code.write_text(write())
+        subprocess.run(
+            [compiler, *_FLAGS, *flags, "-fPIC", "-shared", str(code), "-o", str(built), "-lm"],
+            check=True,
+            capture_output=True,
+        )
+        # Digest first, library last: a reader that sees both sees a matching pair.
+        digest = Path(folder) / "kernel.sha256"
+        digest.write_text(hashlib.sha256(built.read_bytes()).hexdigest())
+        os.replace(digest, library.with_suffix(".sha256"))
+        os.replace(built, library)
+
+
+@lru_cache(maxsize=1)
+def _say_interpreted(reason: str) -> None:
+    warnings.warn(
+        f"Models run in CasADi's interpreter, 15 to 60 times slower, because {reason}.",
+        stacklevel=2,
+    )

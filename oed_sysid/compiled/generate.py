@@ -1,0 +1,106 @@
+"""C code of one model structure: CasADi functions, sizes and sparse updates."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+import casadi as ca
+
+from oed_sysid.compiled.graph import Graph
+
+
+def _jacobian(
+    function: ca.Function, arguments: tuple[int, ...], free: tuple[int, ...], p: int
+) -> tuple[ca.Function, list[ca.Sparsity]]:
+    """Function that returns all results and, sparse, their derivatives.
+
+    For each result in turn the derivatives by ``arguments`` follow, where the
+    argument ``p`` stands for its free entries only.
+    """
+    symbols = [
+        ca.SX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in())
+    ]
+    results = function.call(symbols)
+    jacobians = []
+    for result in results:
+        for index in arguments:
+            jacobian = ca.jacobian(result, symbols[index])
+            jacobians.append(jacobian[:, list(free)] if index == p else jacobian)
+    sparsities = [jacobian.sparsity() for jacobian in jacobians]
+    name = f"{function.name()}_jac"
+    return ca.Function(name, symbols, [*results, *jacobians], {"cse": True}), sparsities
+
+
+def _update(sparsity: ca.Sparsity, *, parameter: bool) -> str:
+    """C statements that add ``J @ source`` (or the columns of ``J``) to rows of a target."""
+    lines = []
+    for index, (row, column) in enumerate(zip(*sparsity.get_triplet(), strict=True)):
+        if parameter:
+            lines.append(f"PARAMETER({row}, {column}, v[{index}])")
+        else:
+            lines.append(f"add_scaled(target[{row}], v[{index}], source[{column}]);")
+    return " ".join(lines)
+
+
+def source(graph: Graph) -> str:
+    """Return the complete C source of a model's kernel."""
+    free = graph.free_indices
+    actuate, sparsity_actuate = _jacobian(graph.actuate, (0, 2), free, 2)
+    rates, sparsity_rates = _jacobian(graph.rates, (0, 1, 2), free, 2)
+    observe, sparsity_observe = _jacobian(graph.observe, (0, 1, 2, 3), free, 3)
+    generator = ca.CodeGenerator("kernel.c", {"with_header": False})
+    for function in (graph.actuate, graph.rates, graph.observe, actuate, rates, observe):
+        generator.add(function)
+    start = _start(graph)
+    generator.add(start)
+    model = graph.model
+    linear = graph.linear_inputs
+    sizes = {
+        "NX": graph.n_states,
+        "NA": graph.n_actuator_memory,
+        "NS": graph.n_sensor_memory,
+        "NZ": graph.n_full,
+        "ND": len(model.actuator_signals),
+        "NU": len(model.inputs),
+        "NY": len(model.outputs),
+        "NP": len(model.all_parameters),
+        "NF": len(free),
+        "NC": graph.n_full + len(free),
+        "N_OWN": graph.n_own,
+        "ANY_LINEAR_INPUT": int(any(linear)),
+        "LINEAR_INPUTS": "{" + ", ".join(str(int(flag)) for flag in linear or (0,)) + "}",
+    }
+    # Workspace of the larger of the plain and the differentiated function.
+    for name, pair in {
+        "ACTUATE": (graph.actuate, actuate),
+        "RATES": (graph.rates, rates),
+        "OBSERVE": (graph.observe, observe),
+        "START": (start, start),
+    }.items():
+        sizes[f"W_{name}"] = max(f.sz_w() for f in pair)
+        sizes[f"IW_{name}"] = max(f.sz_iw() for f in pair)
+    updates: dict[str, str] = {}
+    groups = (
+        (("DDA", "DDP", "DAA", "DAP"), sparsity_actuate),
+        (("JXX", "JXD", "JXP"), sparsity_rates),
+        (("JYX", "JYD", "JYS", "JYP", "JSX", "JSD", "JSS", "JSP"), sparsity_observe),
+    )
+    for labels, sparsities in groups:
+        for label, sparsity in zip(labels, sparsities, strict=True):
+            sizes[f"NNZ_{label}"] = sparsity.nnz()
+            updates[f"UPDATE_{label}"] = _update(sparsity, parameter=label.endswith("P"))
+    defines = [f"#define {name} {value}" for name, value in (sizes | updates).items()]
+    loop = files("oed_sysid.compiled").joinpath("trajectory.c").read_text()
+    return "\n".join([generator.dump(), *defines, loop])
+
+
+def _start(graph: Graph) -> ca.Function:
+    """Start function with its dense derivative, row by row, by own states and free parameters."""
+    symbols = [ca.SX.sym(graph.start.name_in(i), graph.start.sparsity_in(i)) for i in range(4)]
+    (z,) = graph.start.call(symbols)
+    free = list(graph.free_indices)
+    by_own = ca.jacobian(z, symbols[0])
+    by_free = ca.jacobian(z, symbols[2])[:, free] if free else ca.SX(z.numel(), 0)
+    # CasADi stores columns; the transpose hands rows to C.
+    dense = ca.densify(ca.horzcat(by_own, by_free).T)
+    return ca.Function("start_jac", symbols, [z, dense])

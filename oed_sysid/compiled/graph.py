@@ -1,0 +1,315 @@
+"""From a model's text to CasADi expressions: actuate, move, observe, start.
+
+The chain is cut where physics cuts it. *Actuate* and *observe* are sampled
+maps with memory; *rates* is an ordinary differential equation between them.
+
+=========  =====================================  ========================
+function   arguments                              results
+=========  =====================================  ========================
+actuate    memory, inputs, parameters, t, h       signals, next memory
+rates      states, signals, parameters, t         rates of the states
+balance    states, their rates, signals,          inertia times rates minus
+           parameters, t                          forces, zero in motion
+observe    states, signals, memory, parameters,   outputs, next memory
+           t, h
+start      own states, inputs, parameters, t      full state
+=========  =====================================  ========================
+
+The full state ``z`` stacks the model's own states, states added by effects,
+actuator memory and sensor memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+
+from oed_sysid.effects import Effect
+from oed_sysid.language.expressions import names, to_casadi
+from oed_sysid.model import Model
+
+Scope = dict[str, ca.SX]
+
+
+@dataclass(frozen=True)
+class Graph:
+    """CasADi functions of a model and the sizes of their arguments."""
+
+    model: Model
+    actuate: ca.Function
+    rates: ca.Function
+    balance: ca.Function
+    observe: ca.Function
+    start: ca.Function
+    state_names: tuple[str, ...]
+    n_own: int
+    n_states: int
+    n_actuator_memory: int
+    n_sensor_memory: int
+    free_indices: tuple[int, ...]
+
+    @property
+    def n_full(self) -> int:
+        """Length of the full state ``z``."""
+        return self.n_states + self.n_actuator_memory + self.n_sensor_memory
+
+    @property
+    def linear_inputs(self) -> tuple[bool, ...]:
+        """For each input, whether it is interpolated linearly between samples."""
+        return tuple(channel.interpolation == "linear" for channel in self.model.inputs)
+
+    @cached_property
+    def advance(self) -> ca.Function:
+        """One integration step ``(z, inputs at start and end, p, t, h) -> z``.
+
+        Sensor memory is left to :attr:`sample`.
+        """
+        z, start, end, p, t, h = self._step_symbols()
+        x, memory, sensor = self._split(z)
+        if any(self.linear_inputs):
+            middle = (start + end) / 2
+            first, _ = self.actuate(memory, start, p, t, h)
+            centre, memory_next = self.actuate(memory, middle, p, t, h)
+            last, _ = self.actuate(memory, end, p, t, h)
+        else:
+            first, memory_next = self.actuate(memory, start, p, t, h)
+            centre = last = first
+        k1 = self.rates(x, first, p, t)
+        k2 = self.rates(x + h / 2 * k1, centre, p, t + h / 2)
+        k3 = self.rates(x + h / 2 * k2, centre, p, t + h / 2)
+        k4 = self.rates(x + h * k3, last, p, t + h)
+        x_next = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        z_next = ca.vertcat(x_next, memory_next, sensor)
+        return ca.Function("advance", [z, start, end, p, t, h], [z_next], {"cse": True})
+
+    @cached_property
+    def sample(self) -> ca.Function:
+        """One measurement ``(z, inputs, p, t, h) -> (y, z with updated sensor memory)``."""
+        z, start, _, p, t, h = self._step_symbols()
+        x, memory, sensor = self._split(z)
+        signals, _ = self.actuate(memory, start, p, t, h)
+        y, sensor_next = self.observe(x, signals, sensor, p, t, h)
+        z_next = ca.vertcat(x, memory, sensor_next)
+        return ca.Function("sample", [z, start, p, t, h], [y, z_next], {"cse": True})
+
+    def _step_symbols(self) -> tuple[ca.SX, ...]:
+        n_inputs = len(self.model.inputs)
+        return (
+            ca.SX.sym("z", self.n_full),
+            ca.SX.sym("start", n_inputs),
+            ca.SX.sym("end", n_inputs),
+            ca.SX.sym("p", len(self.model.all_parameters)),
+            ca.SX.sym("t"),
+            ca.SX.sym("h"),
+        )
+
+    def _split(self, z: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        first = self.n_states
+        second = first + self.n_actuator_memory
+        # Two indices: an empty part of a single element would otherwise be 1 by 0.
+        return z[:first, 0], z[first:second, 0], z[second:, 0]
+
+
+_CACHE: dict[str, Graph] = {}
+
+
+def build(model: Model) -> Graph:
+    """Build (or fetch) the CasADi functions of a model's structure."""
+    key = model.structure_key()
+    if key not in _CACHE:
+        _CACHE[key] = _build(model)
+    return _CACHE[key]
+
+
+def _chain(effects: Iterable[Effect], stage: str) -> list[Effect]:
+    return [effect for effect in effects if effect.stage == stage]
+
+
+def _apply(effect: Effect, scope: Scope, tables: Mapping) -> tuple[Scope, Scope]:
+    """Evaluate definitions and terms of a signal effect; all read the old values."""
+    local = dict(scope)
+    for name, text in effect.definitions.items():
+        local[name] = to_casadi(text, local, tables)
+    return local, {key: to_casadi(text, local, tables) for key, text in effect.terms.items()}
+
+
+def _vertcat(items: Iterable[ca.SX]) -> ca.SX:
+    parts = list(items)
+    return ca.densify(ca.vertcat(*parts)) if parts else ca.SX(0, 1)
+
+
+def _build(model: Model) -> Graph:
+    tables = {name: table for effect in model.effects for name, table in effect.tables.items()}
+    own = {name: ca.SX.sym(name) for name in model.state_names}
+    extra = {s.name: ca.SX.sym(s.name) for effect in model.effects for s in effect.states}
+    states = own | extra
+    inputs = {name: ca.SX.sym(name) for name in model.input_names}
+    parameters = {name: ca.SX.sym(name) for name in model.parameter_names}
+    t, h = ca.SX.sym("t"), ca.SX.sym("h")
+    p = _vertcat(parameters.values())
+    clock = {"t": t, "h": h}
+
+    # Actuators: sampled, with memory.
+    scope: Scope = inputs | parameters | clock
+    ideal = {name: to_casadi(text, scope) for name, text in model.actuator_signals.items()}
+    signals = dict(ideal)
+    settled = dict(ideal)  # the same chain, at rest at the first command
+    actuator_memory: list[ca.SX] = []
+    actuator_next: list[ca.SX] = []
+    actuator_initial: list[ca.SX] = []
+    for effect in _chain(model.effects, "actuator"):
+        memory = {m.name: ca.SX.sym(f"{effect.name}.{m.name}") for m in effect.memory}
+        local, new = _apply(effect, scope | signals | memory, tables)
+        actuator_memory += memory.values()
+        actuator_next += [to_casadi(m.update, local, tables) for m in effect.memory]
+        begin = {m.name: to_casadi(m.initial, scope | settled, tables) for m in effect.memory}
+        actuator_initial += begin.values()
+        settled |= _apply(effect, scope | settled | begin, tables)[1]
+        signals |= new
+    command = _vertcat(inputs.values())
+    memory_a = _vertcat(actuator_memory)
+    actuate = ca.Function(
+        "actuate",
+        [memory_a, command, p, t, h],
+        [_vertcat(signals.values()), _vertcat(actuator_next)],
+        {"cse": True},
+    )
+
+    # Motion between the samples.
+    drive = {name: ca.SX.sym(name) for name in signals}
+    scope = states | drive | parameters | clock
+    for signal, text in model.signals.items():
+        scope[signal] = to_casadi(text, scope, tables)
+        for effect in _chain(model.effects, "environment"):
+            if signal in effect.terms:
+                local = dict(scope)
+                for name, definition in effect.definitions.items():
+                    if names(definition) <= local.keys():
+                        local[name] = to_casadi(definition, local, tables)
+                scope[signal] = to_casadi(effect.terms[signal], local, tables)
+    added: dict[str, ca.SX] = {}
+    rates = {name: to_casadi(text, scope, tables) for name, text in model.kinematics.items()}
+    for effect in model.effects:
+        local = scope
+        if effect.stage == "force":
+            local, new = _apply(effect, scope, tables)
+            for key, term in new.items():
+                added[key] = added.get(key, ca.SX(0)) + term
+        for state in effect.states:
+            rates[state.name] = to_casadi(state.rate, local, tables)
+    for name in model.kinematics:
+        rates[name] = rates[name] + added.get(name, ca.SX(0))
+    speeds = {name: ca.SX.sym(f"{name}_rate") for name in states}
+    balance = {name: speeds[name] - rates[name] for name in rates}
+    accelerations, momentum = _momentum(model, scope, added, tables, speeds)
+    rates |= accelerations
+    balance |= momentum
+    x = _vertcat(states.values())
+    d = _vertcat(drive.values())
+    move = ca.Function(
+        "rates", [x, d, p, t], [_vertcat(rates[name] for name in states)], {"cse": True}
+    )
+    balanced = ca.Function(
+        "balance",
+        [x, _vertcat(speeds.values()), d, p, t],
+        [_vertcat(balance[name] for name in states)],
+    )
+
+    # Sensors: sampled, with memory.
+    measured = {o.name: to_casadi(o.source, scope, tables) for o in model.outputs}
+    first = dict(measured)  # the first measurement, each memory at its initial value
+    sensor_memory: list[ca.SX] = []
+    sensor_next: list[ca.SX] = []
+    sensor_initial: list[ca.SX] = []
+    for effect in _chain(model.effects, "sensor"):
+        memory = {m.name: ca.SX.sym(f"{effect.name}.{m.name}") for m in effect.memory}
+        local, new = _apply(effect, scope | measured | memory, tables)
+        sensor_memory += memory.values()
+        sensor_next += [to_casadi(m.update, local, tables) for m in effect.memory]
+        begin = {m.name: to_casadi(m.initial, scope | first, tables) for m in effect.memory}
+        sensor_initial += begin.values()
+        first |= _apply(effect, scope | first | begin, tables)[1]
+        measured |= new
+    memory_s = _vertcat(sensor_memory)
+    observe = ca.Function(
+        "observe",
+        [x, d, memory_s, p, t, h],
+        [_vertcat(measured.values()), _vertcat(sensor_next)],
+        {"cse": True},
+    )
+
+    # Start: what the model's own states imply for everything else.
+    ready = own | inputs | parameters | clock | settled
+    extra_initial = [
+        to_casadi(s.initial, ready, tables) for effect in model.effects for s in effect.states
+    ]
+    own_vector = _vertcat(own.values())
+    x_start = _vertcat([*own.values(), *extra_initial])
+    raw = ca.Function(
+        "raw",
+        [x, d, p, t, h],
+        [_vertcat(sensor_initial)],
+        {"allow_free": False},
+    )(x_start, _vertcat(settled.values()), p, t, 1.0)
+    full = ca.vertcat(x_start, _vertcat(actuator_initial), raw)
+    # The step length is not known before the first sample; nothing may depend on it.
+    start = ca.Function(
+        "start",
+        [own_vector, command, p, t],
+        [ca.densify(ca.substitute(full, h, 1.0))],
+        {"cse": True},
+    )
+    free = set(model.free_names)
+    return Graph(
+        model=model,
+        actuate=actuate,
+        rates=move,
+        balance=balanced,
+        observe=observe,
+        start=start,
+        state_names=tuple(states),
+        n_own=len(own),
+        n_states=len(states),
+        n_actuator_memory=len(actuator_memory),
+        n_sensor_memory=len(sensor_memory),
+        free_indices=tuple(i for i, name in enumerate(model.parameter_names) if name in free),
+    )
+
+
+def _momentum(
+    model: Model,
+    scope: Scope,
+    forces: Mapping[str, ca.SX],
+    tables: Mapping,
+    speeds: Mapping[str, ca.SX],
+) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+    """Solve the mass matrix for the accelerations of the axes.
+
+    Also returned are the equations before that, inertia times ``speeds`` minus
+    forces, by velocity: unlike the accelerations they are linear in masses.
+    """
+    if not model.axes:
+        return {}, {}
+    axes = list(model.axes)
+    velocities = list(model.axes.values())
+    mass = ca.SX.zeros(len(axes), len(axes))
+    stated = {axis for axis, _ in model.inertia}
+    for row, axis in enumerate(axes):
+        if axis not in stated:
+            mass[row, row] = 1.0
+    entries = list(model.inertia.items())
+    for effect in _chain(model.effects, "inertia"):
+        entries += list(effect.terms.items())
+    for (axis, velocity), text in entries:
+        row, column = axes.index(axis), velocities.index(velocity)
+        mass[row, column] += to_casadi(text, scope, tables)
+    right = ca.vertcat(*(forces.get(axis, ca.SX(0)) for axis in axes))
+    accelerations = ca.inv_minor(mass) @ right if len(axes) <= 4 else ca.solve(mass, right)
+    balance = mass @ ca.vertcat(*(speeds[velocity] for velocity in velocities)) - right
+    return (
+        {velocity: accelerations[row] for row, velocity in enumerate(velocities)},
+        {velocity: balance[row] for row, velocity in enumerate(velocities)},
+    )

@@ -1,0 +1,362 @@
+"""Compiled trajectories and sensitivities of a model.
+
+The code of a model structure is generated and compiled once, kept on disk
+under the digest of everything that shapes it, and loaded in milliseconds.
+Values of parameters, inputs and initial states are arguments, so neither more
+data nor other values compile anything again. Without a C compiler the same
+functions run in CasADi's interpreter, slower, and this is said once.
+
+The cache folder is ``$OED_SYSID_CACHE``, or ``~/.cache/oed_sysid``.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.compiled.compile import load
+from oed_sysid.compiled.interpreter import interpreted
+from oed_sysid.errors import ModelError
+from oed_sysid.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a kernel returns for one record.
+
+    Attributes
+    ----------
+    outputs : ndarray (n_times, n_outputs)
+        Model outputs; NaN after a failure.
+    states : ndarray (n_times, n_full)
+        Full state before each measurement.
+    output_sensitivities : ndarray (n_times, n_outputs, n_columns) or None
+        Derivatives by the start state of the segment, then by free parameters.
+    ends : ndarray (n_segments, n_full)
+        State at the end of each segment, that is at the next one's first sample.
+    end_sensitivities : ndarray (n_segments, n_full, n_columns) or None
+        Its derivatives.
+    failed_at : int
+        First sample whose state is not finite, or -1.
+    """
+
+    outputs: np.ndarray
+    states: np.ndarray
+    output_sensitivities: np.ndarray | None
+    ends: np.ndarray
+    end_sensitivities: np.ndarray | None
+    failed_at: int
+
+    @property
+    def ok(self) -> bool:
+        """Whether the whole trajectory is finite."""
+        return self.failed_at < 0
+
+
+class Kernel:
+    """Trajectories and exact sensitivities of one model structure.
+
+    Sizes: ``n_full`` (length of the full state), ``n_own`` (the model's own
+    states), ``n_free`` (free parameters), ``n_columns = n_full + n_free``.
+
+    Parameters
+    ----------
+    model : Model
+        The model; only its structure matters, values are arguments.
+    compiled : bool or None
+        Force (True) or refuse (False) compiled code; None takes what is there.
+    """
+
+    def __init__(self, model: Model, *, compiled: bool | None = None) -> None:
+        self.model = model
+        self.n_parameters = len(model.all_parameters)
+        self.n_inputs = len(model.inputs)
+        self.n_outputs = len(model.outputs)
+        self.n_own = len(model.states)
+        self.n_free = len(model.free_parameters)
+        n_extra = sum(len(effect.states) for effect in model.effects)
+        n_memory = sum(len(effect.memory) for effect in model.effects)
+        self.n_full = self.n_own + n_extra + n_memory
+        self.n_columns = self.n_full + self.n_free
+        self._library = None if compiled is False else load(model)
+        if compiled is True and self._library is None:
+            raise ModelError(
+                "Compiled code was asked for, but no C compiler was found. Install gcc or clang, "
+                "or leave compiled=None to use CasADi's interpreter."
+            )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return kernel, (self.model,)
+
+    @property
+    def library(self) -> ctypes.CDLL | None:
+        """Compiled code of the structure, or None where the interpreter runs."""
+        return self._library
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether compiled code runs, rather than the interpreter."""
+        return self._library is not None
+
+    def start(
+        self, own: np.ndarray, inputs: np.ndarray, values: np.ndarray, time: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Full state implied by the model's own states.
+
+        Parameters
+        ----------
+        own : ndarray (n_own,)
+            The model's own states.
+        inputs : ndarray (n_inputs,)
+            First inputs.
+        values : ndarray (n_parameters,)
+            All parameter values.
+        time : float
+            Time of the first sample, s.
+
+        Returns
+        -------
+        z : ndarray (n_full,)
+        dz : ndarray (n_full, n_own + n_free)
+            Derivatives by own states and free parameters.
+        """
+        own, inputs, values = (np.ascontiguousarray(a, dtype=float) for a in (own, inputs, values))
+        if self._library is None:
+            z, dense = interpreted(self.model).start(own, inputs, values, time)
+            return z, dense
+        z = np.empty(self.n_full)
+        dz = np.empty((self.n_full, self.n_own + self.n_free))
+        self._library.kernel_start(
+            _pointer(own),
+            _pointer(inputs),
+            _pointer(values),
+            ctypes.c_double(time),
+            _pointer(z),
+            _pointer(dz),
+        )
+        return z, dz
+
+    def run(
+        self,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        values: np.ndarray,
+        nodes: np.ndarray,
+        *,
+        starts: np.ndarray | None = None,
+        carry: bool = False,
+        sensitivities: bool = False,
+    ) -> Run:
+        """Integrate one record, in one or several segments.
+
+        Parameters
+        ----------
+        times : ndarray (n_times,)
+            Sample times, s.
+        inputs : ndarray (n_times, n_inputs)
+            Commands at the samples.
+        values : ndarray (n_parameters,)
+            All parameter values.
+        nodes : ndarray (n_segments, n_full)
+            Full state at the start of each segment; with ``carry`` only the
+            first row is read and the trajectory is continuous, while
+            sensitivities still begin anew at each segment.
+        starts : ndarray of int (n_segments,), optional
+            Index of the first sample of each segment; one segment by default.
+        carry : bool
+            Continue from the end of the previous segment.
+        sensitivities : bool
+            Also return derivatives.
+        """
+        times = np.ascontiguousarray(times, dtype=float)
+        inputs = np.ascontiguousarray(inputs, dtype=float).reshape(len(times), self.n_inputs)
+        values = np.ascontiguousarray(values, dtype=float)
+        nodes = np.ascontiguousarray(nodes, dtype=float).reshape(-1, self.n_full)
+        starts = np.ascontiguousarray([0] if starts is None else starts, dtype=np.intc)
+        n, n_segments = len(times), len(starts)
+        if values.shape != (self.n_parameters,):
+            raise ModelError(
+                f"Got {values.shape} parameter values, expected ({self.n_parameters},)."
+            )
+        if len(nodes) != (1 if carry else n_segments):
+            raise ModelError(f"Got {len(nodes)} node states for {n_segments} segments.")
+        y = np.full((n, self.n_outputs), np.nan)
+        z = np.full((n, self.n_full), np.nan)
+        ends = np.full((n_segments, self.n_full), np.nan)
+        dy = dends = None
+        if sensitivities:
+            dy = np.empty((n, self.n_outputs, self.n_columns))
+            dends = np.empty((n_segments, self.n_full, self.n_columns))
+        if self._library is None:
+            failed = interpreted(self.model).run(
+                times, inputs, values, nodes, starts, carry, (z, y, dy, ends, dends)
+            )
+        else:
+            failed = self._library.kernel_run(
+                n,
+                _pointer(times),
+                _pointer(inputs),
+                _pointer(values),
+                ctypes.c_double(self.model.step),
+                n_segments,
+                starts.ctypes.data_as(ctypes.c_void_p),
+                _pointer(nodes),
+                int(carry),
+                _pointer(z),
+                _pointer(y),
+                _pointer(dy),
+                _pointer(ends),
+                _pointer(dends),
+            )
+        if failed >= 0 and dy is not None:
+            dy[failed:] = np.nan
+        return Run(y, z, dy, ends, dends, failed)
+
+
+@dataclass(frozen=True, eq=False)
+class SelectedRun:
+    """One continuous trajectory with chosen sensitivities.
+
+    Attributes
+    ----------
+    outputs : ndarray (n_times, n_outputs)
+    states : ndarray (n_times, n_own)
+        The model's own states.
+    jacobian : ndarray (n_times, n_outputs, n_own + n_chosen) or None
+        Derivatives of the outputs by initial states, then by chosen parameters.
+    ok : bool
+        Whether the whole trajectory is finite.
+    """
+
+    outputs: np.ndarray
+    states: np.ndarray
+    jacobian: np.ndarray | None
+    ok: bool
+
+
+class SelectableKernel:
+    """Continuous trajectories with sensitivities by parameters chosen at run time.
+
+    One compiled library serves every sub-model of a model that holds many
+    candidate effects.
+
+    Parameters
+    ----------
+    model : Model
+        The large model; candidate effects are absent at their zero values.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.plain = Kernel(model, compiled=False)
+        self.n_own = self.plain.n_own
+        self._names = {name: index for index, name in enumerate(model.free_names)}
+        self._library = load(model, selectable=True)
+
+    def run(
+        self,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        values: np.ndarray,
+        own: np.ndarray,
+        names: Sequence[str] = (),
+        *,
+        sensitivities: bool = True,
+    ) -> SelectedRun:
+        """Simulate one record.
+
+        Parameters
+        ----------
+        times : ndarray (n_times,)
+        inputs : ndarray (n_times, n_inputs)
+        values : ndarray (n_parameters,)
+        own : ndarray (n_own,)
+            The model's own initial states.
+        names : sequence of str
+            Free parameters that get a column.
+        sensitivities : bool
+            Whether to return derivatives.
+
+        """
+        plain = self.plain
+        times = np.ascontiguousarray(times, dtype=float)
+        inputs = np.ascontiguousarray(inputs, dtype=float).reshape(len(times), plain.n_inputs)
+        values = np.ascontiguousarray(values, dtype=float)
+        chosen = np.array([self._names[name] for name in names], dtype=int)
+        z0, dz0 = self._start(own, inputs[0], values, times[0])
+        first = np.ascontiguousarray(np.hstack([dz0[:, : self.n_own], dz0[:, self.n_own + chosen]]))
+        n_columns = first.shape[1]
+        if self._library is None:
+            run = plain.run(times, inputs, values, z0, sensitivities=sensitivities)
+            dy = run.output_sensitivities
+            if dy is None:
+                return SelectedRun(run.outputs, run.states[:, : self.n_own], None, run.ok)
+            jacobian = dy[:, :, : plain.n_full] @ first
+            jacobian[:, :, self.n_own :] += dy[:, :, plain.n_full + chosen]
+            return SelectedRun(run.outputs, run.states[:, : self.n_own], jacobian, run.ok)
+        y = np.full((len(times), plain.n_outputs), np.nan)
+        z = np.full((len(times), plain.n_full), np.nan)
+        dy = np.empty((*y.shape, n_columns)) if sensitivities else None
+        columns = np.full(max(plain.n_free, 1), -1, dtype=np.intc)
+        columns[chosen] = self.n_own + np.arange(len(chosen))
+        failed = self._library.kernel_select(
+            len(times),
+            _pointer(times),
+            _pointer(inputs),
+            _pointer(values),
+            ctypes.c_double(self.model.step),
+            _pointer(z0),
+            n_columns,
+            columns.ctypes.data_as(ctypes.c_void_p),
+            _pointer(first),
+            _pointer(z),
+            _pointer(y),
+            _pointer(dy),
+        )
+        return SelectedRun(y, z[:, : self.n_own], dy, failed < 0)
+
+    def _start(
+        self, own: np.ndarray, inputs: np.ndarray, values: np.ndarray, time: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        if self._library is None:
+            return self.plain.start(own, inputs, values, time)
+        z = np.empty(self.plain.n_full)
+        dz = np.empty((self.plain.n_full, self.n_own + self.plain.n_free))
+        own, inputs = (np.ascontiguousarray(a, dtype=float) for a in (own, inputs))
+        self._library.kernel_start(
+            _pointer(own),
+            _pointer(inputs),
+            _pointer(values),
+            ctypes.c_double(time),
+            _pointer(z),
+            _pointer(dz),
+        )
+        return z, dz
+
+
+_CACHE: dict[tuple[str, float], Kernel] = {}
+_SELECTABLE: dict[tuple[str, float], SelectableKernel] = {}
+
+
+def selectable_kernel(model: Model) -> SelectableKernel:
+    """Return the selectable kernel of a model, compiled at most once per structure."""
+    key = (model.structure_key(), model.step)
+    if key not in _SELECTABLE:
+        _SELECTABLE[key] = SelectableKernel(model)
+    return _SELECTABLE[key]
+
+
+def kernel(model: Model) -> Kernel:
+    """Return the kernel of a model, compiled at most once per structure."""
+    key = (model.structure_key(), model.step)
+    if key not in _CACHE:
+        _CACHE[key] = Kernel(model)
+    return _CACHE[key]
+
+
+def _pointer(array: np.ndarray | None) -> ctypes.c_void_p | None:
+    return None if array is None else ctypes.c_void_p(array.ctypes.data)

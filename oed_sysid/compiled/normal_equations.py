@@ -1,0 +1,218 @@
+"""Normal equations of the segments of a record, gathered while the trajectory runs.
+
+Least squares over independent segments needs of each the products of its
+sensitivities and residuals only. Compiled code sums them sample by sample, so
+that sensitivities are never written to memory; without a compiler NumPy forms
+the same sums from :meth:`oed_sysid.compiled.kernels.Kernel.run`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import Kernel
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Sums over the samples of each segment.
+
+    Attributes
+    ----------
+    gram : ndarray (n_segments, n_columns + 1, n_columns + 1)
+        Products ``[J r]' [J r]`` of scaled sensitivities, by the segment's start
+        state and the free parameters, and scaled residuals (measured minus model).
+    ends : ndarray (n_segments, n_full) or None
+        State at the next segment's first sample.
+    end_sensitivities : ndarray (n_segments, n_full, n_columns) or None
+        Its derivatives.
+    """
+
+    gram: np.ndarray
+    ends: np.ndarray | None
+    end_sensitivities: np.ndarray | None
+
+
+@dataclass(frozen=True, eq=False)
+class Elimination:
+    """Normal equations of the parameters, start states eliminated.
+
+    Attributes
+    ----------
+    matrix : ndarray (n_free, n_free)
+    right : ndarray (n_free,)
+    solved : ndarray (n_segments, n_full, n_free + 1)
+        Start states answer a step of the parameters by the last column minus
+        the others times that step.
+    gain : float
+        Right-hand sides times solutions of the start states: twice what they
+        alone would gain.
+    """
+
+    matrix: np.ndarray
+    right: np.ndarray
+    solved: np.ndarray
+    gain: float
+
+    def moves(self, step: np.ndarray) -> np.ndarray:
+        """Steps of the start states, ``(n_segments, n_full)``, for a step of the parameters."""
+        return self.solved[:, :, -1] - self.solved[:, :, :-1] @ step
+
+
+def gather(
+    kernel: Kernel,
+    times: np.ndarray,
+    inputs: np.ndarray,
+    values: np.ndarray,
+    nodes: np.ndarray,
+    measured: np.ndarray,
+    sigma: np.ndarray,
+    *,
+    starts: np.ndarray,
+    linked: bool,
+) -> Blocks | None:
+    """Integrate the segments of one record and gather their normal equations.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        Of the model.
+    times, inputs, values, starts
+        As :meth:`oed_sysid.compiled.kernels.Kernel.run` takes them.
+    nodes : ndarray (n_segments, n_full)
+        Full state at the start of each segment.
+    measured : ndarray (n_times, n_outputs)
+        Measurements; NaN weighs nothing.
+    sigma : ndarray (n_outputs,)
+        Standard deviations of the noise.
+    linked : bool
+        Whether ends and their derivatives are wanted.
+
+    Returns
+    -------
+    Blocks or None
+        None where a trajectory or a sum is not finite.
+    """
+    n_segments, size = len(starts), kernel.n_columns + 1
+    if kernel.library is None:
+        return _gather_numpy(
+            kernel, times, inputs, values, nodes, measured, sigma, starts=starts, linked=linked
+        )
+    arrays = [
+        np.ascontiguousarray(a, dtype=float)
+        for a in (times, inputs, values, nodes, measured, 1.0 / sigma)
+    ]
+    starts = np.ascontiguousarray(starts, dtype=np.intc)
+    gram = np.empty((n_segments, size, size))
+    ends = np.empty((n_segments, kernel.n_full)) if linked else None
+    dends = np.empty((n_segments, kernel.n_full, kernel.n_columns)) if linked else None
+    at_times, at_inputs, at_values, at_nodes, at_measured, at_weight = map(_pointer, arrays)
+    failed = kernel.library.kernel_gather(
+        len(times),
+        at_times,
+        at_inputs,
+        at_values,
+        ctypes.c_double(kernel.model.step),
+        n_segments,
+        _pointer(starts),
+        at_nodes,
+        at_measured,
+        at_weight,
+        _pointer(gram),
+        _pointer(ends),
+        _pointer(dends),
+    )
+    if failed >= 0 or not np.isfinite(gram).all():
+        return None
+    return Blocks(gram, ends, dends)
+
+
+def _gather_numpy(
+    kernel: Kernel,
+    times: np.ndarray,
+    inputs: np.ndarray,
+    values: np.ndarray,
+    nodes: np.ndarray,
+    measured: np.ndarray,
+    sigma: np.ndarray,
+    *,
+    starts: np.ndarray,
+    linked: bool,
+) -> Blocks | None:
+    run = kernel.run(times, inputs, values, nodes, starts=starts, sensitivities=True)
+    if not run.ok or run.output_sensitivities is None:
+        return None
+    present = np.isfinite(measured)
+    scaled = np.where(present, measured - run.outputs, 0.0) / sigma
+    rows = run.output_sensitivities * (present / sigma)[:, :, None]
+    both = np.concatenate([rows, scaled[:, :, None]], axis=2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        parts = [part.reshape(-1, both.shape[2]) for part in np.split(both, starts[1:])]
+        gram = np.array([part.T @ part for part in parts])
+    if not np.isfinite(gram).all():
+        return None
+    return Blocks(gram, run.ends, run.end_sensitivities) if linked else Blocks(gram, None, None)
+
+
+def eliminate(
+    kernel: Kernel, gram: np.ndarray, away: np.ndarray, weight: np.ndarray, damping: float
+) -> Elimination:
+    """Eliminate the start states of independent segments.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        Of the model.
+    gram : ndarray (n_segments, n_columns + 1, n_columns + 1)
+        As in :class:`Blocks`.
+    away : ndarray (n_segments, n_full)
+        Start states minus their guesses.
+    weight : ndarray (n_full,)
+        What these differences weigh, above zero.
+    damping : float
+        Share by which the diagonal of the start states is raised.
+    """
+    n_segments, n_full, n_free = len(gram), kernel.n_full, kernel.n_free
+    if kernel.library is None:
+        return _eliminate_numpy(gram, away, weight, damping)
+    gram, away, weight = (np.ascontiguousarray(a, dtype=float) for a in (gram, away, weight))
+    solved = np.empty((n_segments, n_full, n_free + 1))
+    reduced, gain = np.empty((n_free, n_free + 1)), np.empty(1)
+    failed = kernel.library.kernel_eliminate(
+        n_segments,
+        _pointer(gram),
+        _pointer(away),
+        _pointer(weight),
+        ctypes.c_double(damping),
+        _pointer(solved),
+        _pointer(reduced),
+        _pointer(gain),
+    )
+    if failed:  # rounding; a factorization with pivoting still finds its way
+        return _eliminate_numpy(gram, away, weight, damping)
+    return Elimination(reduced[:, :-1], reduced[:, -1], solved, float(gain[0]))
+
+
+def _eliminate_numpy(
+    gram: np.ndarray, away: np.ndarray, weight: np.ndarray, damping: float
+) -> Elimination:
+    n_full = len(weight)
+    damped, diagonal = gram[:, :n_full, :n_full].copy(), range(n_full)
+    damped[:, diagonal, diagonal] += weight
+    damped[:, diagonal, diagonal] *= 1.0 + damping
+    both = gram[:, :n_full, n_full:].copy()
+    both[:, :, -1] -= weight * away
+    solved = np.linalg.solve(damped, both)
+    # By axes: reshaping cannot infer sizes where no parameter is free.
+    reduced = gram[:, n_full:-1, n_full:].sum(axis=0) - np.tensordot(
+        both[:, :, :-1], solved, axes=([0, 1], [0, 1])
+    )
+    gain = float(np.vdot(both[:, :, -1], solved[:, :, -1]))
+    return Elimination(reduced[:, :-1], reduced[:, -1], solved, gain)
+
+
+def _pointer(array: np.ndarray | None) -> ctypes.c_void_p | None:
+    return None if array is None else ctypes.c_void_p(array.ctypes.data)

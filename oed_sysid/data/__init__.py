@@ -1,0 +1,1 @@
+"""Measured records: files, checks, reconstruction, third-party measurements."""

@@ -1,0 +1,189 @@
+"""Columns of a table on their way to channels: which one, which unit, which sign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from oed_sysid.channels import Channels, Input, Output
+from oed_sysid.data.csv_table import Table
+from oed_sysid.data.record import TIME_ADVICE, closest, time_fault
+from oed_sysid.errors import DataError
+from oed_sysid.language.units import dimension, parse_header, to_si
+
+TIME_NAMES = ("t", "time", "times", "timestamp")
+# An angle beyond three turns that is declared in rad is most likely in degrees.
+SUSPICIOUS_ANGLE = 20.0
+
+
+class Columns:
+    """The columns of one table, found by channel and converted to SI.
+
+    Parameters
+    ----------
+    table : Table
+        The table as read.
+    units : mapping of str to str
+        Units that take precedence over the headers, by channel name or header.
+
+    Attributes
+    ----------
+    suspicions : list of str
+        What is not wrong for certain, as warnings for the user.
+    """
+
+    def __init__(self, table: Table, units: Mapping[str, str]) -> None:
+        self.table = table
+        self.units = units
+        self.parsed = [parse_header(header) for header in table.headers]
+        self.suspicions: list[str] = []
+        self._used: set[int] = set()
+
+    @property
+    def path(self) -> Path:
+        """The file that the table was read from."""
+        return self.table.path
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """Headers that no channel has asked for so far."""
+        return tuple(h for i, h in enumerate(self.table.headers) if i not in self._used)
+
+    @property
+    def found(self) -> str:
+        """Sentence that lists the headers, for messages."""
+        return "Columns found: " + ", ".join(repr(header) for header in self.table.headers) + "."
+
+    def times(self, time: str | None) -> np.ndarray:
+        """Return the times in s, shape ``(n_rows,)``, checked to increase."""
+        wanted = TIME_NAMES if time is None else (time,)
+        matches = [
+            index
+            for index, (header, (name, _)) in enumerate(
+                zip(self.table.headers, self.parsed, strict=True)
+            )
+            if header in wanted or name in wanted or (time is None and name.lower() in wanted)
+        ]
+        if len(matches) != 1:
+            what = "no" if not matches else "more than one"
+            raise DataError(
+                f"{self.path.name} has {what} time column. {self.found} Call it 't [s]', or "
+                "name it with time=..."
+            )
+        times = self._convert(matches[0], Input("time", "s"))
+        fault = time_fault(times)
+        if fault is not None:
+            index, what = fault
+            before = f" after {self._cell(index - 1, matches[0])}" if index else ""
+            raise DataError(
+                f"Row {self.table.row_numbers[index]} of {self.path.name}: time "
+                f"{self._cell(index, matches[0])}{before} {what}. {TIME_ADVICE}"
+            )
+        return times
+
+    def _cell(self, row: int, column: int) -> str:
+        return f"{self.table.values[row, column]:.12g}"
+
+    def input(self, channel: Input) -> np.ndarray:
+        """Return an input in SI, shape ``(n_rows,)``, checked to be known throughout."""
+        index = self._find(channel)
+        if index is None:
+            wanted = channel.column or channel.name
+            names = dict.fromkeys([*(name for name, _ in self.parsed), *self.table.headers])
+            raise DataError(
+                f"{self.path.name} has no column {wanted!r} for input {channel.name!r}. "
+                f"{self.found}{closest(wanted, names)} Rename the header, or set "
+                "Input(column=...)."
+            )
+        values = self._convert(index, channel)
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise DataError(
+                f"Row {self.table.row_numbers[bad[0]]} of {self.path.name}, column "
+                f"{self.table.headers[index]!r}: input {channel.name!r} is empty, NaN or infinite "
+                f"({bad.size} such rows). Inputs have to be known at every time: write what the "
+                "command was, or cut the file there."
+            )
+        return values
+
+    def output(self, channel: Output) -> np.ndarray:
+        """Return an output in SI, shape ``(n_rows,)``; all NaN without a column."""
+        index = self._find(channel)
+        if index is None:
+            return np.full(self.table.values.shape[0], np.nan)
+        return self._convert(index, channel)
+
+    def _find(self, channel: Input | Output) -> int | None:
+        """Column of a channel: by whole header, then by name without unit."""
+        wanted = channel.column or channel.name
+        bare = parse_header(channel.column)[0] if channel.column else wanted
+        for matches in (
+            [i for i, header in enumerate(self.table.headers) if header == wanted],
+            [i for i, (name, _) in enumerate(self.parsed) if name == wanted],
+            [i for i, (name, _) in enumerate(self.parsed) if name == bare],
+        ):
+            if len(matches) > 1:
+                headers = " and ".join(repr(self.table.headers[i]) for i in matches)
+                raise DataError(
+                    f"{self.path.name}: {headers} both look like {channel.name!r}. Say "
+                    "which with column=..., as the whole header."
+                )
+            if matches:
+                return matches[0]
+        return None
+
+    def _convert(self, index: int, channel: Input | Output) -> np.ndarray:
+        """One column in SI, with the sign of the channel; shape ``(n_rows,)``."""
+        self._used.add(index)
+        header, (name, unit) = self.table.headers[index], self.parsed[index]
+        if header == channel.name:
+            # The channel is called so as a whole: "delta_s" is no delta in seconds.
+            name, unit = header, None
+        where = f"Column {header!r} of {self.path.name}"
+        given = next((self.units[k] for k in (channel.name, header, name) if k in self.units), None)
+        needed = dimension(channel.unit)
+        if not np.isclose(to_si(1.0, channel.unit)[0], 1.0, rtol=1e-12):
+            raise DataError(
+                f"Channel {channel.name!r} is declared in [{channel.unit}]. Channels are SI: "
+                f"declare it in [{to_si(1.0, channel.unit)[1]}]; files may use any unit."
+            )
+        if given is not None:
+            unit = given
+        elif unit is None and needed.is_dimensionless and not needed.radian:
+            unit = "1"
+        if unit is None:
+            raise DataError(
+                f"{where} has no unit. Write the header as '{header} [{channel.unit}]', or "
+                f"whichever unit it is in, or pass units={{{channel.name!r}: {channel.unit!r}}}."
+            )
+        try:
+            found = dimension(unit)
+        except DataError as error:
+            raise DataError(f"{where}: {error}") from error
+        # Dimensions ignore the radian, but revolutions read as radians are wrong by 2 pi.
+        if found != needed or found.radian != needed.radian:
+            raise DataError(
+                f"{where} is in [{unit}] but channel {channel.name} needs [{channel.unit}] or a "
+                "unit that converts to it. Correct the unit in the header, as "
+                f"'{name} [{channel.unit}]', or choose another column with column=..."
+            )
+        values, si_unit = to_si(self.table.values[:, index], unit)
+        if si_unit == "rad" and unit == "rad" and np.any(np.abs(values) > SUSPICIOUS_ANGLE):
+            self.suspicions.append(
+                f"{where} reaches {np.nanmax(np.abs(values)):.3g} rad, more than three turns. If "
+                f"it is in degrees, write the header as '{name} [deg]'."
+            )
+        return channel.sign * values
+
+    def check_units_used(self, channels: Channels) -> None:
+        """Refuse units for something that is neither a channel nor a column."""
+        known = {*channels.input_names, *channels.output_names, "time"}
+        known |= {*self.table.headers, *(name for name, _ in self.parsed)}
+        unused = [key for key in self.units if key not in known]
+        if unused:
+            raise DataError(
+                f"units names {unused[0]!r}, which is neither a channel nor a column of "
+                f"{self.path.name}.{closest(unused[0], known)}"
+            )

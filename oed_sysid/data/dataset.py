@@ -1,0 +1,270 @@
+"""Datasets: records of the same channels, read from and written to CSV files.
+
+Units stand in the headers, as ``theta [deg]`` or ``theta_deg``, and are
+converted to SI here; after this border nothing has another unit.
+"""
+
+from __future__ import annotations
+
+import glob
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from oed_sysid.channels import Channels, Input, Output
+from oed_sysid.data.csv_columns import Columns
+from oed_sysid.data.csv_table import read_table, write_table
+from oed_sysid.data.record import Record, closest
+from oed_sysid.errors import DataError
+from oed_sysid.language.units import parse_header
+
+__all__ = ["Dataset", "Record", "read_csv", "write_csv"]
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Records of the same channels.
+
+    Parameters
+    ----------
+    records : iterable of Record
+        At least one; names are unique.
+
+    Examples
+    --------
+    >>> from oed_sysid.channels import Channels, Output
+    >>> channels = Channels((), (Output("phi", "rad"),))
+    >>> t = np.arange(8.0)
+    >>> a = Record("roll_1", t, [], np.cos(t), channels)
+    >>> dataset = Dataset((a, a.rename("roll_2"), a.rename("roll_3")))
+    >>> train, test = dataset.split(test=["roll_2"])
+    >>> train.names, test["roll_2"].n_samples
+    (('roll_1', 'roll_3'), 8)
+    """
+
+    records: tuple[Record, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "records", tuple(self.records))
+        if not self.records:
+            raise DataError("A dataset needs at least one record.")
+        for index, record in enumerate(self.records):
+            if record.name in self.names[:index]:
+                raise DataError(
+                    f"Two records are called {record.name!r}. Give one another name with rename()."
+                )
+            if record.channels != self.channels:
+                raise DataError(
+                    f"Record {record.name!r} has other channels than {self.records[0].name!r}. "
+                    "Read both with the channels of the same model."
+                )
+
+    def __iter__(self) -> Iterator[Record]:
+        return iter(self.records)
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __getitem__(self, key: str | int) -> Record:
+        if isinstance(key, str):
+            return self.records[self._position(key)]
+        return self.records[key]
+
+    def __add__(self, other: Dataset | Record) -> Dataset:
+        more = (other,) if isinstance(other, Record) else other.records
+        return Dataset(self.records + more)
+
+    def _position(self, name: str) -> int:
+        if name not in self.names:
+            raise DataError(
+                f"There is no record {name!r}. The records are {', '.join(self.names)}."
+                + closest(name, self.names)
+            )
+        return self.names.index(name)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the records."""
+        return tuple(record.name for record in self.records)
+
+    @property
+    def channels(self) -> Channels:
+        """Channels that all records share."""
+        return self.records[0].channels
+
+    @property
+    def n_samples(self) -> int:
+        """Number of times in all records together."""
+        return sum(record.n_samples for record in self.records)
+
+    def split(self, test: str | Iterable[str]) -> tuple[Dataset, Dataset]:
+        """Divide into the records to learn from and those to judge with.
+
+        Parameters
+        ----------
+        test : str or iterable of str
+            Names of the records that no choice may touch.
+
+        Returns
+        -------
+        train, test : Dataset
+            The other records, and the named ones.
+        """
+        names = (test,) if isinstance(test, str) else tuple(test)
+        chosen = {self._position(name) for name in names}
+        if not 0 < len(chosen) < len(self):
+            raise DataError(
+                f"A split with {len(chosen)} of {len(self)} records for the test leaves one side "
+                "empty. Keep at least one record on each side."
+            )
+        train = tuple(r for i, r in enumerate(self.records) if i not in chosen)
+        return Dataset(train), Dataset(tuple(self.records[i] for i in sorted(chosen)))
+
+
+def read_csv(
+    paths: str | Path | Iterable[str | Path],
+    channels: Channels,
+    *,
+    name: str | None = None,
+    time: str | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Dataset:
+    r"""Read records from CSV files.
+
+    The first line holds headers with units: ``theta [deg]``, ``theta(deg)`` or
+    ``theta_deg``. Columns are converted to SI and compared with the channels.
+    An empty cell or ``nan`` is a sample that was not taken; an output without a
+    column is noted in ``missing_outputs``; columns that no channel asks for are
+    noted in ``ignored_columns``.
+
+    Parameters
+    ----------
+    paths : str, Path or iterable of these
+        Files, folders (all ``*.csv`` in it) or patterns such as ``"run_*.csv"``.
+    channels : Channels
+        What to look for; ``column`` and ``sign`` of a channel are respected.
+    name : str, optional
+        Name of the record, if there is one file; otherwise the file names are used.
+    time : str, optional
+        Header of the time column; by default ``t`` or ``time``.
+    units : mapping of str to str, optional
+        Units of columns whose headers cannot be changed, by channel name or
+        header, for instance ``{"theta": "rad"}``. They take precedence.
+
+    Returns
+    -------
+    Dataset
+        One record per file.
+
+    Raises
+    ------
+    DataError
+        If a file cannot be used; the message says which row or column, and what
+        to do about it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> path = Path(folder.name) / "step.csv"
+    >>> rows = [f"{0.5 * i},{10 if i > 1 else 0},{i}" for i in range(6)]
+    >>> _ = path.write_text("\n".join(["t_s,fin_deg,q [deg/s]", *rows]))
+    >>> channels = Channels((Input("fin", "rad"),), (Output("q", "rad/s"),))
+    >>> record = read_csv(path, channels)["step"]
+    >>> print(record.duration, record.input("fin").max().round(4))
+    2.5 0.1745
+    >>> folder.cleanup()
+    """
+    files = _files(paths)
+    if name is not None and len(files) > 1:
+        raise DataError(
+            f"One name, {name!r}, was given for {len(files)} files. Leave it out: "
+            "records are named after their files."
+        )
+    stems = [file.stem for file in files]
+    names = [
+        stem if stems.count(stem) == 1 else f"{file.parent.name}/{stem}"
+        for file, stem in zip(files, stems, strict=True)
+    ]
+    records = []
+    for file, default in zip(files, names, strict=True):
+        columns = Columns(read_table(file), units or {})
+        records.append(_read_record(columns, name or default, channels, time))
+        for suspicion in columns.suspicions:
+            warnings.warn(suspicion, UserWarning, stacklevel=2)
+    return Dataset(tuple(records))
+
+
+def write_csv(record: Record, path: str | Path) -> None:
+    """Write a record so that :func:`read_csv` returns the same numbers.
+
+    Headers carry SI units; missing samples become empty cells.
+
+    Parameters
+    ----------
+    record : Record
+        The record.
+    path : str or Path
+        The file, overwritten if it exists.
+    """
+    columns = {"t [s]": record.times}
+    channels: list[Input | Output] = [*record.channels.inputs, *record.channels.outputs]
+    signals = np.hstack([record.inputs, record.outputs]).T
+    for channel, signal in zip(channels, signals, strict=True):
+        if isinstance(channel, Input) or channel.name not in record.missing_outputs:
+            title = parse_header(channel.column)[0] if channel.column else channel.name
+            columns[f"{title} [{channel.unit or '-'}]"] = channel.sign * signal
+    write_table(Path(path), list(columns), np.column_stack(list(columns.values())))
+
+
+def _files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
+    """Expand folders and patterns; the order is that of names within each."""
+    entries = [paths] if isinstance(paths, str | Path) else list(paths)
+    files: list[Path] = []
+    for entry in entries:
+        path = Path(entry).expanduser()
+        if path.is_dir():
+            found = sorted(path.glob("*.csv"))
+        elif path.exists():
+            found = [path]
+        else:
+            found = sorted(Path(match) for match in glob.glob(str(path)))
+        if not found:
+            what = "holds no *.csv file" if path.is_dir() else "is no file, folder or pattern"
+            raise DataError(f"{str(entry)!r} {what}. Check the path.")
+        files += found
+    if not files:
+        raise DataError("No files were given. Name at least one.")
+    return files
+
+
+def _read_record(columns: Columns, name: str, channels: Channels, time: str | None) -> Record:
+    """Assemble a record from the columns of a file."""
+    times = columns.times(time)
+    inputs = [columns.input(channel) for channel in channels.inputs]
+    outputs = [columns.output(channel) for channel in channels.outputs]
+    missing = [
+        channel.name
+        for channel, values in zip(channels.outputs, outputs, strict=True)
+        if np.all(np.isnan(values))
+    ]
+    if len(missing) == len(outputs):
+        wanted = ", ".join(channel.column or channel.name for channel in channels.outputs)
+        raise DataError(
+            f"{columns.path.name} has none of the outputs {wanted}. {columns.found} "
+            "Rename a header, or set Output(column=...)."
+        )
+    columns.check_units_used(channels)
+    return Record(
+        name,
+        times,
+        np.column_stack(inputs) if inputs else np.empty((times.size, 0)),
+        np.column_stack(outputs),
+        channels,
+        source=str(columns.path),
+        missing_outputs=tuple(missing),
+        ignored_columns=columns.unused,
+    )

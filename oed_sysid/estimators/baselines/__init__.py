@@ -1,0 +1,1 @@
+"""The literature's estimators, behind the same interface as multiple shooting."""

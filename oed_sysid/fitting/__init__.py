@@ -1,0 +1,1 @@
+"""The engine under the estimators: unknowns, shooting, Gauss-Newton, covariance, Fit."""

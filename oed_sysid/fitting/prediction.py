@@ -1,0 +1,220 @@
+"""Predictions of a fitted model on records it has not seen, with their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.errors import DataError
+from oed_sysid.fitting.gauss_newton import solve
+from oed_sysid.fitting.shooting import Shooting
+from oed_sysid.model import Model
+
+WAYS = {
+    "fit": "estimated on each record itself, all shared parameters held",
+    "first": "the first measurement of each state",
+    "given": "given",
+}
+
+Initial = str | Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a model says about some records.
+
+    Attributes
+    ----------
+    dataset : Dataset
+        The records.
+    outputs : tuple of ndarray (n_times, n_outputs)
+        Model outputs, per record.
+    model_std : tuple of ndarray (n_times, n_outputs)
+        Standard deviation that the uncertainty of parameters and initial
+        states gives them; infinite where a parameter is not identifiable and
+        matters.
+    sigma : ndarray (n_outputs,)
+        Standard deviation of the measurement noise.
+    initial_states : tuple of mapping
+        The model's own initial states, per record.
+    way : str
+        Where these come from: ``fit``, ``first`` or ``given``.
+    local_values : tuple of mapping
+        Values of per-record parameters, per record.
+    """
+
+    dataset: Dataset
+    outputs: tuple[np.ndarray, ...]
+    model_std: tuple[np.ndarray, ...]
+    sigma: np.ndarray
+    initial_states: tuple[Mapping[str, float], ...]
+    way: str
+    local_values: tuple[Mapping[str, float], ...] = ()
+
+    @property
+    def residuals(self) -> tuple[np.ndarray, ...]:
+        """Measured minus predicted, per record; NaN where nothing was measured."""
+        pairs = zip(self.dataset, self.outputs, strict=True)
+        return tuple(record.outputs - outputs for record, outputs in pairs)
+
+    @property
+    def std(self) -> tuple[np.ndarray, ...]:
+        """Standard deviation of a new measurement: model and noise together."""
+        return tuple(np.hypot(std, self.sigma) for std in self.model_std)
+
+    def coverage(self, factor: float = 1.959964) -> dict[str, float]:
+        """Share of the measurements within ``factor`` standard deviations, by output."""
+        ratios = np.vstack(
+            [residual / std for residual, std in zip(self.residuals, self.std, strict=True)]
+        )
+        result = {}
+        for name, column in zip(self.dataset.channels.output_names, ratios.T, strict=True):
+            seen = column[np.isfinite(column)]
+            result[name] = float(np.mean(np.abs(seen) <= factor)) if len(seen) else np.nan
+        return result
+
+    @property
+    def rms(self) -> dict[str, float]:
+        """Root mean square residual of each output over all records, in its unit."""
+        stacked = np.vstack(self.residuals)
+        count = np.maximum(np.isfinite(stacked).sum(axis=0), 1)
+        squares = np.nansum(stacked**2, axis=0) / count
+        empty = ~np.isfinite(stacked).any(axis=0)
+        values = np.where(empty, np.nan, np.sqrt(squares))
+        return dict(zip(self.dataset.channels.output_names, map(float, values), strict=True))
+
+    def report(self) -> str:
+        """Return the prediction errors as text."""
+        lines = [
+            f"prediction of {', '.join(self.dataset.names)}",
+            f"  initial states: {WAYS[self.way]}",
+        ]
+        coverage = self.coverage()
+        for output, (name, rms), sigma in zip(
+            self.dataset.channels.outputs, self.rms.items(), self.sigma, strict=True
+        ):
+            lines.append(
+                f"  {name}: rms {rms:.3g} {output.unit}, noise {sigma:.3g}; "
+                f"{100 * coverage[name]:.0f} % within the 95 % band"
+            )
+        return "\n".join(lines)
+
+
+def predict(
+    model: Model,
+    dataset: Dataset,
+    covariance: np.ndarray,
+    sigma: np.ndarray,
+    *,
+    initial: Initial = "fit",
+) -> Prediction:
+    """Predict records with a model at its values.
+
+    Parameters
+    ----------
+    model : Model
+        At the fitted values; its free parameters are uncertain.
+    dataset : Dataset
+        Records with the model's channels.
+    covariance : ndarray (n_shared, n_shared)
+        Of the free parameters that all records share, in the model's order.
+    sigma : ndarray (n_outputs,)
+        Noise levels.
+    initial : str or mapping
+        ``"fit"`` estimates the initial states (and per-record parameters) on
+        each record with all shared parameters held, ``"first"`` takes the first
+        measurements, a mapping gives the model's own states.
+
+    Returns
+    -------
+    Prediction
+        Its bands follow from the exact sensitivities to first order. For a
+        record that the fit has used they are slightly too wide.
+    """
+    way = "given" if isinstance(initial, Mapping) else initial
+    if way not in WAYS:
+        raise DataError(f"initial is {initial!r}. Choose 'fit', 'first' or give the states.")
+    if isinstance(initial, Mapping):
+        unknown = [name for name in initial if name not in model.state_names]
+        if unknown or len(initial) < len(model.states):
+            raise DataError(
+                f"initial gives {', '.join(initial) or 'nothing'}; give a value for each of "
+                f"{', '.join(model.state_names)}."
+            )
+    parts = [_predict(model, record, covariance, sigma, initial, way) for record in dataset]
+    outputs, stds, starts, local = zip(*parts, strict=True)
+    return Prediction(dataset, outputs, stds, sigma.copy(), starts, way, local)
+
+
+def _predict(
+    model: Model,
+    record: Record,
+    covariance: np.ndarray,
+    sigma: np.ndarray,
+    initial: Initial,
+    way: str,
+) -> tuple[np.ndarray, np.ndarray, dict[str, float], dict[str, float]]:
+    guess = [dict(initial)] if isinstance(initial, Mapping) else None
+    shooting = Shooting(model, Dataset((record,)), sigma, initial_states=guess)
+    layout = shooting.layout
+    n_shared, n_own = len(layout.shared), layout.n_own
+    shared = np.arange(n_shared)
+    point = shooting.start_point()
+    own_variance = np.zeros(n_own)
+    if way == "fit":
+        held = shooting.holding(shared, point.unknowns[shared])
+        solution = solve(held, held.start_point())
+        if solution is not None:
+            point = solution.point
+    elif way == "first":
+        stds = shooting.guess_std[0, :n_own]
+        own_variance = np.where(np.isfinite(stds), stds, 0.0) ** 2
+    smooth = shooting.continuous(point.unknowns)
+    lin = shooting.linearise(smooth)
+    states = dict(zip(model.state_names, map(float, point.unknowns[n_shared:]), strict=False))
+    own = point.unknowns[layout.record_columns(0)[n_own:]]
+    values = {layout.free_names[i]: float(own[i]) for i in layout.local}
+    if lin is None:
+        empty = np.full(record.outputs.shape, np.nan)
+        return empty, empty, states, values
+    jacobian = lin.jacobians[0]
+    by_shared = jacobian[:, :, n_own + layout.shared]
+    others = np.concatenate([np.arange(n_own), n_own + layout.local])
+    by_other = jacobian[:, :, others]
+    if way == "fit":
+        # Re-estimated for every value of the shared parameters, and noisy themselves.
+        columns = layout.record_columns(0)
+        present = np.isfinite(lin.residuals[0]) / sigma
+        prior = np.sqrt(shooting.limits.prior_weight[columns[others]])
+        inner = np.vstack(
+            [(by_other * present[:, :, None]).reshape(-1, len(others)), np.diag(prior)]
+        )
+        outer = (by_shared * present[:, :, None]).reshape(-1, n_shared)
+        inverse = np.linalg.pinv(inner, rcond=1e-10)
+        by_shared = by_shared - by_other @ (inverse[:, : len(outer)] @ outer)
+        other_covariance = inverse @ inverse.T
+    else:
+        other_covariance = np.diag([*own_variance, *np.zeros(len(layout.local))])
+    variance = _carry(by_other, other_covariance) + _carry_uncertain(by_shared, covariance)
+    return _outputs(shooting, point.unknowns), np.sqrt(variance), states, values
+
+
+def _outputs(shooting: Shooting, unknowns: np.ndarray) -> np.ndarray:
+    record, values = shooting.records[0], shooting.values(unknowns, 0)
+    z0, _ = shooting.full_start(unknowns, 0)
+    return shooting.kernel.run(record.times, record.inputs, values, z0).outputs
+
+
+def _carry(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    return np.maximum(np.einsum("tij,jk,tik->ti", jacobian, covariance, jacobian), 0.0)
+
+
+def _carry_uncertain(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Variance of outputs; infinite where an infinitely uncertain parameter matters."""
+    finite = np.isfinite(np.diag(covariance))
+    variance = _carry(jacobian[:, :, finite], covariance[np.ix_(finite, finite)])
+    blind = np.abs(jacobian[:, :, ~finite]).max(axis=2, initial=0.0) > 1e-12
+    return np.where(blind, np.inf, variance)

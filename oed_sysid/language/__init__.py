@@ -1,0 +1,1 @@
+"""Physics written as text: notation, units, expressions, dimensions, typesetting."""

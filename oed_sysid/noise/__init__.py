@@ -1,0 +1,1 @@
+"""What disturbs a vehicle and its sensors: linear deviations, Kalman filter, smoother, levels."""

@@ -1,0 +1,282 @@
+"""Speed polars of sailing vehicles, with the uncertainty of what was fitted.
+
+The steady speed over the direction of the wind is what a sailor asks of a model.
+It weighs parameters as sailing does: terms that no steady sailing needs may be
+unknown without any harm to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.errors import ModelError
+from oed_sysid.experiment import Limits
+from oed_sysid.fitting.fit import Fit, align
+from oed_sysid.model import Model
+from oed_sysid.simulate import equilibrium
+
+
+@dataclass(frozen=True)
+class SailingNames:
+    """What the channels of a sailing model are called.
+
+    Parameters
+    ----------
+    wind_speed, wind_from : str
+        Inputs: true wind speed, m/s, and the direction that it comes from, rad.
+    sheet : str
+        Input that trims the sail, rad; the polar takes the best.
+    helm : str
+        Input that is solved for: it holds the course.
+    speed, heading : str
+        States: speed over the water ahead, m/s, and heading, rad.
+    """
+
+    wind_speed: str = "wind_speed"
+    wind_from: str = "wind_from"
+    sheet: str = "sheet"
+    helm: str = "delta"
+    speed: str = "u"
+    heading: str = "psi"
+
+    def check(self, model: Model) -> None:
+        """Raise :class:`ModelError` where the model has no such channel."""
+        for needed, have, kind in (
+            ((self.wind_speed, self.wind_from, self.sheet, self.helm), model.input_names, "input"),
+            ((self.speed, self.heading), model.state_names, "state"),
+        ):
+            if missing := [name for name in needed if name not in have]:
+                raise ModelError(
+                    f"Model {model.name!r} has no {kind} {missing[0]!r}: {', '.join(have)}. Say "
+                    "what it is called with names=SailingNames(...)."
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedPolar:
+    """Best steady speed over the angle to the true wind.
+
+    Attributes
+    ----------
+    model : str
+        Name of the model.
+    wind_speed : float
+        True wind, m/s.
+    angles : ndarray (n_angles,)
+        Angle between heading and true wind, rad, wind from starboard.
+    speeds : ndarray (n_angles,)
+        Speed at the fitted values, m/s; NaN where no steady state was found.
+    sheets : ndarray (n_angles,)
+        The best of the sheet angles that were tried, rad.
+    states : mapping of str to ndarray (n_angles,)
+        All steady states and the helm.
+    draws : ndarray (n_draws, n_angles)
+        Speeds of parameters drawn from the fit, m/s; NaN without a steady state.
+    """
+
+    model: str
+    wind_speed: float
+    angles: np.ndarray
+    speeds: np.ndarray
+    sheets: np.ndarray
+    states: Mapping[str, np.ndarray] = field(repr=False)
+    draws: np.ndarray = field(repr=False)
+
+    def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper ends ``(n_angles,)`` of the credible band; NaN without draws."""
+        if not len(self.draws):
+            nothing = np.full(self.angles.shape, math.nan)
+            return nothing, nothing
+        tail = (1.0 - level) / 2.0
+        ends = np.full((2, len(self.angles)), math.nan)
+        for index, column in enumerate(self.draws.T):
+            found = column[np.isfinite(column)]
+            if found.size > 1:
+                ends[:, index] = np.quantile(found, [tail, 1.0 - tail])
+        return ends[0], ends[1]
+
+    @property
+    def missing(self) -> int:
+        """Pairs of draw and angle that have no steady state; the band is without them."""
+        return int(np.count_nonzero(~np.isfinite(self.draws)))
+
+    def report(self) -> str:
+        """Return the polar as a table."""
+        low, high = self.interval()
+        rows = [("wind angle [deg]", "speed [m/s]", "95 % of draws", "sheet [deg]")]
+        for index, angle in enumerate(self.angles):
+            band = f"{low[index]:.3f} to {high[index]:.3f}" if len(self.draws) else ""
+            speed, sheet = self.speeds[index], math.degrees(self.sheets[index])
+            shown = f"{speed:.3f}" if math.isfinite(speed) else "none"
+            rows.append((f"{math.degrees(angle):.0f}", shown, band, f"{sheet:.0f}"))
+        lines = [f"speed polar at {self.wind_speed:g} m/s true wind, by {self.model}"]
+        lines += [f"  {line}" for line in align(rows)]
+        if self.missing:
+            lines.append(f"  {self.missing} of {self.draws.size} draws have no steady state.")
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the polar as plain data for JSON."""
+        low, high = self.interval()
+        return {
+            "model": self.model,
+            "wind_speed": self.wind_speed,
+            "angles": self.angles.tolist(),
+            "speeds": _plain(self.speeds),
+            "low": _plain(low),
+            "high": _plain(high),
+            "sheets": _plain(self.sheets),
+            "missing": self.missing,
+        }
+
+
+def speed_polar(
+    fit_or_model: Fit | Model,
+    *,
+    wind_speed: float,
+    angles: Sequence[float] | np.ndarray,
+    sheets: Sequence[float] | np.ndarray,
+    names: SailingNames | None = None,
+    guess: Mapping[str, float] | None = None,
+    limits: Limits | None = None,
+    n_draws: int = 100,
+    rng: np.random.Generator | None = None,
+) -> SpeedPolar:
+    """Static velocity prediction: steady sailing at every wind angle, sail trimmed best.
+
+    For draws the sheet stays at the best of the fitted values: near an optimum
+    another trim changes the speed in second order only.
+
+    Parameters
+    ----------
+    fit_or_model : Fit or Model
+        A fit gives a band, a model only its values. A fit by Gibbs sampling
+        brings its own draws, others are drawn from their covariance.
+    wind_speed : float
+        True wind, m/s.
+    angles : sequence of float (n_angles,)
+        Between heading and true wind, rad; positive for wind from starboard.
+    sheets : sequence of float
+        Sheet angles to try, rad.
+    names : SailingNames, optional
+        What the channels are called.
+    guess : mapping of str to float
+        Where the search for the first angle begins; the others begin at their
+        neighbour.
+    limits : Limits, optional
+        Ranges of the helm and of states.
+    n_draws : int
+        Parameter sets for the band.
+    rng : numpy.random.Generator, optional
+        Source of the draws; by default one with a fixed seed.
+
+    Returns
+    -------
+    SpeedPolar
+
+    Raises
+    ------
+    ModelError
+        If the model lacks a channel, or no angle or sheet is given.
+
+    References
+    ----------
+    Larsson & Eliasson (2000), Principles of yacht design, 2nd ed., ch. 16, for
+    velocity prediction by equilibrium.
+    """
+    fit = fit_or_model if isinstance(fit_or_model, Fit) else None
+    model = fit_or_model.model if isinstance(fit_or_model, Fit) else fit_or_model
+    names = names or SailingNames()
+    names.check(model)
+    angles, sheets = np.asarray(angles, dtype=float), np.asarray(sheets, dtype=float)
+    if not angles.size or not sheets.size:
+        raise ModelError("A polar needs at least one angle and one sheet angle.")
+    solver = _Solver(model, names, wind_speed, limits)
+    keys = (*model.state_names, names.helm)
+    begin = dict(guess or {names.speed: 0.3 * wind_speed})
+    best: list[dict[str, float] | None] = []
+    for angle in angles:
+        # From the best of the neighbouring angle, the neighbouring sheet and the given guess.
+        found: list[dict[str, float]] = []
+        for sheet in sheets:
+            known = [point for point in (*found[-1:], *best[-1:]) if point is not None]
+            starts = [*({key: one[key] for key in keys} for one in known), begin]
+            points = (solver.steady({}, angle, sheet, start) for start in starts)
+            if (point := next(filter(None, points), None)) is not None:
+                found.append(point)
+        best.append(max(found, key=lambda point: point[names.speed]) if found else None)
+    table = [] if fit is None else _drawn(fit, n_draws, rng or np.random.default_rng(0))
+    speeds = np.full((len(table), len(angles)), math.nan)
+    for row, values in enumerate(table):
+        for column, (angle, point) in enumerate(zip(angles, best, strict=True)):
+            if point is not None:
+                near = {key: point[key] for key in keys}
+                sailed = solver.steady(values, angle, point[names.sheet], near)
+                speeds[row, column] = sailed[names.speed] if sailed else math.nan
+    states = {
+        key: np.array([math.nan if point is None else point[key] for point in best])
+        for key in (*keys, names.sheet)
+    }
+    return SpeedPolar(
+        model.name, wind_speed, angles, states[names.speed], states[names.sheet], states, speeds
+    )
+
+
+class _Solver:
+    """Steady sailing of one model at one wind speed."""
+
+    def __init__(
+        self, model: Model, names: SailingNames, wind_speed: float, limits: Limits | None
+    ) -> None:
+        self.model, self.names, self.wind_speed, self.limits = model, names, wind_speed, limits
+
+    def steady(
+        self,
+        values: Mapping[str, float],
+        angle: float,
+        sheet: float,
+        guess: Mapping[str, float],
+    ) -> dict[str, float] | None:
+        """States and inputs of steady sailing; None where there is none ahead."""
+        names = self.names
+        point = equilibrium(
+            self.model.with_values(dict(values)) if values else self.model,
+            inputs={
+                names.sheet: float(sheet),
+                names.wind_speed: self.wind_speed,
+                names.wind_from: 0.0,
+            },
+            fixed={names.heading: -float(angle)},
+            free=(names.helm,),
+            guess={key: value for key, value in guess.items() if key != names.heading},
+            limits=self.limits,
+        )
+        found = {**point.states, **point.inputs}
+        return found if point.ok and found[names.speed] > 0 else None
+
+
+def _drawn(fit: Fit, n_draws: int, rng: np.random.Generator) -> list[dict[str, float]]:
+    """Parameter sets: the sampler's own draws, else from the covariance, within bounds."""
+    sampled = fit.extras.get("draws")
+    if sampled and set(fit.names) <= set(sampled):
+        flat = np.column_stack([np.ravel(sampled[name]) for name in fit.names])
+        table = flat[rng.choice(len(flat), min(n_draws, len(flat)), replace=False)]
+    elif np.isfinite(fit.covariance).all():
+        table = rng.multivariate_normal(fit.estimates, fit.covariance, n_draws, method="eigh")
+    else:
+        raise ModelError(
+            "The fit has parameters without a finite uncertainty, so there is no band. Fix them, "
+            "give them a prior_std, or ask with n_draws=0 and fit.model."
+        )
+    chosen = [fit.model.parameter(name) for name in fit.names]
+    table = np.clip(table, [p.lower for p in chosen], [p.upper for p in chosen])
+    return [dict(zip(fit.names, map(float, row), strict=True)) for row in table]
+
+
+def _plain(values: np.ndarray) -> list[float | None]:
+    return [float(value) if math.isfinite(value) else None for value in values]

@@ -1,0 +1,364 @@
+"""Turning circles predicted from a fit, with the uncertainty of what was fitted.
+
+A turning circle is seldom among the records that a model was fitted to. This is
+where an extrapolation is made, and where its uncertainty has to be said.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri
+
+from oed_sysid.channels import Output, State
+from oed_sysid.errors import DataError, ModelError, SimulationError
+from oed_sysid.fitting.fit import Fit, align
+from oed_sysid.manoeuvres import TurningCircle
+from oed_sysid.manoeuvres.indices import TurningIndices, turning_indices
+from oed_sysid.model import Model
+from oed_sysid.simulate import simulate_batch
+
+SIDES = ("starboard", "port")
+# Heading change that is simulated: a full turn, then half a turn to call steady.
+TURN = 3.0 * math.pi
+_DOUBLINGS = 12
+LENGTHS = ("advance", "transfer", "tactical_diameter", "steady_diameter")
+_UNITS = {**dict.fromkeys(LENGTHS, "m"), "time_90": "s", "time_180": "s", "speed_ratio": "1"}
+QUANTITIES: Mapping[str, str] = {**_UNITS, "drift": "rad"}
+
+
+@dataclass(frozen=True, eq=False)
+class TurningPrediction:
+    """Turning circles to one or both sides.
+
+    Attributes
+    ----------
+    model : str
+        Name of the model.
+    rudder : float
+        Held rudder angle, rad, without sign.
+    speed : float
+        Approach speed, m/s.
+    length : float or None
+        Ship length, m.
+    nominal : mapping of str to mapping
+        Per side (``"starboard"``, ``"port"``) each of :data:`QUANTITIES` at the
+        fitted values; NaN where the turn never gets steady.
+    draws : mapping of str to mapping of str to ndarray (n_draws,)
+        The same for parameters drawn from the fit's covariance.
+    unfinished : mapping of str to int
+        Draws that never turned by 180 degrees; they are NaN in ``draws``.
+    """
+
+    model: str
+    rudder: float
+    speed: float
+    length: float | None
+    nominal: Mapping[str, Mapping[str, float]]
+    draws: Mapping[str, Mapping[str, np.ndarray]] = field(repr=False)
+    unfinished: Mapping[str, int]
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Sides that were predicted."""
+        return tuple(self.nominal)
+
+    def value(self, quantity: str, side: str) -> float:
+        """Return one quantity at the fitted values, in SI units."""
+        return self.nominal[side][quantity]
+
+    def std(self, quantity: str, side: str) -> float:
+        """Return its standard deviation; NaN without draws."""
+        values = self.draws[side][quantity]
+        seen = values[np.isfinite(values)]
+        return float(np.std(seen)) if len(seen) > 1 else math.nan
+
+    def interval(self, quantity: str, side: str, level: float = 0.95) -> tuple[float, float]:
+        """Return the interval about the nominal value that normal draws would give."""
+        half = float(ndtri(0.5 + level / 2)) * self.std(quantity, side)
+        value = self.value(quantity, side)
+        return value - half, value + half
+
+    def report(self) -> str:
+        """Return the prediction as a table, in metres and in ship lengths."""
+        lines = [
+            f"turning circle, rudder {math.degrees(self.rudder):.3g} deg, {self.speed:.4g} m/s",
+            f"  predicted by {self.model}",
+        ]
+        scaled = [] if self.length is None else [f"{side} [L]" for side in self.sides]
+        rows = [("", *(f"{side}" for side in self.sides), "unit", *scaled)]
+        for quantity, unit in QUANTITIES.items():
+            factor, shown = (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit)
+            cells = [self._cell(quantity, side, factor) for side in self.sides]
+            in_lengths = [
+                self._cell(quantity, side, 1 / self.length)
+                if self.length is not None and quantity in LENGTHS
+                else ""
+                for side in (self.sides if scaled else ())
+            ]
+            rows.append((quantity.replace("_", " "), *cells, shown, *in_lengths))
+        lines += [f"  {line}" for line in align(rows)]
+        lines += [
+            f"  {count} draws never turned by 180 degrees to {side}: the interval is too narrow."
+            for side, count in self.unfinished.items()
+            if count
+        ]
+        return "\n".join(lines)
+
+    def _cell(self, quantity: str, side: str, factor: float) -> str:
+        value, std = self.value(quantity, side) * factor, self.std(quantity, side) * factor
+        if not math.isfinite(value):
+            return "not steady"
+        return f"{value:.3g}" if not math.isfinite(std) else f"{value:.3g} +- {std:.2g}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the prediction as plain data for JSON."""
+        return {
+            "model": self.model,
+            "rudder": self.rudder,
+            "speed": self.speed,
+            "length": self.length,
+            "sides": {
+                side: {
+                    quantity: {
+                        "value": _plain(self.value(quantity, side)),
+                        "std": _plain(self.std(quantity, side)),
+                        "unit": unit,
+                    }
+                    for quantity, unit in QUANTITIES.items()
+                }
+                for side in self.sides
+            },
+            "unfinished": dict(self.unfinished),
+        }
+
+
+def turning_circle(
+    fit_or_model: Fit | Model,
+    *,
+    speed: float,
+    rudder: float = math.radians(35.0),
+    side: str = "both",
+    rate: float | None = None,
+    length: float | None = None,
+    input: str | None = None,
+    n_draws: int = 100,
+    rng: np.random.Generator | None = None,
+) -> TurningPrediction:
+    r"""Predict turning circles from a straight approach.
+
+    The model needs a state ``psi``. Its ``u`` and ``v`` carry the track; a model
+    without them keeps its speed and does not drift, and says nothing about either.
+
+    Parameters
+    ----------
+    fit_or_model : Fit or Model
+        A fit gives uncertainty, a model only its values.
+    speed : float
+        Approach speed, m/s; also the start value of ``u``.
+    rudder : float
+        Held rudder angle, rad, without sign: which sign turns to which side is
+        found by simulation.
+    side : str
+        ``"starboard"``, ``"port"`` or ``"both"``.
+    rate : float, optional
+        Rudder rate, rad/s; by default the rudder jumps.
+    length : float, optional
+        Ship length, m, for results in lengths.
+    input : str, optional
+        The rudder; by default the model's only input.
+    n_draws : int
+        Parameter sets drawn from the fit's covariance, parameters that differ by
+        record from their scatter over the records; values beyond a bound are set
+        to it.
+    rng : numpy.random.Generator, optional
+        Source of the draws; by default one with a fixed seed.
+
+    Returns
+    -------
+    TurningPrediction
+
+    Raises
+    ------
+    ModelError
+        If the model cannot turn, or a parameter of the fit is not identifiable.
+    SimulationError
+        If the turn diverges.
+
+    References
+    ----------
+    IMO Resolution MSC.137(76), Annex, 4.2.2 (2002).
+
+    Examples
+    --------
+    >>> from oed_sysid import Input, Parameter
+    >>> ship = Model(
+    ...     "Nomoto", (State("psi", "rad"), State("r", "rad/s")), (Input("rudder", "rad"),),
+    ...     (Output("psi", "rad"),), {"psi": "r", "r": "(0.1*rudder - r)/10"},
+    ... )
+    >>> circle = turning_circle(ship, speed=1.0, rudder=0.2, side="port")
+    >>> print(round(circle.value("steady_diameter", "port"), 1))  # 2 U/(K rudder)
+    100.0
+    """
+    fit = fit_or_model if isinstance(fit_or_model, Fit) else None
+    model = fit_or_model.model if isinstance(fit_or_model, Fit) else fit_or_model
+    wanted = SIDES if side == "both" else (side,)
+    if not set(wanted) <= set(SIDES):
+        raise ModelError(f"side is {side!r}. Choose starboard, port or both.")
+    if not speed > 0 or not rudder > 0:
+        raise ModelError(f"speed is {speed} and rudder {rudder}; both have to be above zero.")
+    tracked = _with_track(model, speed)
+    steered = _rudder_input(model, input)
+    values = [model.value_vector]
+    if fit is not None and n_draws > 0:
+        values += list(_draw(fit, n_draws, rng or np.random.default_rng(0)))
+    kept = [model.parameter_names.index(name) for name in tracked.parameter_names]
+    table = np.array(values)[:, kept]
+    start = {"u": speed} if "u" in model.state_names else {}
+    nominal: dict[str, dict[str, float]] = {}
+    draws: dict[str, dict[str, np.ndarray]] = {}
+    unfinished: dict[str, int] = {}
+    for sign in (1.0, -1.0):
+        order = TurningCircle(steered, sign * rudder, rate=rate)
+        times, paths = _turn(tracked, order, table[:1], start)
+        reached = "starboard" if paths[0, -1, 2] > paths[0, 0, 2] else "port"
+        if reached not in wanted or reached in nominal:
+            continue
+        if len(table) > 1:
+            # Slower draws need longer than the fitted values do.
+            times = np.arange(0.0, 1.5 * times[-1], times[1])
+            paths = simulate_batch(
+                tracked,
+                times,
+                inputs={steered: order.waveform()(times)},
+                values=table,
+                initials=start,
+            )
+        found = [_quantities(times, path) for path in paths]
+        if found[0] is None:
+            raise SimulationError(
+                f"Model {model.name!r} does not turn by 180 degrees to {reached}."
+            )
+        nominal[reached] = found[0]
+        empty = dict.fromkeys(QUANTITIES, math.nan)
+        members = [member or empty for member in found[1:]]
+        draws[reached] = {q: np.array([member[q] for member in members]) for q in QUANTITIES}
+        unfinished[reached] = sum(member is None for member in found[1:])
+    if missing := [name for name in wanted if name not in nominal]:
+        raise ModelError(
+            f"Model {model.name!r} turns to the same side with either rudder; nothing turns it to "
+            f"{missing[0]}. Check the sign and the size of its rudder force."
+        )
+    ordered = {name: nominal[name] for name in wanted}
+    return TurningPrediction(model.name, rudder, speed, length, ordered, draws, unfinished)
+
+
+def _rudder_input(model: Model, name: str | None) -> str:
+    if name is None and len(model.inputs) == 1:
+        return model.input_names[0]
+    if len(model.inputs) > 1 or name not in model.input_names:
+        raise ModelError(
+            f"Model {model.name!r} has the inputs {', '.join(model.input_names) or 'none'}; a "
+            "turning circle needs a model with the rudder as its only input. Fix the others at "
+            "their values by replacing them with parameters."
+        )
+    return str(name)
+
+
+def _with_track(model: Model, speed: float) -> Model:
+    """Return the model with its track as states and ideal sensors for them."""
+    if "psi" not in model.state_names:
+        raise ModelError(f"Model {model.name!r} has no state 'psi'. A turn is told by its heading.")
+    surge = "u" if "u" in model.state_names else f"{speed!r}"
+    sway = "v" if "v" in model.state_names else "0"
+    track = {
+        "track_north": f"{surge}*cos(psi) - {sway}*sin(psi)",
+        "track_east": f"{surge}*sin(psi) + {sway}*cos(psi)",
+    }
+    return replace(
+        model,
+        states=(*model.states, *(State(name, "m", scale=10.0) for name in track)),
+        kinematics={**model.kinematics, **track},
+        outputs=(
+            *(Output(name, "m") for name in track),
+            Output("heading", "rad", expression="psi"),
+            Output("speed", "m/s", expression=f"sqrt({surge}*{surge} + {sway}*{sway})"),
+        ),
+        effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
+    )
+
+
+def _draw(fit: Fit, n_draws: int, rng: np.random.Generator) -> np.ndarray:
+    """Draw parameter sets ``(n_draws, n_parameters)`` from what the fit knows."""
+    if not np.all(np.isfinite(fit.covariance)):
+        unknown = [n for n, error in fit.std_errors.items() if not math.isfinite(error)]
+        raise ModelError(
+            f"The fit does not determine {', '.join(unknown)}: no uncertainty can be drawn. Fix "
+            "these parameters, or give them a prior, and fit again; or pass fit.model."
+        )
+    model = fit.model
+    table = np.tile(model.value_vector, (n_draws, 1))
+    position = {name: i for i, name in enumerate(model.parameter_names)}
+    shared = rng.multivariate_normal(fit.estimates, fit.covariance, size=n_draws, method="eigh")
+    table[:, [position[name] for name in fit.names]] = shared
+    for name in fit.local_values[0] if fit.local_values else ():
+        spread = np.std([local[name] for local in fit.local_values])
+        table[:, position[name]] += spread * rng.standard_normal(n_draws)
+    lower = [parameter.lower for parameter in model.all_parameters]
+    upper = [parameter.upper for parameter in model.all_parameters]
+    return np.clip(table, lower, upper)
+
+
+def _turn(
+    model: Model, order: TurningCircle, table: np.ndarray, start: Mapping[str, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Simulate long enough for a turn of one and a half circles, if there is one."""
+    horizon = 100 * model.step
+    for _ in range(_DOUBLINGS):
+        times = np.arange(0.0, horizon, 0.5 * model.step)
+        paths = simulate_batch(
+            model,
+            times,
+            inputs={order.input: order.waveform()(times)},
+            values=table,
+            initials=start,
+        )
+        if not np.isfinite(paths).all():
+            raise SimulationError(
+                f"Model {model.name!r} diverges in the turn, {order.describe()}. Its terms may "
+                "not hold at this drift and yaw rate: see the range of the records it was fitted "
+                "to."
+            )
+        if abs(paths[0, -1, 2] - paths[0, 0, 2]) > TURN:
+            break
+        horizon *= 2.0
+    return times, paths
+
+
+def _quantities(times: np.ndarray, path: np.ndarray) -> dict[str, float] | None:
+    """Return the quantities of one turn, None if it has no tactical diameter."""
+    if not np.isfinite(path).all():
+        return None
+    north, east, heading, speed = path.T
+    try:
+        indices: TurningIndices = turning_indices(times, north, east, heading, speed=speed)
+    except DataError:
+        return None
+    found = {
+        "steady_diameter": indices.steady_diameter,
+        "speed_ratio": indices.steady_speed_ratio,
+        "drift": indices.drift,
+    }
+    return {
+        name: math.nan if value is None else float(value)
+        for name in QUANTITIES
+        for value in (found[name] if name in found else getattr(indices, name),)
+    }
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

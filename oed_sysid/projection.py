@@ -1,0 +1,67 @@
+r"""Quadratic problems within bounds, unseen directions left alone.
+
+.. math:: \min_x \tfrac12 x' A x - b' x, \qquad \ell \le x \le u
+
+with ``A`` positive semidefinite. Directions without information get the smallest step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.optimize import lsq_linear
+
+# Below this share of the largest eigenvalue of the equilibrated matrix, a
+# direction is rounding error: the square of the information's null tolerance.
+NULL_EIGENVALUE = 1e-13
+
+
+def bounded_step(
+    matrix: np.ndarray, right: np.ndarray, lower: np.ndarray, upper: np.ndarray, damping: float
+) -> np.ndarray:
+    """Minimise ``x' matrix x / 2 - right' x`` within bounds.
+
+    Unknowns that the data do not see (a zero on the diagonal), or whose bounds
+    coincide, stay where they are; along directions that are seen in no
+    combination the step is the smallest one, in equilibrated unknowns.
+
+    Parameters
+    ----------
+    matrix : ndarray (n, n)
+        Positive semidefinite.
+    right, lower, upper : ndarray (n,)
+        Right-hand side and bounds of the step.
+    damping : float
+        Levenberg-Marquardt damping, in units of the diagonal.
+
+    Returns
+    -------
+    ndarray (n,)
+    """
+    diagonal = np.diag(matrix)
+    open_ = np.flatnonzero((diagonal > 0) & (upper > lower))
+    step = np.zeros_like(right)
+    if not len(open_):
+        return np.clip(step, lower, upper)
+    scale = 1.0 / np.sqrt(diagonal[open_])
+    scaled = matrix[np.ix_(open_, open_)] * scale[:, None] * scale
+    scaled[np.diag_indices_from(scaled)] += damping
+    target = scale * right[open_]
+    # LAPACK itself: SciPy's checks of its arguments take longer than a small factorization.
+    triangle, failed = dpotrf(scaled)
+    # Rounding errors, not the data, decide along directions with a smaller pivot.
+    if not failed and np.min(np.diag(triangle)) ** 2 >= 10 * NULL_EIGENVALUE:
+        step[open_] = scale * dpotrs(triangle, target)[0]
+    else:
+        values, vectors = np.linalg.eigh(scaled)
+        seen = values > NULL_EIGENVALUE * values[-1]
+        vectors, roots = vectors[:, seen], np.sqrt(values[seen])
+        step[open_] = scale * (vectors @ ((vectors.T @ target) / roots**2))
+        triangle = roots[:, None] * vectors.T
+    if np.all(step >= lower) and np.all(step <= upper):
+        return step
+    projected = np.linalg.lstsq(triangle.T, target, rcond=None)[0]
+    bounds = lower[open_] / scale, upper[open_] / scale
+    result = lsq_linear(triangle, projected, bounds, method="bvls")
+    step[open_] = scale * result.x
+    return np.clip(step, lower, upper)
