@@ -52,6 +52,7 @@ _GENERATOR = (
     "language/expressions.py",
     "compiled/generate.py",
     "compiled/trajectory.c",
+    "compiled/filter.c",
 )
 
 
@@ -78,17 +79,19 @@ def _generator_digest() -> str:
     return digest.hexdigest()
 
 
-def load(model: Model, *, selectable: bool = False) -> ctypes.CDLL | None:
+def load(model: Model, *, selectable: bool = False, filtered: bool = False) -> ctypes.CDLL | None:
     """Return the library of a model, compiling it if need be; None without a compiler.
 
-    With ``selectable`` the columns of the sensitivities are chosen at run time.
+    With ``selectable`` the columns of the sensitivities are chosen at run time, with
+    ``filtered`` the library holds the Kalman filter too.
     """
-    flags = ("-DSELECT",) if selectable else ()
+    options = {"select": selectable, "filter": filtered}
+    chosen = [name for name, wanted in options.items() if wanted]
     return load_source(
-        f"{model.structure_key()}{'-select' if selectable else ''}",
+        "-".join([model.structure_key(), *chosen]),
         lambda: source(build(model)),
         what=f"the equations of {model.name!r}",
-        flags=flags,
+        flags=tuple(f"-D{name.upper()}" for name in chosen),
         made_by=_generator_digest(),
     )
 

@@ -90,8 +90,9 @@ def source(graph: Graph) -> str:
             sizes[f"NNZ_{label}"] = sparsity.nnz()
             updates[f"UPDATE_{label}"] = _update(sparsity, parameter=label.endswith("P"))
     defines = [f"#define {name} {value}" for name, value in (sizes | updates).items()]
-    loop = files("oed_sysid.compiled").joinpath("trajectory.c").read_text()
-    return "\n".join([generator.dump(), *defines, loop])
+    folder = files("oed_sysid.compiled")
+    loops = [folder.joinpath(name).read_text() for name in ("trajectory.c", "filter.c")]
+    return "\n".join([generator.dump(), *defines, loops[0], "#ifdef FILTER", loops[1], "#endif"])
 
 
 def _start(graph: Graph) -> ca.Function:

@@ -18,13 +18,9 @@
 
 #define MAX1(n) ((n) > 0 ? (n) : 1)
 
-/* Rows are padded with zeros to whole vectors, unless their length is chosen at run time. */
-#ifdef SELECT
-#define WIDTH NC
-#else
+/* Rows are padded with zeros to whole vectors. */
 #define WIDTH ((NC + 3) / 4 * 4)
-#endif
-typedef double row_t[WIDTH] __attribute__((aligned(8 * (WIDTH % 4 ? 1 : 4))));
+typedef double row_t[WIDTH] __attribute__((aligned(32)));
 
 /* Scratch rows: on the stack where they are small, since thread-local memory of a
  * shared library costs a call at every use. */
@@ -34,14 +30,17 @@ typedef double row_t[WIDTH] __attribute__((aligned(8 * (WIDTH % 4 ? 1 : 4))));
 #define SCRATCH static _Thread_local
 #endif
 
+/* Columns in use: chosen at run time, rounded up to whole vectors, or all. */
 #ifdef SELECT
 static _Thread_local int active;
 static _Thread_local const int *column_of;
 #define ACTIVE active
+#define active_width(n) (active = ((n) + 3) & ~3)
 #define PARAMETER(row, index, value) \
     if (column_of[index] >= 0) target[row][column_of[index]] += value;
 #else
 #define ACTIVE WIDTH
+#define active_width(n)
 #define PARAMETER(row, index, value) target[row][NZ + index] += value;
 #endif
 
@@ -253,11 +252,14 @@ int kernel_select(int n, const double *times, const double *inputs, const double
     const int with_sensitivities = dy_out != 0;
     double z[MAX1(NZ)], y[MAX1(NY)];
     SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
-    active = nc;
+    active_width(nc);
     column_of = columns;
     memcpy(z, z0, sizeof(double) * NZ);
     if (with_sensitivities)
-        for (int i = 0; i < NZ; ++i) memcpy(s[i], s0 + (size_t)i * nc, sizeof(double) * nc);
+        for (int i = 0; i < NZ; ++i) {
+            memset(s[i], 0, sizeof(double) * ACTIVE);
+            memcpy(s[i], s0 + (size_t)i * nc, sizeof(double) * nc);
+        }
     for (int k = 0; k < n; ++k) {
         const double *input = inputs + (size_t)k * NU;
         const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);

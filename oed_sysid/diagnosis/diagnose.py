@@ -10,7 +10,7 @@ from oed_sysid.batch.threads import single_threaded
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.rank import Ranking, rank
-from oed_sysid.diagnosis.workbench import Workbench
+from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
 from oed_sysid.model import Model
 
@@ -22,7 +22,7 @@ class Diagnosis:
     Attributes
     ----------
     model : Model
-        As believed.
+        The nominal model.
     location : Located
     ranking : Ranking
     """
@@ -56,7 +56,7 @@ class Diagnosis:
             verdict = f"Missing, as far as these records can tell: {group[0]}."
         else:
             verdict = f"Missing, and these records cannot tell which: {', '.join(group)}."
-        note = "Nothing has been added, and no untouched record been asked: that is `improve`."
+        note = "Nothing has been added, and no validation record been asked: that is `improve`."
         return "\n".join(
             [self.model.name, self.location.report(), "", self.ranking.report(), "", verdict, note]
         )
@@ -84,7 +84,7 @@ def diagnose(
     Parameters
     ----------
     model : Model
-        What is believed.
+        The nominal model.
     dataset : Dataset
         Measured records.
     candidates : sequence of Effect
@@ -92,6 +92,6 @@ def diagnose(
     known_noise : bool
         See :func:`oed_sysid.diagnosis.improve.improve`.
     """
-    bench, fit = Workbench.build(model, dataset, None, candidates, known_noise=known_noise)
-    ranking = rank(bench.train, fit, bench.train.super_model.candidates)
-    return Diagnosis(model, locate(bench.train, fit, likeliest(ranking)), ranking)
+    study, fit = Study.begin(model, dataset, None, candidates, known_noise=known_noise)
+    ranking = rank(study, fit, study.candidates)
+    return Diagnosis(model, locate(fit, study.unit, likeliest(ranking)), ranking)

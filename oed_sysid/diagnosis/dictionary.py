@@ -17,12 +17,12 @@ import numpy as np
 from oed_sysid.channels import Output
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.diagnosis.linearise import disturbed_equations
 from oed_sysid.effects import Force
 from oed_sysid.effects.derivatives import factor_of
 from oed_sysid.language import dimensions, expressions, notation
 from oed_sysid.language.units import Dimension, dimension
 from oed_sysid.model import Model
+from oed_sysid.noise.disturbances import disturbed_equations
 from oed_sysid.parameters import Parameter
 
 MOST_FACTORS = 3

@@ -1,19 +1,32 @@
-"""The loop: fit, locate, rank, add, refit, until what remains is noise."""
+r"""The loop: fit, locate, rank, add, refit, until what remains is noise.
+
+An effect is claimed where three things hold:
+
+1. the gain :math:`2\Delta\log L` on the training records is one that chance rarely gives,
+   however many candidates were tried;
+2. the validation records become more likely, judged with noise levels and start states
+   estimated on them and with the uncertainty of the parameters taken along;
+3. the error of the model on its own on the validation records is finite and does not rise.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from oed_sysid.batch.threads import single_threaded
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.diagnosis.conclusion import Remains, parameter_table, remains
-from oed_sysid.diagnosis.error_table import Yardstick
-from oed_sysid.diagnosis.greybox import GreyBox, estimate
-from oed_sysid.diagnosis.improvement import Improvement, Step
+from oed_sysid.diagnosis.improvement import (
+    Improvement,
+    Step,
+    Term,
+    Yardstick,
+    parameter_table,
+)
 from oed_sysid.diagnosis.locate import Located, likeliest, locate
+from oed_sysid.diagnosis.propose import Proposals, propose
 from oed_sysid.diagnosis.rank import (
     FALSE_CLAIMS,
     FALSE_CLAIMS_BEFORE_TEST,
@@ -22,26 +35,61 @@ from oed_sysid.diagnosis.rank import (
     rank,
     threshold,
 )
-from oed_sysid.diagnosis.unknown import Unknown, find_unknown
-from oed_sysid.diagnosis.workbench import Workbench
+from oed_sysid.diagnosis.remainder import Remains, remains
+from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, OedSysidError
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.fitting.gauss_newton import FilteredSolution
 from oed_sysid.model import Model
-from oed_sysid.noise.kalman import NoiseModel
 
 # A rival must be this much more likely to take an earlier effect's place.
 SWAP_MARGIN = 6.0
-# Gain in twice the log-likelihood on untouched records that confirms a claim.
+# Gain in twice the log-likelihood on validation records that confirms a claim.
 CONFIRMED = 2.0
+# Factor by which the error on validation records may seem to rise by chance.
+RISE = 1.02
+# Candidates per round that the validation records are asked about.
+ASKED = 3
+# A known effect stays beside a proposed term only if both together are likelier by more than
+# this, about what any claim needs: what a model lacks is imitated by effects it does not lack.
+PLACE_MARGIN = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Added:
+    """One effect that was added, why, and the fit with it."""
+
+    effect: Effect
+    ranking: Ranking | None
+    gain: float
+    needed: float
+    validation_gain: float
+    group: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where the loop stands: effects in the model, and the fit with them."""
+    """Where the loop stands: what was added, the fit with it, and all fits on the way."""
 
-    added: tuple[Effect, ...]
-    fit: GreyBox
-    bench: Workbench
+    study: Study
+    added: tuple[_Added, ...]
+    fit: FilteredSolution
+    path: tuple[FilteredSolution, ...]
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        return tuple(one.effect for one in self.added)
+
+    @property
+    def left(self) -> list[Effect]:
+        present = {effect.name for effect in self.effects}
+        return [e for e in self.study.candidates if e.name not in present]
+
+    @property
+    def share(self) -> float:
+        """Share of false claims allowed before validation records, if any, are asked."""
+        return FALSE_CLAIMS if self.study.validation is None else FALSE_CLAIMS_BEFORE_TEST
 
 
 @single_threaded
@@ -58,14 +106,14 @@ def improve(
     """Find the effects that a model lacks.
 
     Choices are made on the training records; an effect is claimed only where
-    it also makes the untouched records more likely.
+    it also makes the validation records more likely and predicts them no worse.
 
     Parameters
     ----------
     model : Model
-        What is believed.
+        The nominal model.
     train, test : Dataset
-        Records to learn from, and untouched ones to judge by.
+        Training records, and validation records that nothing is chosen on.
     candidates : sequence of Effect
         What may be missing.
     known_noise : bool
@@ -81,270 +129,371 @@ def improve(
         raise DataError(
             "There is no candidate effect. Give problem.effects, or effects of your own."
         )
-    tell("fitting the model as it is believed")
-    bench, base_fit = Workbench.build(model, train, test, candidates, known_noise=known_noise)
-    state = _State((), base_fit, bench)
+    tell("fitting the nominal model")
+    study, base = Study.begin(model, train, test, candidates, known_noise=known_noise)
+    state = _State(study, (), base, (base,))
+    notes: list[str] = []
+    rejected: list[str] = []
     first: Ranking | None = None
-    steps: list[tuple[Refit, Ranking, float]] = []
-    fits: list[GreyBox] = []
+    try:
+        state, first, rejected = _search(state, max_effects, tell)
+    except OedSysidError as error:
+        notes.append(f"The search ended early: {error}")
+    first = first or rank(study, base, study.candidates, n_refits=0, share=state.share)
+    tell("locating where the nominal model fails")
+    location = _located(study, base, first, notes)
+    left = _kept(lambda: remains(state.study, state.fit), notes)
+    proposals: Proposals | None = None
+    if left is not None and not left.is_noise:
+        tell("looking for a term that no known effect holds")
+        found = _kept(lambda: _with_term(state, max_effects), notes)
+        if found is not None:
+            state, proposals, tied = found
+            again = _kept(lambda: remains(state.study, state.fit), notes)
+            left = replace(again or left, tied=tied)
+    if left is None:
+        left = Remains(np.inf, None)
+    tell("fits and errors of every step")
+    return _result(state, base, first, location, rejected, proposals, left, notes)
+
+
+def _search(
+    state: _State, max_effects: int, tell: Callable[[str], None]
+) -> tuple[_State, Ranking, list[str]]:
+    """Rank, choose, add, reconsider, until nothing more is worth it."""
+    first: Ranking | None = None
     rejected: list[str] = []
     while len(state.added) < max_effects:
         tell(f"ranking candidates, round {len(state.added) + 1}")
-        ranking = rank(state.bench.train, state.fit, _left(state), share=_share(state))
+        ranking = rank(state.study, state.fit, state.left, share=state.share)
         first = first or ranking
-        chosen, test_gain, refused = _choose(state, ranking)
+        chosen, validation_gain, refused = _choose(state, ranking)
         rejected += refused
         if chosen is None:
             break
         tell(f"adding {chosen.name}")
-        state = _settle(state, chosen)
-        steps.append((chosen, ranking, test_gain))
-        fits.append(state.fit)
+        state = _with(state, chosen, ranking, validation_gain)
         if len(state.added) > 1:
             tell("reconsidering the effects added before")
-            state, steps, fits = _review(state, steps, fits)
+            state = _review(state)
     assert first is not None
-    tell("locating where the believed model fails")
-    location = locate(bench.train, base_fit, likeliest(first))
-    fits = _consistent(state.bench, steps, fits)
-    unknown = None
-    left = remains(state.bench.train, state.fit)
-    if not left.is_noise:
-        tell("looking for a term that no known effect holds")
-        unknown = find_unknown(state.bench, state.added, [base_fit, *fits])
-        if unknown is not None and len(state.added) == max_effects and not unknown.remains.is_noise:
-            # The search was cut short: a known effect may yet explain what remains.
-            unknown = None
-    if unknown is not None:
-        left = unknown.remains
-    sigma = _sigma(model, state.fit, state.bench.train.units)
-    return _result(
-        state, model, base_fit, first, location, steps, fits, rejected, sigma, unknown, left
-    )
-
-
-def _left(state: _State) -> list[Effect]:
-    present = {effect.name for effect in state.added}
-    return [e for e in state.bench.train.super_model.candidates if e.name not in present]
-
-
-def _share(state: _State) -> float:
-    """Share of false claims allowed before untouched records, if any, are asked."""
-    return FALSE_CLAIMS if state.bench.test is None else FALSE_CLAIMS_BEFORE_TEST
+    return state, first, rejected
 
 
 def _choose(state: _State, ranking: Ranking) -> tuple[Refit | None, float, list[str]]:
-    """Best candidate whose gain chance does not explain and the test records confirm."""
+    """Best candidate whose gain chance does not explain and the validation records confirm."""
     refused: list[str] = []
-    before = state.bench.test_objective(state.fit) if state.bench.test else np.nan
-    for refit in ranking.refits[:3]:
-        if refit.gain < ranking.needed(refit):
-            continue
-        if state.bench.test is None:
-            return refit, np.nan, refused
-        gain = before - state.bench.test_objective(refit.fit)
-        if gain > CONFIRMED:
+    study = state.study
+    hopeful = [r for r in ranking.refits[:ASKED] if r.gain >= ranking.needed(r)]
+    if study.validation is None or not hopeful:
+        return (hopeful[0] if hopeful else None), np.nan, refused
+    before = study.validate(state.fit)
+    for refit in hopeful:
+        gain = _difference(before, study.validate(refit.fit))
+        if gain > CONFIRMED and not _rises(study, state.fit, refit.fit):
             return refit, gain, refused
         refused.append(refit.name)
     return None, np.nan, refused
 
 
-def _settle(state: _State, chosen: Refit) -> _State:
-    """Linearise anew with the effect in the model, and estimate once more."""
-    bench, fit = state.bench.settle(chosen.fit)
-    return _State((*state.added, chosen.score.effect), fit, bench)
+def _difference(before: float, after: float) -> float:
+    """Gain of a model over another, either of which may not run at all."""
+    if not np.isfinite(after):
+        return -np.inf
+    return before - after if np.isfinite(before) else np.inf
 
 
-def _review(
-    state: _State,
-    steps: list[tuple[Refit, Ranking, float]],
-    fits: list[GreyBox],
-) -> tuple[_State, list[tuple[Refit, Ranking, float]], list[GreyBox]]:
+def _rises(study: Study, before: FilteredSolution, after: FilteredSolution) -> bool:
+    """Whether the error of the model on its own on validation records rises or is infinite."""
+    assert study.validation is not None
+    old, new = (_total(study, fit) for fit in (before, after))
+    return not np.isfinite(new) or new > RISE * old
+
+
+def _total(study: Study, fit: FilteredSolution) -> float:
+    """Error over all outputs on validation records, in units of the noise."""
+    assert study.validation is not None
+    rms = study.rms(fit, study.validation) / study.setting.white
+    seen = ~np.isnan(rms)
+    return float(np.sqrt(np.mean(rms[seen] ** 2)))
+
+
+def _with(state: _State, chosen: Refit, ranking: Ranking, validation_gain: float) -> _State:
+    """Add an effect, and estimate once more."""
+    fit = state.study.settle(chosen.fit)
+    effect = chosen.score.effect
+    names = [refit.name for refit in ranking.group()]
+    group = tuple(dict.fromkeys((effect.name, *names, *ranking.alike(effect.name))))
+    one = _Added(effect, ranking, chosen.gain, ranking.needed(chosen), validation_gain, group)
+    return _State(state.study, (*state.added, one), fit, (*state.path, fit))
+
+
+def _review(state: _State) -> _State:
     """Drop or replace earlier effects that the later ones have made doubtful."""
+    study = state.study
     for position in range(len(state.added) - 1):
         old = state.added[position]
-        others = tuple(e for i, e in enumerate(state.added) if i != position)
-        names = tuple(n for n in state.fit.names if n not in {p.name for p in old.parameters})
-        values = dict(state.fit.values)
-        values.update(dict.fromkeys(old.amplitude_names, 0.0))
-        noise = _loosened(state.fit.noise, state.bench.train.units)
-        without = estimate(state.bench.train, names, values, state.fit.initial, noise)
+        others = tuple(one for i, one in enumerate(state.added) if i != position)
+        values = dict(state.fit.values) | dict.fromkeys(old.effect.amplitude_names, 0.0)
+        without = study.estimate(
+            [one.effect for one in others],
+            values,
+            state.fit,
+            noise=study.loosened(state.fit.noise),
+            max_iterations=25,
+        )
         if without is None:
             continue
-        needed = threshold(len(_left(state)) + 1, len(old.parameters), _share(state))
+        needed = threshold(len(state.left) + 1, len(old.effect.parameters), state.share)
         if without.objective - state.fit.objective < needed:
-            kept = [i for i in range(len(steps)) if i != position]
-            bench, settled = state.bench.settle(without)
-            state = _State(others, settled, bench)
-            return state, [steps[i] for i in kept], [fits[i] for i in kept[:-1]] + [state.fit]
-        reduced = _State(others, without, state.bench)
+            return _rebuilt(replace(state, added=others, fit=study.settle(without)))
+        reduced = replace(state, added=others, fit=without)
         ranking = rank(
-            reduced.bench.train,
+            study,
             without,
-            _left(reduced),
-            also=(old.name,),
+            reduced.left,
+            also=(old.effect.name,),
             n_refits=5,
-            share=_share(state),
+            share=state.share,
         )
-        present = next((r for r in ranking.refits if r.name == old.name), None)
+        present = next((r for r in ranking.refits if r.name == old.effect.name), None)
         best = ranking.refits[0] if ranking.refits else None
         if best is None:
             continue
         chosen = best
         if present is not None and best.evidence < present.evidence + SWAP_MARGIN:
             chosen = present
-        if chosen.name != old.name:
-            if state.bench.test is not None and state.bench.test_objective(
-                chosen.fit
-            ) > state.bench.test_objective(state.fit):
-                continue
-            state = _settle(reduced, chosen)
-            steps = [
-                *steps[:position],
-                *steps[position + 1 :],
-                (chosen, ranking, steps[position][2]),
-            ]
-            fits = [*fits[:position], *fits[position + 1 :], state.fit]
-        else:
-            steps = [
-                (step[0], ranking, step[2]) if i == position else step
-                for i, step in enumerate(steps)
-            ]
-    return state, steps, fits
+        names = [refit.name for refit in ranking.group()]
+        group = tuple(dict.fromkeys((chosen.name, *names, *ranking.alike(chosen.name))))
+        if chosen.name == old.effect.name:
+            same = replace(old, ranking=ranking, group=group)
+            kept = tuple(same if i == position else one for i, one in enumerate(state.added))
+            state = replace(state, added=kept)
+            continue
+        if study.validation is not None and study.validate(chosen.fit) > study.validate(state.fit):
+            continue
+        new = _Added(
+            chosen.score.effect,
+            ranking,
+            chosen.gain,
+            ranking.needed(chosen),
+            old.validation_gain,
+            group,
+        )
+        state = _rebuilt(replace(state, added=(*others, new), fit=study.settle(chosen.fit)))
+    return state
 
 
-def _loosened(noise: NoiseModel, units: NoiseModel) -> NoiseModel:
-    """Noise model in which an absent disturbance can come back."""
-    return replace(noise, force=np.maximum(noise.force, 0.3 * units.force))
+def _rebuilt(state: _State) -> _State:
+    """The same with the fits of all steps made again, each with its own and earlier effects."""
+    study, path = state.study, [state.path[0]]
+    for count in range(1, len(state.added)):
+        values = state.fit.values
+        found = study.estimate(
+            state.effects[:count], values, path[-1], max_iterations=25,
+            noise=study.loosened(path[-1].noise),
+        )  # fmt: skip
+        path.append(found if found is not None else path[-1])
+    if state.added:
+        path.append(state.fit)
+    return replace(state, path=tuple(path))
 
 
-def _sigma(model: Model, fit: GreyBox, units: NoiseModel) -> np.ndarray:
-    """Noise level of every output: declared, else all sensor noise of the final fit."""
-    estimated = np.maximum(np.hypot(fit.noise.white, fit.noise.colour), units.white)
-    declared = [output.noise_std for output in model.outputs]
-    return np.array(
-        [e if d is None else d for d, e in zip(declared, estimated, strict=True)], dtype=float
-    )
+def _with_term(
+    state: _State, max_effects: int
+) -> tuple[_State, Proposals | None, tuple[str, ...]] | None:
+    """Propose a term beside the effects found, or in place of some or all of them.
+
+    Returns
+    -------
+    state : _State
+        With the term, where it is worth it and confirmed.
+    proposals : Proposals or None
+        Those of the term that was added.
+    tied : tuple of str
+        Terms that would explain what is left and were not confirmed.
+    """
+    study, n_known = state.study, len(state.added)
+    best: tuple[float, _State, Proposals, FilteredSolution] | None = None
+    tied: tuple[str, ...] = ()
+    for count in sorted({0, max(n_known - 1, 0), n_known}, reverse=True):
+        start = state.path[count]
+        proposals = propose(study, start)
+        if proposals.best is None:
+            continue
+        if count == n_known:
+            tied = proposals.group[:3]
+        effect = proposals.best.effect
+        wide = study.with_candidates([effect])
+        kept = state.added[:count]
+        found = wide.estimate(
+            [*(one.effect for one in kept), effect], proposals.best.fit.values, start,
+            noise=study.loosened(start.noise), max_iterations=25,
+        )  # fmt: skip
+        if found is None:
+            continue
+        kept, found = _without_imitations(wide, kept, effect, found)
+        cost = found.objective + PLACE_MARGIN * len(kept)
+        if best is None or cost < best[0]:
+            gain = state.path[len(kept)].objective - found.objective
+            one = _Added(effect, None, gain, proposals.needed, np.nan, (effect.name,))
+            option = replace(state, study=wide, added=(*kept, one), fit=found)
+            best = cost, option, proposals, found
+    if best is None:
+        return state, None, ()
+    _, option, proposals, found = best
+    fewer = n_known - len(option.added)
+    gained = state.fit.objective - found.objective
+    replaced = fewer + 1 > 0
+    worth = gained + PLACE_MARGIN * fewer > PLACE_MARGIN if replaced else gained > proposals.needed
+    if not worth:
+        return state, None, tied
+    validation_gain = np.nan
+    if study.validation is not None:
+        validation_gain = _difference(study.validate(state.fit), option.study.validate(found))
+        if validation_gain <= 0 or _rises(option.study, state.fit, found):
+            return state, None, tied
+    last = replace(option.added[-1], validation_gain=validation_gain)
+    option = replace(option, added=(*option.added[:-1], last), fit=option.study.settle(found))
+    if len(option.added) > max_effects + 1:
+        return state, None, tied
+    return _rebuilt(option), proposals, ()
 
 
-def _group(ranking: Ranking, added: str) -> tuple[str, ...]:
-    names = [refit.name for refit in ranking.group()]
-    return tuple(dict.fromkeys((added, *names, *ranking.alike(added))))
+def _without_imitations(
+    study: Study, kept: tuple[_Added, ...], term: Effect, fit: FilteredSolution
+) -> tuple[tuple[_Added, ...], FilteredSolution]:
+    """Drop known effects, the least likely first, that are not needed beside the term."""
+    while kept:
+        options = []
+        for one in kept:
+            others = tuple(other for other in kept if other is not one)
+            values = dict(fit.values) | dict.fromkeys(one.effect.amplitude_names, 0.0)
+            without = study.estimate(
+                [*(o.effect for o in others), term], values, fit, max_iterations=25
+            )
+            if without is not None:
+                options.append((others, without))
+        if not options:
+            break
+        others, without = min(options, key=lambda pair: pair[1].objective)
+        if without.objective - fit.objective > PLACE_MARGIN:
+            break
+        kept, fit = others, without
+    return kept, fit
+
+
+def _located(study: Study, base: FilteredSolution, first: Ranking, notes: list[str]) -> Located:
+    rivals = likeliest(first)
+    found = _kept(lambda: locate(base, study.unit, rivals), notes)
+    return found if found is not None else Located.nothing(base)
+
+
+def _kept(work: Callable, notes: list[str]):  # type: ignore[no-untyped-def,type-arg]
+    """What a stage returns; None, and a note, where it fails: earlier results are kept."""
+    try:
+        return work()
+    except (OedSysidError, np.linalg.LinAlgError) as error:
+        notes.append(f"One stage could not be done: {error}")
+        return None
+
+
+def _at_estimates(effect: Effect, values: Mapping[str, float]) -> Effect:
+    own = {p.name for p in effect.parameters}
+    return effect.with_values({k: v for k, v in values.items() if k in own})
 
 
 def _result(
     state: _State,
-    model: Model,
-    base_fit: GreyBox,
+    base: FilteredSolution,
     first: Ranking,
     location: Located,
-    steps: list[tuple[Refit, Ranking, float]],
-    fits: list[GreyBox],
     rejected: list[str],
-    sigma: np.ndarray,
-    unknown: Unknown | None,
+    proposals: Proposals | None,
     left: Remains,
+    notes: list[str],
 ) -> Improvement:
-    bench = state.bench
-
-    done = []
-    present: list[Effect] = []
-    for (refit, ranking, test_gain), fit in zip(steps, fits, strict=True):
-        present.append(refit.score.effect)
-        fit = _with_only(bench, present, fit)
-        rms = bench.rms(fit)
-        error = bench.relative(rms, sigma)
-        done.append(
+    study = state.study
+    label = "improve, random forces"
+    base_fit = study.result(base, label)
+    path = [base, *state.path[1:]]
+    fits = [base_fit, *(study.result(fit, label) for fit in path[1:])]
+    sigma = _sigma(study, fits)
+    rms = [
+        {
+            "train": study.rms(fit, study.train),
+            "test": np.full(len(sigma), np.nan)
+            if study.validation is None
+            else study.rms(fit, study.validation),
+        }
+        for fit in path
+    ]
+    errors = [relative(one, sigma, study) for one in rms]
+    steps = []
+    for number, one in enumerate(state.added, start=1):
+        steps.append(
             Step(
-                _at_estimates(refit.score.effect, fit),
-                _group(ranking, refit.name),
-                refit.gain,
-                ranking.needed(refit),
-                test_gain,
-                error["train"],
-                error["test"],
-                fit,
-                rms,
+                effect=_at_estimates(one.effect, fits[number].model.values),
+                group=one.group,
+                evidence=one.gain,
+                needed=one.needed,
+                test_gain=one.validation_gain,
+                train_error=errors[number]["train"],
+                test_error=errors[number]["test"],
+                fit=fits[number],
+                rms=rms[number],
             )
         )
-    if unknown is not None:
-        bench, state, done = _with_unknown(unknown, state, done, sigma)
-    known = set(model.parameter_names)
-    base = model.with_values({k: v for k, v in base_fit.values.items() if k in known})
-    final = (model + state.added).with_values(
-        {
-            k: v
-            for k, v in state.fit.values.items()
-            if k in known or k in {p.name for e in state.added for p in e.parameters}
-        }
-    )
-    base_rms = bench.rms(base_fit)
-    base_error = bench.relative(base_rms, sigma)
+    yardstick = Yardstick.of(study.train, sigma)
+    worst = rms[-1]["test"] if study.validation is not None else rms[-1]["train"]
+    names = study.base.output_names
+    excess = np.sqrt(np.maximum(worst**2 - sigma**2, 0.0)) / yardstick.spread
+    shares = {
+        name: float(share) for name, share in zip(names, excess, strict=True) if np.isfinite(share)
+    }
+    term = None
+    if proposals is not None and proposals.best is not None:
+        term = Term.of(proposals, steps[-1], state, base)
     return Improvement(
-        model=final,
-        base=base,
-        steps=tuple(done),
+        model=fits[-1].model,
+        base=base_fit.model,
+        steps=tuple(steps),
         ranking=first,
         base_fit=base_fit,
-        base_error=base_error,
-        final_error={"train": done[-1].train_error, "test": done[-1].test_error}
-        if done
-        else base_error,
+        base_error=errors[0],
+        final_error=errors[-1],
         location=location,
-        remains=left,
-        parameters=parameter_table(bench.train, state.fit),
-        base_rms=base_rms,
-        yardstick=Yardstick.of(bench.train.dataset, sigma),
-        rejected=tuple(rejected),
-        proposed=() if unknown is None else (unknown.to_dict(),),
+        remains=replace(left, shares=shares),
+        parameters=parameter_table(fits[-1]),
+        base_rms=rms[0],
+        yardstick=yardstick,
+        rejected=tuple(
+            name for name in dict.fromkeys(rejected) if name not in {step.added for step in steps}
+        ),
+        proposed=() if term is None else (term.to_dict(),),
+        notes=tuple(notes),
+        skipped=study.skipped,
     )
 
 
-def _at_estimates(effect: Effect, fit: GreyBox) -> Effect:
-    own = {p.name for p in effect.parameters}
-    return effect.with_values({k: v for k, v in fit.values.items() if k in own})
-
-
-def _consistent(
-    bench: Workbench, steps: Sequence[tuple[Refit, Ranking, float]], fits: Sequence[GreyBox]
-) -> list[GreyBox]:
-    """The fits of all steps, each with the effects of its own and earlier steps only."""
-    present = [refit.score.effect for refit, _, _ in steps]
-    return [_with_only(bench, present[: i + 1], fit) for i, fit in enumerate(fits)]
-
-
-def _with_only(bench: Workbench, present: Sequence[Effect], fit: GreyBox) -> GreyBox:
-    """The fit of a step, made again where it held an effect that was dropped later."""
-    names = [*bench.train.super_model.base.free_names]
-    for effect in present:
-        names += [p.name for p in effect.parameters if not p.fixed]
-    if set(names) == set(fit.names):
-        return fit
-    absent = [e for e in bench.train.super_model.candidates if e not in present]
-    values = dict(fit.values) | dict.fromkeys((n for e in absent for n in e.amplitude_names), 0.0)
-    for effect in present:  # an amplitude that was absent starts from its typical size
-        values = {p.name: p.value for p in effect.parameters} | values
-    again = estimate(bench.train, names, values, fit.initial, fit.noise)
-    return fit if again is None else again
-
-
-def _with_unknown(
-    unknown: Unknown, state: _State, done: list[Step], sigma: np.ndarray
-) -> tuple[Workbench, _State, list[Step]]:
-    """The state with a proposed term in it, and the steps that led there."""
-    rms = unknown.bench.rms(unknown.fit)
-    error = unknown.bench.relative(rms, sigma)
-    kept = [step for step in done if step.added not in unknown.replaces]
-    last = Step(
-        _at_estimates(unknown.effect, unknown.fit),
-        (unknown.effect.name,),
-        unknown.gain + sum(step.evidence for step in done if step not in kept),
-        unknown.proposals.needed,
-        unknown.test_gain,
-        error["train"],
-        error["test"],
-        unknown.fit,
-        rms,
+def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:
+    """Noise level of every output: declared, else the smallest that a fit's sensors have."""
+    declared = np.array(
+        [np.nan if o.noise_std is None else o.noise_std for o in study.base.outputs]
     )
-    joined = _State((*unknown.kept, unknown.effect), unknown.fit, unknown.bench)
-    return unknown.bench, joined, [*kept, last]
+    found = np.min([fit.noise.sensors for fit in fits if fit.noise is not None], axis=0)
+    return np.where(np.isnan(declared), np.maximum(found, study.setting.least_white), declared)
+
+
+def relative(rms: Mapping[str, np.ndarray], sigma: np.ndarray, study: Study) -> dict[str, float]:
+    """Errors of all outputs together, in units of the noise, from those of each."""
+    found = {}
+    for key, dataset in (("train", study.train), ("test", study.validation)):
+        if dataset is None:
+            found[key] = np.nan
+            continue
+        count = np.sum([np.isfinite(r.outputs).sum(axis=0) for r in dataset], axis=0)
+        seen = count > 0
+        total = float(np.sum(count[seen] * (rms[key][seen] / sigma[seen]) ** 2))
+        found[key] = float(np.sqrt(total / count.sum())) if seen.any() else np.nan
+    return found

@@ -2,24 +2,141 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from oed_sysid.diagnosis.advice import advice
-from oed_sysid.diagnosis.conclusion import Remains
-from oed_sysid.diagnosis.error_table import Errors, Yardstick
-from oed_sysid.diagnosis.greybox import GreyBox
+from oed_sysid.channels import Output
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.locate import Located
+from oed_sysid.diagnosis.propose import Proposals
 from oed_sysid.diagnosis.rank import Ranking
+from oed_sysid.diagnosis.remainder import Remains
 from oed_sysid.effects import Effect
-from oed_sysid.fitting.fit import align
+from oed_sysid.fitting.fit import Fit, align
+from oed_sysid.fitting.noise_levels import signal_spread
 from oed_sysid.model import Model
 
 # Evidence (gain less the cost of freedom) from which a candidate is mentioned as a hint.
 HINT = 4.0
+# Invisible candidates that are named.
+NAMED = 6
+
+# Root mean square errors of every output, ``(n_outputs,)``, on ``train`` and ``test`` records.
+Errors = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """What errors are compared with.
+
+    Attributes
+    ----------
+    outputs : tuple of Output
+    sigma : ndarray (n_outputs,)
+        Noise levels.
+    spread : ndarray (n_outputs,)
+        Standard deviation of each signal over the training records.
+    """
+
+    outputs: tuple[Output, ...]
+    sigma: np.ndarray
+    spread: np.ndarray
+
+    @classmethod
+    def of(cls, dataset: Dataset, sigma: np.ndarray) -> Yardstick:
+        """Yardstick of the training records."""
+        return cls(dataset.channels.outputs, sigma, signal_spread(dataset))
+
+    def table(self, before: Errors, after: Errors | None) -> list[str]:
+        """Errors of the nominal and the improved model as lines of text."""
+        return [*align(self.rows(before, after)), *self.notes()]
+
+    def rows(self, before: Errors, after: Errors | None) -> list[tuple[str, ...]]:
+        """Errors in units and per cent of the signal, the header first."""
+        kinds = [k for k in ("train", "test") if not np.isnan(before[k]).all()]
+        models = [before, *([after] if after else [])]
+        rows: list[tuple[str, ...]] = [
+            ("error", "records", "nominal", *(["improved"] if after else []), "noise", "unit")
+        ]
+        for index, output in enumerate(self.outputs):
+            # Angles are read in degrees.
+            angle = output.unit.startswith("rad")
+            factor = np.degrees(1.0) if angle else 1.0
+            for kind in kinds:
+                rows.append(
+                    (
+                        output.name,
+                        {"train": "training", "test": "validation"}[kind],
+                        *(self._cell(errors[kind][index], index, factor) for errors in models),
+                        f"{factor * self.sigma[index]:.2g}",
+                        output.unit.replace("rad", "deg", 1) if angle else output.unit,
+                    )
+                )
+        return rows
+
+    def notes(self) -> Sequence[str]:
+        """Where noise levels are from, if nobody declared them."""
+        unknown = [output.name for output in self.outputs if output.noise_std is None]
+        lines = [
+            "Errors are root mean squares over whole records, in per cent of the signal's spread."
+        ]
+        if unknown:
+            lines.append(
+                f"The noise of {', '.join(unknown)} was not declared: it is what the fastest "
+                "wiggles show, or more where the final model needs it."
+            )
+        return lines
+
+    def _cell(self, error: float, index: int, factor: float) -> str:
+        if not np.isfinite(error):
+            return "diverges" if np.isinf(error) else "-"
+        return f"{factor * error:.3g} ({_percent(error / self.spread[index])})"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A term that was proposed, tried and confirmed, as plain data.
+
+    Attributes
+    ----------
+    content : mapping
+    """
+
+    content: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, proposals: Proposals, step: Step, state: Any, base: Any) -> Term:
+        """The term of the last step."""
+        best = proposals[0]
+        parameter = step.effect.parameters[0]
+        present = {one.effect.name for one in state.added}
+        before = {e.name for e in state.path[-2].problem.model.effects} if state.path[1:] else set()
+        return cls(
+            {
+                "term": best.text,
+                "name": step.effect.name,
+                "equation": best.term.equation,
+                "expression": best.term.expression,
+                "parameter": parameter.name,
+                "value": parameter.value,
+                "unit": parameter.unit,
+                "evidence": step.evidence,
+                "test_gain": None if np.isnan(step.test_gain) else step.test_gain,
+                "group": list(proposals.group),
+                "replaces": sorted(before - present),
+            }
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return dict(self.content)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +157,7 @@ class Step:
         The same gain on the untouched records; NaN without any.
     train_error, test_error : float
         Prediction errors after the step, in units of the noise.
-    fit : GreyBox
+    fit : Fit
         The fit after the step.
     rms : dict
         The same errors of each output in its unit, ``train`` and ``test``, ``(n_outputs,)``.
@@ -53,7 +170,7 @@ class Step:
     test_gain: float
     train_error: float
     test_error: float
-    fit: GreyBox
+    fit: Fit
     rms: Errors
 
     @property
@@ -75,7 +192,7 @@ class Improvement:
     steps : tuple of Step
     ranking : Ranking
         Of the first round.
-    base_fit : GreyBox
+    base_fit : Fit
     base_error, final_error : dict
         ``train`` and ``test`` errors in units of the noise.
     location : Located
@@ -94,7 +211,7 @@ class Improvement:
     base: Model
     steps: tuple[Step, ...]
     ranking: Ranking
-    base_fit: GreyBox
+    base_fit: Fit
     base_error: Mapping[str, float]
     final_error: Mapping[str, float]
     location: Located
@@ -104,6 +221,23 @@ class Improvement:
     yardstick: Yardstick
     rejected: tuple[str, ...] = ()
     proposed: tuple[Mapping[str, Any], ...] = ()
+    notes: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
+
+    @property
+    def fits(self) -> tuple[Fit, ...]:
+        """The fit of the nominal model, then that of every step."""
+        return (self.base_fit, *(step.fit for step in self.steps))
+
+    @property
+    def fit(self) -> Fit:
+        """The fit after the last step: to save, predict with, and hand to a design."""
+        return self.fits[-1]
+
+    @property
+    def conclusion(self) -> str:
+        """What is left, as a kind and a size; see :class:`~.remainder.Remains`."""
+        return self.remains.sentence
 
     @property
     def verdict(self) -> str:
@@ -179,6 +313,10 @@ class Improvement:
             "base_error": dict(self.base_error),
             "final_error": dict(self.final_error),
             "proposed_terms": [dict(term) for term in self.proposed],
+            "remains": self.remains.to_dict(),
+            "conclusion": self.conclusion,
+            "noise": self.fit.noise.to_dict() if self.fit.noise is not None else None,
+            "notes": list(self.notes),
             "parameters": [dict(parameter) for parameter in self.parameters],
         }
 
@@ -206,8 +344,12 @@ class Improvement:
         error = self.base_error
         return [
             f"{self.base.name}",
-            f"  as believed, it misses the training records by {error['train']:.2f} x noise"
-            + ("" if np.isnan(error["test"]) else f", the untouched ones by {error['test']:.2f}"),
+            f"  nominal model: error on the training records {error['train']:.2f} x noise"
+            + (
+                ""
+                if np.isnan(error["test"])
+                else f", on the validation records {error['test']:.2f}"
+            ),
         ]
 
     def _story(self) -> list[str]:
@@ -222,13 +364,22 @@ class Improvement:
                 )
             if self.rejected:
                 lines.append(
-                    "The untouched records refused "
+                    "The validation records refused "
                     + ", ".join(dict.fromkeys(self.rejected))
                     + ": what looked like it on the training records did not repeat."
                 )
             return lines
-        rows = [("effect added", "gain", "needed", "test gain", "train error", "test error")]
-        rows.append(("(as believed)", "", "", "", *self._pair(self.base_error)))
+        rows = [
+            (
+                "effect added",
+                "gain",
+                "needed",
+                "validation gain",
+                "training error",
+                "validation error",
+            )
+        ]
+        rows.append(("(nominal)", "", "", "", *self._pair(self.base_error)))
         for step in self.steps:
             rows.append(
                 (
@@ -268,14 +419,97 @@ class Improvement:
         return lines + self._verdict()
 
     def _verdict(self) -> list[str]:
-        if self.explained:
-            colour = (
-                ""
-                if self.remains.sensor_time is None
-                else f", correlated over about {self.remains.sensor_time:.2g} s at the sensors"
+        return [*(f"Note: {note}" for note in self.notes), f"Verdict: {self.conclusion}"]
+
+
+def parameter_table(fit: Fit) -> tuple[Mapping[str, Any], ...]:
+    """Name, value, standard error and unit of every estimated parameter."""
+    errors = fit.std_errors
+    return tuple(
+        {
+            "name": name,
+            "value": value,
+            "std_error": errors[name],
+            "unit": fit.model.parameter(name).unit,
+        }
+        for name, value in fit.values.items()
+    )
+
+
+def advice(
+    steps: Sequence[Any],
+    ranking: Ranking,
+    parameters: Sequence[Mapping[str, Any]],
+    *,
+    explained: bool,
+    commanded: bool = True,
+) -> list[str]:
+    """Sentences for whoever goes to sea again.
+
+    Parameters
+    ----------
+    steps : sequence of :class:`oed_sysid.diagnosis.improvement.Step`
+    ranking : Ranking
+        Of the first round: all candidates.
+    parameters : sequence of mapping
+        ``name``, ``value``, ``std_error`` and ``unit`` of every estimate.
+    explained : bool
+        Whether what remains is noise.
+    commanded : bool
+        Whether the model has inputs, so that a manoeuvre can be designed.
+    """
+    known = {score.effect.name: score.effect for score in ranking.scores}
+    estimates = {row["name"]: row for row in parameters}
+    believe, doubt, sea = [], [], []
+    for step in steps:
+        sizes = [_size(estimates[p.name]) for p in step.effect.parameters if p.name in estimates]
+        tested = not np.isnan(step.test_gain)
+        rivals = step.group[1:]
+        what = " or ".join(step.group) if rivals else step.added
+        believe.append(
+            f"{what} is missing{', the validation records agree' if tested else ''}"
+            + (f": {', '.join(sizes)}." if sizes and not rivals else ".")
+        )
+        if rivals:
+            doubt.append(
+                f"that it is {step.added} ({', '.join(sizes)}): {', '.join(rivals)} "
+                f"{'does' if len(rivals) == 1 else 'do'} as well."
             )
-            return [f"Verdict: the remaining misfit is noise at this level{colour}."]
-        return [
-            "Verdict: no known effect explains what remains "
-            f"(disturbances still gain {self.remainder:.0f} in twice the log-likelihood)."
-        ]
+            sea += _manoeuvre(step.group, known, commanded)
+        if not tested:
+            doubt.append(f"{step.added} before a validation record has confirmed it.")
+    hidden = sorted(set(ranking.undetectable()) - {step.added for step in steps})
+    if hidden:
+        more = f" and {len(hidden) - NAMED} more" if len(hidden) > NAMED else ""
+        doubt.append(
+            f"that {', '.join(hidden[:NAMED])}{more} {'is' if len(hidden) == 1 else 'are'} absent: "
+            f"{'its' if len(hidden) == 1 else 'their'} typical size would not show here."
+        )
+    if not explained:
+        doubt.append("standard errors of the parameters: more is missing than was found.")
+    return [
+        *_listed("Believe", believe),
+        *_listed("Do not believe", doubt),
+        *_listed("Next at sea", list(dict.fromkeys(sea))),
+    ]
+
+
+def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) -> list[str]:
+    """What tells the members of a group apart."""
+    needs = {known[name].needs for name in group if name in known and known[name].needs}
+    lines = []
+    if needs:
+        lines.append(f"to tell {' from '.join(group[:3])}: {'; '.join(sorted(needs))}.")
+    if commanded:
+        names = " ".join(name for name in group if name in known)
+        lines.append(f"a manoeuvre for it: oed-sysid design PROBLEM --discriminate {names}")
+    return lines
+
+
+def _size(row: Mapping[str, Any]) -> str:
+    unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
+    return f"{row['name']} = {row['value']:.3g} +/- {row['std_error']:.2g}{unit}"
+
+
+def _listed(title: str, lines: Sequence[str]) -> list[str]:
+    return [f"{title}:", *(f"  - {line}" for line in lines)] if lines else []

@@ -1,26 +1,35 @@
-"""Propose a term for what no known effect explains.
+r"""Propose a term for what no known effect explains.
 
-Every term of a dictionary is scored without refitting, in the metric of the
-noise model and along the smoothed trajectory; the most promising are refitted
-as real effects. What is proposed is a hypothesis that explains the records, in
-the equation where it is needed, together with those they cannot tell from it.
+Every term of a dictionary is a force along the smoothed trajectory. The linear deviations carry
+it to the outputs, the filter of the noise model whitens it, the unknowns that the model has
+already are projected out, and the statistic
+
+.. math:: T = (s' M r)^2 / s' M s
+
+is computed as in :mod:`oed_sysid.diagnosis.score`. The most promising terms are refitted as real
+effects. What is proposed is a hypothesis that explains the records, in the equation where it is
+needed, together with those they cannot tell from it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
-from oed_sysid.diagnosis.dictionary import Signals, Term, signals_along
-from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
-from oed_sysid.diagnosis.linearise import SuperModel
+import numpy as np
+
+from oed_sysid.diagnosis.dictionary import Signals, Term, signals_along, terms
+from oed_sysid.diagnosis.locate import along_fit
 from oed_sysid.diagnosis.rank import GROUP_WIDTH, threshold
-from oed_sysid.diagnosis.term_scores import TermScore, TermScores, term_scores
+from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.fit import align
+from oed_sysid.fitting.gauss_newton import FilteredSolution
+from oed_sysid.language import expressions
 from oed_sysid.model import Model
-from oed_sysid.noise.linearisation import Along, along
+from oed_sysid.noise.kalman import whiten
+from oed_sysid.noise.linearisation import Along, Stretch
 
 # Terms refitted, at most this alike among each other.
 N_REFITS, ALIKE = 8, 0.98
@@ -29,6 +38,12 @@ SIMPLICITY = 1.0
 # Seen from the best term, a rival is refitted if it explains this share of what that one
 # does; so many of the first refits are then repeated beside it.
 RIVAL, N_KEPT = 0.8, 3
+
+
+# What is left of a term after projection, below which free parameters imitate it.
+ABSORBED = 0.01
+# Terms, of those with the largest statistics, whose likeness is looked at.
+COMPARED = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +55,7 @@ class Proposal:
     term : Term
     effect : Force
         At the fitted value, ready to be added to a model.
-    fit : GreyBox
+    fit : FilteredSolution
         The fit with it.
     gain : float
         Gain in twice the log-likelihood.
@@ -52,7 +67,7 @@ class Proposal:
 
     term: Term
     effect: Effect
-    fit: GreyBox
+    fit: FilteredSolution
     gain: float
     score: TermScore
     alike: tuple[TermScore, ...]
@@ -191,23 +206,23 @@ class Proposals:
         }
 
 
-def propose(task: Task, fit: GreyBox, *, n_refits: int = N_REFITS) -> Proposals:
+def propose(study: Study, fit: FilteredSolution, *, n_refits: int = N_REFITS) -> Proposals:
     """Propose terms for what the present model lacks.
 
     Parameters
     ----------
-    task : Task
-    fit : GreyBox
+    study : Study
+    fit : FilteredSolution
         The present model, with estimated noise levels.
     n_refits : int
         How many terms to refit.
     """
-    linear = along(task, fit)
-    signals = signals_along(linear.system.model, task.dataset, [s.states for s in linear.stretches])
+    linear, dataset = along_fit(fit, study.unit)
+    signals = signals_along(linear.system.model, dataset, [s.states for s in linear.stretches])
     first = term_scores(linear, signals)
     needed = threshold(len(first.scores), 1)
-    bench = _Bench(task, fit, linear.system.model, signals)
-    found = bench.refit(_representatives(first, n_refits), linear, task)
+    bench = _Bench(study, fit, linear.system.model, signals)
+    found = bench.refit(_representatives(first, n_refits))
     if found and found[0].gain > needed:
         # Parameters bend to what is missing. With the best term they have straightened,
         # and its noise is small: seen from there, a rival may be better still.
@@ -224,13 +239,7 @@ def propose(task: Task, fit: GreyBox, *, n_refits: int = N_REFITS) -> Proposals:
             if score.statistic > RIVAL * own and score.term not in present
         ]
         if rivals:
-            closer = replace(task, deviations=again.joint)
-            kept = {proposal.term for proposal in found[:N_KEPT]}
-            repeated: list[tuple[TermScore, list[TermScore]]] = [
-                (score, []) for score in second.scores if score.term in kept
-            ]
-            found = [*bench.refit([*repeated, *rivals], again, closer), *found[N_KEPT:]]
-            found.sort(key=lambda p: -p.evidence)
+            found = sorted([*found, *bench.refit(rivals, best.fit)], key=lambda p: -p.evidence)
     return Proposals(tuple(found), first.scores, needed)
 
 
@@ -238,18 +247,17 @@ def propose(task: Task, fit: GreyBox, *, n_refits: int = N_REFITS) -> Proposals:
 class _Bench:
     """Refits terms as real effects."""
 
-    task: Task
-    fit: GreyBox
+    study: Study
+    fit: FilteredSolution
     model: Model
     signals: Signals
 
     def refit(
         self,
         chosen: Sequence[tuple[TermScore, Sequence[TermScore]]],
-        linear: Along,
-        task: Task,
+        near: FilteredSolution | None = None,
     ) -> list[Proposal]:
-        """Refit each chosen term alone, best first, from where the linear model puts it."""
+        """Refit each chosen term alone, best first; from parameters of a nearby fit too."""
         if not chosen:
             return []
         effects = [
@@ -258,12 +266,11 @@ class _Bench:
             )
             for score, _ in chosen
         ]
-        active = [e for e in task.super_model.candidates if e.name in self.model.effect_names]
-        joined = SuperModel.build(task.super_model.base, [*active, *effects])
-        wide = replace(task, super_model=joined)
+        wide = self.study.with_candidates(effects)
+        present = self.study.effects_of(self.fit)
         found = []
         for (score, alike), effect in zip(chosen, effects, strict=True):
-            refitted = _refit(wide, linear, self.fit, effect, score)
+            refitted = _refit(wide, present, self.fit, effect, score, near)
             if refitted is not None:
                 parameter = effect.parameters[0]
                 fitted = effect.with_values({parameter.name: refitted.values[parameter.name]})
@@ -282,31 +289,171 @@ def _representatives(scored: TermScores, count: int) -> list[tuple[TermScore, li
 
 
 def _refit(
-    task: Task, linear: Along, fit: GreyBox, effect: Effect, score: TermScore
-) -> GreyBox | None:
+    study: Study,
+    present: Sequence[Effect],
+    fit: FilteredSolution,
+    effect: Effect,
+    score: TermScore,
+    near: FilteredSolution | None,
+) -> FilteredSolution | None:
     """Estimate everything again with one term added."""
     name = effect.parameters[0].name
-    names = (*fit.names, name)
-    moved = linear.system.moved(score.unknowns[: len(fit.names)]).model.values
-    n_own = linear.grounds.n_own
-    initial = [
-        stretch.states[0, :n_own] + score.unknowns[linear.grounds.unknowns(index)[len(fit.names) :]]
-        for index, stretch in enumerate(linear.stretches)
-    ]
-    starts = (
-        (dict(fit.values) | {n: moved[n] for n in fit.names} | {name: score.estimate}, initial),
-        (dict(fit.values) | {name: 0.0}, fit.initial),
-    )
-    best: GreyBox | None = None
-    for values, states in starts:
-        found = estimate(
-            task, names, values, states, fit.noise, update_noise=False, max_iterations=6
-        )
+    effects = (*present, effect)
+    starts = [dict(fit.values) | {name: 0.0}, dict(fit.values) | {name: score.estimate}]
+    if near is not None:
+        starts.insert(0, dict(near.values) | {name: score.estimate})
+    best: FilteredSolution | None = None
+    for values in starts:
+        found = study.estimate(effects, values, fit, update_noise=False, max_iterations=6)
         if found is not None and (best is None or found.objective < best.objective):
             best = found
         if best is not None and fit.objective - best.objective > 0.7 * score.statistic:
             break
     if best is None:
         return None
-    again = estimate(task, names, best.values, best.initial, best.noise)
+    again = study.estimate(effects, best.values, best)
     return again if again is not None and again.objective < best.objective else best
+
+
+@dataclass(frozen=True, eq=False)
+class TermScore:
+    """Evidence for one term before refitting.
+
+    Attributes
+    ----------
+    term : Term
+    statistic : float
+        Chi-squared statistic of its coefficient.
+    estimate, std_error : float
+        One-step estimate of the coefficient, and its standard error.
+    distinct : float
+        Share of its signature that free parameters cannot imitate.
+    unknowns : ndarray (n_unknowns,)
+        Change of parameters and initial states that goes with the term.
+    """
+
+    term: Term
+    statistic: float
+    estimate: float
+    std_error: float
+    distinct: float
+    unknowns: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class TermScores:
+    """Scores of all terms, largest statistic first.
+
+    Attributes
+    ----------
+    scores : tuple of TermScore
+    likeness : ndarray (n_compared, n_compared)
+        Correlation of the projected signatures of the first ones.
+    """
+
+    scores: tuple[TermScore, ...]
+    likeness: np.ndarray
+
+    def families(self, count: int, alike: float) -> list[list[TermScore]]:
+        """The best terms that differ, each followed by those that are like it.
+
+        Parameters
+        ----------
+        count : int
+            How many families.
+        alike : float
+            Correlation above which two terms are of one family.
+        """
+        found: list[list[int]] = []
+        for index in range(len(self.likeness)):
+            near = [family for family in found if abs(self.likeness[family[0], index]) > alike]
+            if near:
+                near[0].append(index)
+            elif len(found) < count:
+                found.append([index])
+        return [[self.scores[index] for index in family] for family in found]
+
+
+def term_scores(linear: Along, signals: Signals) -> TermScores:
+    """Score every term of the dictionary; those that free parameters imitate are left out.
+
+    Parameters
+    ----------
+    linear : Along
+        The model along its smoothed trajectories.
+    signals : Signals
+        Along the same trajectories.
+    """
+    dictionary = terms(linear.system.model, signals.signals)
+    grounds, n_terms = linear.grounds, len(dictionary)
+    n_names = len(grounds.prior)
+    n_unknowns = n_names + grounds.n_own * len(grounds.columns)
+    matrix, right = np.zeros((n_unknowns, n_unknowns)), np.zeros(n_unknowns)
+    matrix[np.arange(n_names), np.arange(n_names)] = grounds.prior[:, 0] ** 2
+    right[:n_names] = grounds.prior[:, 0] * grounds.prior[:, 1]
+    cross, along_residual = np.zeros((n_unknowns, n_terms)), np.zeros(n_terms)
+    full, kept = np.zeros(n_terms), []
+    for index, (stretch, scope, line, known) in enumerate(
+        zip(linear.stretches, signals.values, linear.joint, grounds.columns, strict=True)
+    ):
+        responses = _respond(linear, stretch, dictionary, scope)
+        whitened, _ = whiten(linear.noise, [line], [np.concatenate([known, responses], axis=2)])
+        n_known = known.shape[2]
+        own, residual = whitened[0][:, : n_known - 1], whitened[0][:, n_known - 1]
+        rows = whitened[0][:, n_known:]
+        where = grounds.unknowns(index)
+        matrix[np.ix_(where, where)] += own.T @ own
+        right[where] += own.T @ residual
+        cross[where] += own.T @ rows
+        along_residual += rows.T @ residual
+        full += np.sum(rows**2, axis=0)
+        kept.append(rows.astype(np.float32))
+    size = np.sqrt(np.diag(matrix))
+    size = np.where(size > 0, size, np.inf)
+    values, vectors = np.linalg.eigh(matrix / size[:, None] / size)
+    seen = values > 1e-11 * values.max()
+    basis = vectors[:, seen] / np.sqrt(values[seen]) / size[:, None]
+    step, shadow = basis.T @ right, basis.T @ cross
+    left = np.sqrt(np.maximum(full - np.sum(shadow**2, axis=0), 0.0))
+    usable = np.flatnonzero((left > ABSORBED * np.sqrt(full)) & (full > 0))
+    scores = (along_residual - shadow.T @ step)[usable] / left[usable]
+    order = usable[np.argsort(-(scores**2))]
+    root = dict(zip(usable, scores, strict=True))
+    first = order[:COMPARED]
+    likeness = (
+        sum((rows[:, first].T @ rows[:, first]).astype(float) for rows in kept)
+        - shadow[:, first].T @ shadow[:, first]
+    )
+    return TermScores(
+        tuple(
+            TermScore(
+                dictionary[i],
+                float(root[i] ** 2),
+                float(root[i] / left[i]),
+                float(1.0 / left[i]),
+                float(left[i] / np.sqrt(full[i])),
+                basis @ (step - root[i] / left[i] * shadow[:, i]),
+            )
+            for i in order
+        ),
+        likeness / left[first][:, None] / left[first],
+    )
+
+
+def _respond(
+    linear: Along, stretch: Stretch, dictionary: Sequence[Term], scope: dict[str, np.ndarray]
+) -> np.ndarray:
+    """Change of the outputs per unit of every coefficient, ``(n_times, n_outputs, n_terms)``."""
+    n, size = stretch.states.shape
+    texts = list(dict.fromkeys(term.expression for term in dictionary))
+    values = {text: np.broadcast_to(expressions.to_numpy(text, scope), (n,)) for text in texts}
+    forces = {linear.where[i].signal: stretch.gains[:, :, i] for i in linear.forces}
+    drive = np.empty((n, size, len(dictionary)))
+    for index, term in enumerate(dictionary):
+        drive[:, :, index] = forces[term.equation] * values[term.expression][:, None]
+    result = np.empty((n, stretch.output.shape[1], len(dictionary)))
+    moved = np.zeros((size, len(dictionary)))
+    for k in range(n):
+        result[k] = stretch.output[k] @ moved
+        moved = stretch.transition[k] @ moved + drive[k]
+    return result

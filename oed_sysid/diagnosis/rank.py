@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
 from oed_sysid.diagnosis.score import Score, scores, two_sided
+from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.fit import align
+from oed_sysid.fitting.gauss_newton import FilteredSolution
 
 # Candidates refitted in each round.
 N_REFITS = 7
@@ -49,14 +50,14 @@ class Refit:
     ----------
     score : Score
         What the score test had said.
-    fit : GreyBox
+    fit : FilteredSolution
         The new fit, noise levels included.
     gain : float
         Gain in twice the log-likelihood.
     """
 
     score: Score
-    fit: GreyBox
+    fit: FilteredSolution
     gain: float
 
     @property
@@ -182,8 +183,8 @@ def _similarity(first: Score, second: Score) -> float:
 
 
 def rank(
-    task: Task,
-    fit: GreyBox,
+    study: Study,
+    fit: FilteredSolution,
     candidates: Sequence[Effect],
     *,
     n_refits: int = N_REFITS,
@@ -194,10 +195,10 @@ def rank(
 
     Parameters
     ----------
-    task, fit
+    study, fit
         The present model.
     candidates : sequence of Effect
-        Absent effects, all held by the task's super-model.
+        Absent effects, all held by the study's filter.
     n_refits : int
         How many to refit.
     also : sequence of str
@@ -205,21 +206,21 @@ def rank(
     share : float
         Share of false claims that chance may make on these records.
     """
-    scored, residual = scores(task, fit, candidates)
+    scored, residual = scores(study, fit, candidates)
     chosen = [s for s in scored if not s.absorbed and s.statistic > 2.0][:n_refits]
     chosen += [s for s in scored if s.effect.name in also and s not in chosen]
-    quick = [r for r in (refit(task, fit, score) for score in chosen) if r is not None]
+    quick = [r for r in (refit(study, fit, score) for score in chosen) if r is not None]
     quick.sort(key=lambda r: -r.evidence)
     best = quick[0].gain if quick else 0.0
     refits = [
-        deepen(task, fit, r) if n < N_FULL and r.gain > SHARE * best else r
+        deepen(study, fit, r) if n < N_FULL and r.gain > SHARE * best else r
         for n, r in enumerate(quick)
     ]
     refits.sort(key=lambda r: -r.evidence)
     return Ranking(tuple(scored), tuple(refits), residual, share)
 
 
-def refit(task: Task, fit: GreyBox, score: Score) -> Refit | None:
+def refit(study: Study, fit: FilteredSolution, score: Score) -> Refit | None:
     """Estimate parameters again with one candidate added, noise levels held.
 
     An effect that may have either sign starts from nothing, where the first
@@ -228,8 +229,7 @@ def refit(task: Task, fit: GreyBox, score: Score) -> Refit | None:
     the first leads nowhere.
     """
     effect = score.effect
-    names = (*fit.names, *effect.amplitude_names, *effect.shape_names)
-    best: GreyBox | None = None
+    best: FilteredSolution | None = None
     shares = (0.0, 1.0, 0.2) if two_sided(effect) else (1.0, 0.2, 0.0)
     for share in shares:
         # Shapes that the score did not choose stay where the effect has them.
@@ -237,8 +237,12 @@ def refit(task: Task, fit: GreyBox, score: Score) -> Refit | None:
         start.update(fit.values)
         for name, value in score.estimate.items():
             start[name] = share * value if name in effect.amplitude_names else value
-        found = estimate(
-            task, names, start, fit.initial, fit.noise, update_noise=False, max_iterations=6
+        found = study.estimate(
+            (*study.effects_of(fit), effect),
+            start,
+            fit,
+            update_noise=False,
+            max_iterations=6,
         )
         if found is not None and (best is None or found.objective < best.objective):
             best = found
@@ -249,9 +253,11 @@ def refit(task: Task, fit: GreyBox, score: Score) -> Refit | None:
     return Refit(score, best, fit.objective - best.objective)
 
 
-def deepen(task: Task, fit: GreyBox, quick: Refit) -> Refit:
+def deepen(study: Study, fit: FilteredSolution, quick: Refit) -> Refit:
     """Continue a refit with the noise levels free: what the effect explains is no noise."""
-    found = estimate(task, quick.fit.names, quick.fit.values, quick.fit.initial, quick.fit.noise)
+    found = study.estimate(
+        study.effects_of(quick.fit), quick.fit.values, quick.fit, max_iterations=25
+    )
     if found is None or found.objective > quick.fit.objective:
         return quick
     return Refit(quick.score, found, fit.objective - found.objective)

@@ -1,9 +1,12 @@
-"""Score test: how much each candidate would explain, without refitting.
+r"""Score test: how much each candidate would explain, without refitting.
 
-With residual ``r``, existing sensitivities ``J`` and a candidate's ``s``, all
-in the metric of the noise model, the existing unknowns are projected out and
-``(s'r)^2 / s's`` of what is left is, for a candidate that is absent, a
-chi-squared variable (Rao 1948).
+With innovations ``r`` in units of their standard deviation, their derivatives ``J`` by the
+unknowns of a fit and ``s`` by an absent candidate, along the filtered path,
+
+.. math:: T = \frac{(s' M r)^2}{s' M s}, \qquad M = I - J (J'J)^{-1} J'
+
+is a chi-squared variable where the candidate is absent (Rao 1948), and to first order what
+refitting with it would gain in twice the log-likelihood.
 """
 
 from __future__ import annotations
@@ -14,13 +17,17 @@ from itertools import product
 
 import numpy as np
 
-from oed_sysid.diagnosis.greybox import GreyBox, Task, whitened
+from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
+from oed_sysid.fitting.filtered import Filtered
+from oed_sysid.fitting.gauss_newton import FilteredSolution
 from oed_sysid.parameters import Parameter
 
 # Values of a shape parameter (a frequency, a time constant) that are tried, of the first and of
 # every other one.
 N_SHAPES, N_OTHER_SHAPES = 11, 3
+# Share of a typical amplitude that stands for its tangent.
+TANGENT = 1e-3
 # What is left of a candidate after projection, below which it is another name for a
 # combination of parameters that are free already.
 ABSORBED = 1e-3
@@ -63,24 +70,46 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class _Variant:
-    """Columns of one candidate at one shape."""
+    """Columns ``(n_rows, n_amplitudes)`` of one candidate at one shape."""
 
     effect: Effect
     amplitudes: tuple[str, ...]
     shape: dict[str, float]
-    columns: list[np.ndarray]
+    columns: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Innovations of all records in units of their standard deviation, with derivatives.
+
+    ``seen`` and ``roots`` (standard deviations) are per record; ``known`` are columns of the
+    unknowns of the fit, ``extra`` those of candidates, by name.
+    """
+
+    seen: list[np.ndarray]
+    roots: list[np.ndarray]
+    innovations: list[np.ndarray]
+    residual: np.ndarray
+    known: np.ndarray
+    extra: dict[str, np.ndarray]
+
+    def spread(self, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """Rows of a quantity ``(n_times, n_outputs)`` per record, in standard deviations."""
+        return np.concatenate(
+            [part[s] / root for part, s, root in zip(parts, self.seen, self.roots, strict=True)]
+        )
 
 
 def scores(
-    task: Task, fit: GreyBox, candidates: Sequence[Effect]
+    study: Study, fit: FilteredSolution, candidates: Sequence[Effect]
 ) -> tuple[list[Score], np.ndarray]:
     """Score every candidate at a fit.
 
     Parameters
     ----------
-    task : Task
-        Its super-model holds the candidates.
-    fit : GreyBox
+    study : Study
+        Its filter holds the candidates.
+    fit : FilteredSolution
         Fit of the present model.
     candidates : sequence of Effect
         Absent effects.
@@ -90,32 +119,68 @@ def scores(
     scores : list of Score
         Largest statistic first.
     residual : ndarray (n_rows,)
-        Whitened residual with the existing unknowns projected out.
+        Whitened innovations with the existing unknowns projected out.
     """
-    variants = _variants(task, fit, candidates)
-    if not variants:
+    candidates = [effect for effect in candidates if effect.amplitude_names]
+    if not candidates:
         return [], np.zeros(0)
-    columns = [
-        np.concatenate([v.columns[index] for v in variants], axis=2)
-        for index in range(len(fit.initial))
+    smooth = [
+        name
+        for effect in candidates
+        if not effect.shape_names and two_sided(effect)
+        for name in effect.amplitude_names
     ]
-    system = whitened(task, fit, columns)
-    n_extra = columns[0].shape[2]
-    known, extra = system.jacobian[:, :-n_extra], system.jacobian[:, -n_extra:]
-    known = known[:, np.linalg.norm(known, axis=0) > 0]
+    rows = _rows(fit, smooth, {n for e in candidates for n in _local_names(e)})
+    known = rows.known[:, np.linalg.norm(rows.known, axis=0) > 0]
     basis, _ = np.linalg.qr(known / np.linalg.norm(known, axis=0))
-    residual = system.residual - basis @ (basis.T @ system.residual)
-    projected = extra - basis @ (basis.T @ extra)
+    residual = rows.residual - basis @ (basis.T @ rows.residual)
     best: dict[str, Score] = {}
-    begin = 0
-    for variant in variants:
-        block = slice(begin, begin + len(variant.amplitudes))
-        begin = block.stop
-        score = _score(variant, extra[:, block], projected[:, block], residual)
+    for variant in _variants(study, fit, candidates, rows, smooth):
+        raw = variant.columns
+        projected = raw - basis @ (basis.T @ raw)
+        score = _score(variant, raw, projected, residual)
         name = variant.effect.name
         if name not in best or score.statistic > best[name].statistic:
             best[name] = score
     return sorted(best.values(), key=lambda s: -s.statistic), residual
+
+
+def _local_names(effect: Effect) -> tuple[str, ...]:
+    return tuple(p.name for p in effect.parameters if p.per_record)
+
+
+def _rows(fit: FilteredSolution, smooth: Sequence[str], local: set[str]) -> _Rows:
+    """One pass along the filtered path, candidates' columns included."""
+    problem, unknowns = fit.problem, fit.point.unknowns
+    layout = problem.layout
+    names = (*layout.free_names, *smooth)
+    width = layout.n_own + len(layout.free_names)
+    found = problem.passes(unknowns, rows=True, names=names)
+    n_records = len(found)
+    n_known = layout.levels.start
+    seen = [np.isfinite(part.innovations) for part in found]
+    roots = [np.sqrt(part.variances[s]) for part, s in zip(found, seen, strict=True)]
+    sizes = [int(s.sum()) for s in seen]
+    priors = problem.limits.prior_weight[: len(layout.shared)]
+    held = np.flatnonzero(priors > 0)
+    known = np.zeros((sum(sizes) + len(held), n_known))
+    residual = np.zeros(len(known))
+    extra = {name: np.zeros((len(known), n_records if name in local else 1)) for name in smooth}
+    begin = 0
+    for index, (part, s, root) in enumerate(zip(found, seen, roots, strict=True)):
+        block = slice(begin, begin + len(root))
+        begin = block.stop
+        assert part.rows is not None
+        rows = part.rows[s]
+        known[block, layout.record_columns(index)] = -rows[:, :width]
+        residual[block] = part.innovations[s] / root
+        for position, name in enumerate(smooth):
+            extra[name][block, index if name in local else 0] = -rows[:, width + position]
+    for position, column in enumerate(held):
+        known[begin + position, column] = np.sqrt(priors[column])
+        away = problem.limits.prior_mean[column] - unknowns[column]
+        residual[begin + position] = np.sqrt(priors[column]) * away
+    return _Rows(seen, roots, [part.innovations for part in found], residual, known, extra)
 
 
 def _score(
@@ -125,16 +190,23 @@ def _score(
     size = np.linalg.norm(raw, axis=0)
     left = np.linalg.norm(projected, axis=0)
     distinct = float(np.min(left / np.where(size > 0, size, np.inf)))
-    freedom = len(effect.amplitude_names) + len(effect.shape_names)
+    local = _local_names(effect)
+    freedom = raw.shape[1] + len(effect.shape_names)
     if distinct < ABSORBED:
         nothing = dict.fromkeys(variant.amplitudes, 0.0)
         endless = dict.fromkeys(variant.amplitudes, np.inf)
         return Score(effect, 0.0, freedom, nothing, endless, distinct, 0 * projected)
     matrix = projected.T @ projected
     right = projected.T @ residual
-    amplitude = np.linalg.solve(matrix, right)
-    errors = np.sqrt(np.diag(np.linalg.inv(matrix)))
+    inverse = np.linalg.pinv(matrix, rcond=1e-12, hermitian=True)
+    amplitude, errors = inverse @ right, np.sqrt(np.maximum(np.diag(inverse), 0.0))
     statistic = float(right @ amplitude)
+    if raw.shape[1] > len(variant.amplitudes):  # one amplitude for every record
+        count = raw.shape[1] // len(variant.amplitudes)
+        amplitude = np.array([p.mean() for p in np.split(amplitude, len(variant.amplitudes))])
+        errors = np.array([p.max() for p in np.split(errors, len(variant.amplitudes))])
+        assert local
+        assert count > 1
     lower = [_parameter(effect, name).lower for name in variant.amplitudes]
     upper = [_parameter(effect, name).upper for name in variant.amplitudes]
     if len(amplitude) == 1 and (lower[0] >= 0 > amplitude[0] or upper[0] <= 0 < amplitude[0]):
@@ -155,37 +227,29 @@ def _parameter(effect: Effect, name: str) -> Parameter:
     return next(p for p in effect.parameters if p.name == name)
 
 
-def _variants(task: Task, fit: GreyBox, candidates: Sequence[Effect]) -> list[_Variant]:
+def _variants(
+    study: Study,
+    fit: FilteredSolution,
+    candidates: Sequence[Effect],
+    rows: _Rows,
+    smooth: Sequence[str],
+) -> list[_Variant]:
     """Columns of every candidate, for every shape it may have."""
-    smooth = [
-        name
-        for effect in candidates
-        if not effect.shape_names
-        if two_sided(effect)
-        for name in effect.amplitude_names
-    ]
-    found = task.super_model.run(task.dataset, fit.initial, fit.values, smooth)
-    n_own = len(fit.initial[0])
     variants = []
     for effect in candidates:
         amplitudes = effect.amplitude_names
         if effect.shape_names:
             for shape in _shapes(effect):
-                runs = task.super_model.run(
-                    task.dataset, fit.initial, dict(fit.values) | shape, amplitudes
-                )
-                if runs is not None:
-                    parts = [r.jacobian[:, :, n_own:] for r in runs if r.jacobian is not None]
-                    variants.append(_Variant(effect, amplitudes, shape, parts))
+                columns = _secant(study, fit, effect, shape, rows)
+                if columns is not None:
+                    variants.append(_Variant(effect, amplitudes, shape, columns))
         elif all(name in smooth for name in amplitudes):
-            if found is not None:
-                where = [n_own + smooth.index(name) for name in amplitudes]
-                parts = [r.jacobian[:, :, where] for r in found if r.jacobian is not None]
-                variants.append(_Variant(effect, amplitudes, {}, parts))
+            columns = np.hstack([rows.extra[name] for name in amplitudes])
+            variants.append(_Variant(effect, amplitudes, {}, columns))
         else:
-            secant = _secant(task, fit, effect)
-            if secant is not None:
-                variants.append(_Variant(effect, amplitudes, {}, secant))
+            columns = _secant(study, fit, effect, {}, rows)
+            if columns is not None:
+                variants.append(_Variant(effect, amplitudes, {}, columns))
     return variants
 
 
@@ -194,19 +258,41 @@ def two_sided(effect: Effect) -> bool:
     return all(_parameter(effect, name).lower < 0 for name in effect.amplitude_names)
 
 
-def _secant(task: Task, fit: GreyBox, effect: Effect) -> list[np.ndarray] | None:
-    """Change of the outputs from nothing to the typical amplitude, per unit of it."""
-    sizes = {name: _parameter(effect, name).magnitude for name in effect.amplitude_names}
-    runs = task.super_model.run(
-        task.dataset, fit.initial, dict(fit.values) | sizes, sensitivities=False
-    )
-    if runs is None:
-        return None
-    total = sum(sizes.values())
-    return [
-        ((moved.outputs - still) / total)[:, :, None]
-        for moved, still in zip(runs, fit.outputs, strict=True)
-    ]
+def _secant(
+    study: Study,
+    fit: FilteredSolution,
+    effect: Effect,
+    shape: dict[str, float],
+    rows: _Rows,
+) -> np.ndarray | None:
+    """Change of the innovations per unit of each amplitude, from nothing to a typical size.
+
+    Small against it where the effect has either sign, so that the change is its tangent.
+    """
+    names = effect.amplitude_names
+    small = TANGENT if two_sided(effect) else 1.0
+    groups = [names] if not two_sided(effect) else [(name,) for name in names]
+    problem, model = fit.problem, fit.problem.model + effect
+    columns = []
+    for group in groups:
+        sizes = {name: small * _parameter(effect, name).magnitude for name in group}
+        trial = Filtered(
+            model.with_values(fit.values | shape | sizes),
+            problem.dataset,
+            problem.levels.starting(fit.noise).held(),
+            kernel=study.kernel,
+        )
+        local = [dict(own) for own in fit.local]
+        point = trial.point(fit.initial, local)
+        found = trial.passes(point.unknowns, columns=False)
+        if not all(part.ok for part in found):
+            return None
+        moved = [
+            still - part.innovations for still, part in zip(rows.innovations, found, strict=True)
+        ]
+        column = rows.spread(moved) / sum(sizes.values())
+        columns.append(np.concatenate([column, np.zeros(len(rows.residual) - len(column))]))
+    return np.array(columns).T
 
 
 def _shapes(effect: Effect) -> list[dict[str, float]]:

@@ -12,7 +12,9 @@ import numpy as np
 from oed_sysid.batch.threads import one_thread
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators.beginning import (
+from oed_sysid.estimators.losses import loss_by_name
+from oed_sysid.estimators.nonlinear_program import NonlinearProgram
+from oed_sysid.fitting.beginning import (
     DOUBTFUL,
     FAR,
     GOOD,
@@ -23,16 +25,27 @@ from oed_sysid.estimators.beginning import (
     warm_point,
     wide_start,
 )
-from oed_sysid.estimators.losses import loss_by_name
-from oed_sysid.estimators.nonlinear_program import NonlinearProgram
-from oed_sysid.estimators.step_error import with_step_advice
-from oed_sysid.estimators.summary import summarise
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import Progress, Solution, solve
-from oed_sysid.fitting.noise_levels import residual_levels, signal_spread, start_levels
+from oed_sysid.fitting.noise_levels import (
+    credible_levels,
+    residual_levels,
+    signal_spread,
+    start_levels,
+)
+from oed_sysid.fitting.random_forces import (
+    CLEAR,
+    Setting,
+    Start,
+    fit_disturbed,
+    score_test,
+)
 from oed_sysid.fitting.shooting import Point, Shooting
 from oed_sysid.fitting.start_guess import check_channels
+from oed_sysid.fitting.step_error import with_step_advice
+from oed_sysid.fitting.summary import summarise, summarise_filtered
 from oed_sysid.model import Model
+from oed_sysid.noise.disturbances import chosen_places
 
 # Most alternations between noise levels and parameters; three or four suffice as a rule.
 NOISE_ROUNDS = 12
@@ -74,6 +87,12 @@ class MultipleShooting:
         every node as an unknown and takes constraints.
     hessian : str
         For IPOPT: ``"gauss-newton"`` or ``"exact"``.
+    disturbances : str or sequence of str
+        Random forces. ``"auto"`` tests at the white fit whether any act (a score test
+        at variance zero) and, if so, estimates their levels and times with everything
+        else; ``"none"`` takes residuals for sensor noise; ``"all"`` lets a force into
+        every equation; or the equations, states or places that are disturbed, such as
+        ``("Z", "M")`` or ``("actuator fin",)``. See :mod:`oed_sysid.noise`.
     constraints : sequence of str
         For IPOPT: comparisons among parameters, such as ``"M_uq < 0"`` or
         ``"Y_v*N_r > N_v*Y_r"``. Standard errors ignore them.
@@ -90,6 +109,7 @@ class MultipleShooting:
     solver: str = "gauss-newton"
     hessian: str = "gauss-newton"
     constraints: Sequence[str] = ()
+    disturbances: str | Sequence[str] = "auto"
 
     def __post_init__(self) -> None:
         if self.start not in ("auto", "near", "wide"):
@@ -114,6 +134,16 @@ class MultipleShooting:
         if not self.tolerance > 0:
             raise ModelError(f"tolerance is {self.tolerance}. Give a positive number.")
         loss_by_name(self.loss)
+        if self.disturbances not in ("auto", "none") and self._white_only:
+            raise ModelError(
+                f"disturbances={self.disturbances!r} goes with solver='gauss-newton' and "
+                "loss='square'. Drop the other setting, or take disturbances='none'."
+            )
+
+    @property
+    def _white_only(self) -> bool:
+        """Whether the settings leave no room for random forces."""
+        return self.solver == "ipopt" or self.loss != "square"
 
     @property
     def name(self) -> str:
@@ -196,7 +226,54 @@ class MultipleShooting:
         fit = summarise(
             shooting, solution, estimated, self.name, iterations, began, coloured=self.coloured
         )
-        return with_step_advice(fit, shooting, solution)
+        fit = with_step_advice(fit, shooting, solution)
+        if self.disturbances == "none":
+            return fit
+        if self._white_only or fit.status.code == "interrupted":
+            return fit
+        return self._disturbed(fit, model, dataset, estimated, began)
+
+    def _disturbed(
+        self, fit: Fit, model: Model, dataset: Dataset, estimated: np.ndarray, began: float
+    ) -> Fit:
+        """Go on from a white fit with random forces and coloured sensors, where they act."""
+        asked = "all" if self.disturbances == "auto" else self.disturbances
+        try:
+            places = chosen_places(model, asked)
+        except ModelError:
+            if self.disturbances == "auto":  # no equation in which a force could act
+                return fit
+            raise
+        floor, _ = credible_levels(dataset)
+        white = np.where(estimated, np.minimum(fit.sigma, floor), fit.sigma)
+        setting = Setting.of(dataset, places, white, estimated)
+        starts = [Start(fit.model.values, fit.initial_states, fit.local_values)]
+        if not np.isfinite(fit.cost):
+            begin = Shooting(model, dataset, white)
+            unknowns = begin.start_unknowns()
+            own = [begin.initial_state(unknowns, i) for i in range(len(begin.records))]
+            starts = [Start(model.values, own, [{}] * len(own))]
+        quiet = replace(setting, white=np.maximum(fit.sigma, white))
+        test = score_test(
+            model.with_values(dict(starts[0].values)), dataset, quiet, starts[0].initial,
+            starts[0].local,
+        )  # fmt: skip
+        if self.disturbances == "auto" and test.gain < CLEAR:
+            return replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
+        solution = fit_disturbed(
+            model, dataset, setting, starts, test, max_iterations=self.max_iterations,
+            progress=self.progress,
+        )  # fmt: skip
+        if solution is None:
+            return fit
+        name = f"{self.name}, random forces"
+        found = summarise_filtered(
+            solution, estimated, name, fit.iterations + solution.iterations, began
+        )
+        extras = {**found.extras, "disturbance_test": test.gain}
+        if self.disturbances == "auto" and _no_likelier(found, fit):
+            return replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
+        return replace(found, extras=extras)
 
     def _estimate_noise(
         self,
@@ -260,3 +337,9 @@ class MultipleShooting:
             return None, 0
         best = min(found, key=lambda s: (s.reason != "converged", s.cost))
         return best, sum(s.iterations for s in found)
+
+
+def _no_likelier(disturbed: Fit, white: Fit) -> bool:
+    """Whether random forces and colours are not worth their freedom."""
+    gain = 2.0 * (disturbed.log_likelihood - white.log_likelihood)
+    return bool(gain < CLEAR)

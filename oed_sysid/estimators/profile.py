@@ -14,8 +14,8 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators.beginning import warm_unknowns
 from oed_sysid.estimators.losses import loss_by_name
+from oed_sysid.fitting.beginning import warm_unknowns
 from oed_sysid.fitting.covariance import ReducedProblem
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import Solution, solve

@@ -19,6 +19,8 @@ from oed_sysid.fitting.archive import decode, encode
 from oed_sysid.fitting.prediction import Initial, Prediction, predict
 from oed_sysid.information import Information, Whiteness, whiteness
 from oed_sysid.model import Model
+from oed_sysid.noise.disturbances import places
+from oed_sysid.noise.model import NoiseModel
 from oed_sysid.parameters import Parameter
 
 # Residuals that count fewer independent samples than this share are coloured.
@@ -87,6 +89,14 @@ class Fit:
         How the estimation ended.
     iterations : int
     seconds : float
+    noise : NoiseModel
+        All that is random: white levels as in ``sigma``, colour, random forces.
+    noise_std : mapping
+        Standard errors of the estimated levels and times, by ``(name, "level" or "time")``;
+        of levels relative.
+    innovations, innovation_std : tuple of ndarray (n_times, n_outputs), or None
+        One-step prediction errors of the filter and their standard deviations, per
+        record, where the noise is not white; else None and ``residuals`` say the same.
     """
 
     model: Model
@@ -109,6 +119,15 @@ class Fit:
     iterations: int
     seconds: float
     extras: Mapping[str, Any] = field(default_factory=dict)
+    noise: NoiseModel | None = None
+    noise_std: Mapping[str, float] = field(default_factory=dict)
+    innovations: tuple[np.ndarray, ...] | None = None
+    innovation_std: tuple[np.ndarray, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.noise is None:
+            white = NoiseModel.white_only(self.sigma, self.model.output_names)
+            object.__setattr__(self, "noise", white)
 
     # -- numbers -------------------------------------------------------------------
 
@@ -138,21 +157,37 @@ class Fit:
 
     @property
     def log_likelihood(self) -> float:
-        """Gaussian log-likelihood at the reported noise levels."""
+        """Gaussian log-likelihood at the reported noise model."""
         total = 0.0
-        for residual in self.residuals:
-            present = np.isfinite(residual)
-            scaled = np.where(present, residual, 0.0) / self.sigma
+        for errors, std in self._one_step:
+            present = np.isfinite(errors)
+            scaled = np.where(present, errors, 0.0) / std
             total -= 0.5 * float(np.sum(scaled**2))
-            total -= float(np.sum(present * np.log(self.sigma * np.sqrt(2 * np.pi))))
+            total -= float(np.sum(np.where(present, np.log(std * np.sqrt(2 * np.pi)), 0.0)))
         return total
+
+    @property
+    def _one_step(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Errors that should be white, and their standard deviations, per record."""
+        if self.innovations is None or self.innovation_std is None:
+            return [(part, np.broadcast_to(self.sigma, part.shape)) for part in self.residuals]
+        return list(zip(self.innovations, self.innovation_std, strict=True))
+
+    @property
+    def whitened(self) -> tuple[np.ndarray, ...]:
+        """One-step errors in units of their standard deviation, NaN where missing, per record.
+
+        White and of unit variance, if model and noise model are right.
+        """
+        return tuple(errors / std for errors, std in self._one_step)
 
     @property
     def n_unknowns(self) -> int:
         """Number of estimated values: parameters, initial states, noise levels."""
         local = sum(len(values) for values in self.local_values)
         states = sum(len(own) for own in self.initial_states)
-        return len(self.names) + states + local + int(np.sum(self.sigma_estimated))
+        levels = int(np.sum(self.sigma_estimated)) if self.innovations is None else 0
+        return len(self.names) + states + local + levels + len(self.noise_std)
 
     @property
     def aic(self) -> float:
@@ -185,11 +220,11 @@ class Fit:
         return float(self.values[name] - half), float(self.values[name] + half)
 
     def whiteness(self) -> dict[str, tuple[Whiteness, ...]]:
-        """Whiteness of the residuals, by output, one entry per record that measured it."""
+        """Whiteness of the one-step errors, by output, one entry per record that measured it."""
         return {
             name: tuple(
                 whiteness(residual[:, column])
-                for residual in self.residuals
+                for residual in self.whitened
                 if np.isfinite(residual[:, column]).sum() > 10
             )
             for column, name in enumerate(self.model.output_names)
@@ -222,7 +257,7 @@ class Fit:
         known = [i for i, name in enumerate(shared) if name in self.names]
         columns = [self.names.index(shared[i]) for i in known]
         covariance[np.ix_(known, known)] = self.covariance[np.ix_(columns, columns)]
-        return predict(self.model, dataset, covariance, self.sigma, initial=initial)
+        return predict(self.model, dataset, covariance, self.noise, initial=initial)
 
     def save(self, path: str | Path) -> None:
         """Write the fit, its model and its data to a JSON file; :meth:`load` reads it."""
@@ -260,6 +295,7 @@ class Fit:
             *self._local_lines(),
             "",
             *self._output_table(),
+            *self._noise_lines(),
         ]
         lines += self._warnings()
         return "\n".join(lines)
@@ -321,6 +357,30 @@ class Fit:
             )
         return [f"  {line}" for line in align(rows)]
 
+    def _noise_lines(self) -> list[str]:
+        """Random forces and coloured sensors, one line each."""
+        noise = self.noise
+        assert noise is not None
+        if noise.is_white:
+            return []
+        units = {place.name: place.unit for place in places(self.model)}
+        rows = [("random", "level", "95 %", "time [s]", "unit")]
+        for name, level, time in zip(noise.places, noise.force, noise.force_time, strict=True):
+            rows.append(self._noise_row(name, level, time, units.get(name, "")))
+        for output, level, time in zip(
+            self.model.outputs, noise.colour, noise.colour_time, strict=True
+        ):
+            if level > 0:
+                rows.append(self._noise_row(f"colour of {output.name}", level, time, output.unit))
+        return ["", *(f"  {line}" for line in align(rows))]
+
+    def _noise_row(self, name: str, level: float, time: float, unit: str) -> tuple[str, ...]:
+        if level <= 0:
+            return name, "absent", "", "", unit
+        share = self.noise_std.get(f"{name} level")
+        spread = "" if share is None else f"+/- {1.96 * share * level:.2g}"
+        return name, f"{level:.3g}", spread, f"{time:.2g}", unit
+
     def _warnings(self) -> list[str]:
         lines = []
         commands = np.vstack([record.inputs for record in self.dataset])
@@ -377,6 +437,8 @@ class Fit:
             "noise": dict(zip(self.model.output_names, self.sigma.tolist(), strict=True)),
             "rms": self.rms,
             "effective_samples": {k: list(v) for k, v in self.effective_samples().items()},
+            "noise_model": self.noise.to_dict() if self.noise is not None else None,
+            "noise_std": dict(self.noise_std),
         }
 
 
@@ -394,6 +456,6 @@ def align(rows: Sequence[Sequence[str]]) -> list[str]:
 
 # Everything that a saved fit is made of.
 ARCHIVED: tuple[type, ...] = (
-    *(Fit, Status, Information, Model, Parameter, Dataset, Record, Channels),
+    *(Fit, Status, Information, NoiseModel, Model, Parameter, Dataset, Record, Channels),
     *(State, Input, Output, Actuator, Environment, Force, Inertia, Sensor, ExtraState, Memory),
 )

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from oed_sysid.fitting.iterates import Evaluate, Exact, Gathered, Iterate
+from oed_sysid.fitting.filtered import Differentiated, Filtered, Whitened
+from oed_sysid.fitting.iterates import Exact, Gathered, Iterate
 from oed_sysid.fitting.shooting import Linearisation, Point, Shooting
+from oed_sysid.noise.model import NoiseModel
 from oed_sysid.projection import bounded_step
 
 LINE_SEARCH_STEPS = 5
@@ -18,6 +21,14 @@ CLOSED = 1e-8
 # shrink are theirs, and then so are gains below a share of the cost, or a cost, of the others:
 # estimates are within 0.04 standard errors of where they would end.
 NEARLY_CLOSED, ROUNDING_SHARE, ROUNDING_COST = 1e-6, 1e-8, 1e-3
+# With random forces: the step that ends the iterations at frozen gain, the rise of the cost that
+# its gradient may cause near the end, most steps of the exact one, the gain below which the last
+# of these was enough, and the promised gain below which a search without a way on has arrived.
+FROZEN_TOLERANCE, SLACK, POLISH_STEPS, SETTLED, STALLED_NEAR = 1e-3, 0.1, 4, 0.02, 0.1
+# Where the frozen gradient promises what no step keeps, few trials show it.
+MOST_DAMPING, FEW_LENGTHS = 10.0, 3
+
+Evaluate = Callable[[Any, Point], Any]
 
 
 @dataclass(frozen=True)
@@ -81,7 +92,7 @@ def solve(
     begin = evaluate(shooting, point)
     if begin is None:
         return None
-    search = _Search(shooting, begin, evaluate)
+    search = _Search(shooting, begin, evaluate, Exact.at)
     reason, iteration = "iterations", 0
     try:
         for iteration in range(1, max_iterations + 1):
@@ -102,22 +113,140 @@ def solve(
     return Solution(now.point, now.linearisation, now.cost, iteration, reason)
 
 
+@dataclass(frozen=True, eq=False)
+class FilteredSolution:
+    """Where the iterations of a likelihood with random forces ended.
+
+    ``matrix`` is the information of all unknowns there, ``right`` half the negative
+    gradient, priors excluded.
+    """
+
+    problem: Filtered
+    point: Point
+    cost: float
+    matrix: np.ndarray
+    right: np.ndarray
+    iterations: int
+    reason: str
+
+    @property
+    def objective(self) -> float:
+        """Minus twice the log-likelihood, priors included, up to a constant."""
+        return 2.0 * self.cost
+
+    @property
+    def noise(self) -> NoiseModel:
+        """Noise model at the end."""
+        return self.problem.noise(self.point.unknowns)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Value of every parameter of the model; those of each record at their mean."""
+        layout, model = self.problem.layout, self.problem.model
+        free = [
+            self.point.unknowns[layout.record_columns(i)[layout.n_own :]]
+            for i in range(layout.n_records)
+        ]
+        means = np.mean(free, axis=0)
+        return model.values | dict(zip(layout.free_names, map(float, means), strict=True))
+
+    @property
+    def initial(self) -> list[np.ndarray]:
+        """Start states of every record."""
+        count = self.problem.layout.n_records
+        return [self.problem.initial_state(self.point.unknowns, i).copy() for i in range(count)]
+
+    @property
+    def local(self) -> list[dict[str, float]]:
+        """Values of per-record parameters, by record."""
+        layout = self.problem.layout
+        found = []
+        for index in range(layout.n_records):
+            own = self.point.unknowns[layout.record_columns(index)[layout.n_own :]]
+            found.append({layout.free_names[i]: float(own[i]) for i in layout.local})
+        return found
+
+
+def solve_filtered(
+    problem: Filtered,
+    point: Point,
+    *,
+    max_iterations: int = 40,
+    tolerance: float = FROZEN_TOLERANCE,
+    polish: int = POLISH_STEPS,
+    callback: Callable[[Progress], None] | None = None,
+) -> FilteredSolution | None:
+    """Minimise the likelihood of innovations: frozen gain first, then the filter as it is.
+
+    Parameters
+    ----------
+    problem : Filtered
+    point : Point
+        Where to start.
+    max_iterations : int
+        Most iterations at frozen gain.
+    tolerance : float
+        Stop when a step would change the cost by less.
+    polish : int
+        Most steps with the gradient of the filter as it is; with none, errors are
+        those of the frozen gain.
+    callback : callable, optional
+        Called after each iteration.
+
+    Returns
+    -------
+    FilteredSolution or None
+        None where the filter leaves the numbers at the start.
+    """
+    begin = Whitened.at(problem, point)
+    if begin is None:
+        return None
+    search = _Search(problem, begin, Whitened.at, Differentiated.at if polish else Whitened.at)
+    search.slack, search.most_damping, search.lengths = SLACK, MOST_DAMPING, FEW_LENGTHS
+    reason, iteration = "iterations", 0
+    try:
+        for iteration in range(1, max_iterations + 1):
+            outcome = search.advance(tolerance)
+            if outcome:
+                reason = outcome
+                break
+            if callback is not None:
+                callback(Progress(iteration, search.now.cost, 0.0, search.decrease))
+        if polish and search.confirm():
+            search.slack = 0.0
+            for _ in range(polish):
+                iteration += 1
+                if search.advance(tolerance):
+                    break
+                if search.decrease < SETTLED:
+                    break
+    except KeyboardInterrupt:
+        reason = "interrupted"
+    # The frozen gain is not the exact gradient: where it finds no way on, the end is near.
+    if reason == "stalled" and search.decrease < STALLED_NEAR:
+        reason = "converged"
+    now = search.now
+    matrix, right = now.equations()
+    return FilteredSolution(problem, now.point, now.cost, matrix, right, iteration, reason)
+
+
 class _Search:
     """State of the iterations: where they are, how they evaluate, damping and penalty."""
 
-    def __init__(self, shooting: Shooting, begin: Iterate, evaluate: Evaluate) -> None:
-        self.shooting, self.now, self.evaluate = shooting, begin, evaluate
+    def __init__(self, shooting: Any, begin: Iterate, evaluate: Evaluate, exact: Evaluate) -> None:
+        self.shooting, self.now, self.evaluate, self.exact = shooting, begin, evaluate, exact
+        self.slack, self.most_damping, self.lengths = 0.0, 1e8, LINE_SEARCH_STEPS
         self.damping, self.penalty, self.decrease = 0.0, 1.0, np.inf
         self.at_floor = False
 
     def confirm(self) -> bool:
         """Go on with exact sensitivities at the same point; return whether that is news."""
-        if isinstance(self.now, Exact):
+        if self.evaluate is self.exact:
             return False
-        exact = Exact.at(self.shooting, self.now.point)
+        exact = self.exact(self.shooting, self.now.point)
         if exact is None:
             return False
-        self.now, self.evaluate, self.damping = exact, Exact.at, 0.0
+        self.now, self.evaluate, self.damping = exact, self.exact, 0.0
         return True
 
     def advance(self, tolerance: float) -> str:
@@ -131,7 +260,7 @@ class _Search:
         closed = now.defect < CLOSED or self.at_floor
         if self.at_floor:
             tolerance = max(tolerance, min(ROUNDING_SHARE * abs(now.cost), ROUNDING_COST))
-        while self.damping < 1e8:
+        while self.damping < self.most_damping:
             step = bounded_step(matrix, right, lower, upper, self.damping)
             self.decrease = now.cost - now.predicted(step)
             if abs(self.decrease) < tolerance and closed:
@@ -153,13 +282,15 @@ class _Search:
         now = self.now
         expected = self.decrease + self.penalty * now.defect
         length = 1.0
-        for _ in range(LINE_SEARCH_STEPS):
+        for _ in range(self.lengths):
             trial = self.shooting.move(now.point, now.maps, now.offsets, step, length)
             new = self.evaluate(self.shooting, trial)
             if new is not None:
                 merit = now.cost - new.cost + self.penalty * (now.defect - new.defect)
                 # Near the optimum the gain drowns in rounding: any step that does no harm will do.
                 tiny = expected < 1e-6 * abs(now.cost) and merit >= -1e-10 * abs(now.cost)
+                if expected < 1.0:
+                    tiny = tiny or merit > -self.slack
                 if merit > 1e-4 * length * expected or tiny:
                     self.at_floor = 0.1 * now.defect < new.defect < NEARLY_CLOSED
                     self.now = new

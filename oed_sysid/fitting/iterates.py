@@ -10,7 +10,6 @@ gathered sums and end on exact ones.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -144,9 +143,6 @@ class Gathered:
         """See :class:`Iterate`."""
         change = float(step @ (0.5 * (self.matrix @ step) - self.right))
         return self.closed + change + self.shooting.prior_cost(self.point.unknowns + step)
-
-
-Evaluate = Callable[[Shooting, Point], Iterate | None]
 
 
 def _condensed(

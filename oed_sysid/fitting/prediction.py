@@ -1,17 +1,29 @@
-"""Predictions of a fitted model on records it has not seen, with their uncertainty."""
+r"""Predictions of a fitted model on records it has not seen, with their uncertainty.
+
+Without measurements a trajectory spreads by three causes: parameters and start states,
+
+.. math:: V(t) = J(t)\, C\, J(t)' + P(t), \qquad P_{k+1} = F P_k F' + Q
+
+the random forces of the noise model (``P``, from a filter that is shown nothing), and the
+sensors. Where parameters are so poorly known that a first-order band would mislead, the first
+term is the mean square of trajectories drawn from their distribution.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError
-from oed_sysid.fitting.gauss_newton import solve
+from oed_sysid.fitting.filtered import Filtered
+from oed_sysid.fitting.gauss_newton import solve, solve_filtered
 from oed_sysid.fitting.shooting import Shooting
 from oed_sysid.model import Model
+from oed_sysid.noise.levels import Levels
+from oed_sysid.noise.model import NoiseModel
 
 WAYS = {
     "fit": "estimated on each record itself, all shared parameters held",
@@ -20,6 +32,9 @@ WAYS = {
 }
 
 Initial = str | Mapping[str, float]
+# Relative standard error of a parameter from which bands are drawn, share of the band that it
+# must matter, and the number of draws.
+DRAWN, MATTERS, N_DRAWS = 0.15, 0.3, 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +122,7 @@ def predict(
     model: Model,
     dataset: Dataset,
     covariance: np.ndarray,
-    sigma: np.ndarray,
+    noise: NoiseModel | np.ndarray,
     *,
     initial: Initial = "fit",
 ) -> Prediction:
@@ -121,8 +136,8 @@ def predict(
         Records with the model's channels.
     covariance : ndarray (n_shared, n_shared)
         Of the free parameters that all records share, in the model's order.
-    sigma : ndarray (n_outputs,)
-        Noise levels.
+    noise : NoiseModel or ndarray (n_outputs,)
+        All that is random; levels alone stand for white noise.
     initial : str or mapping
         ``"fit"`` estimates the initial states (and per-record parameters) on
         each record with all shared parameters held, ``"first"`` takes the first
@@ -131,9 +146,12 @@ def predict(
     Returns
     -------
     Prediction
-        Its bands follow from the exact sensitivities to first order. For a
-        record that the fit has used they are slightly too wide.
+        Its bands follow from the exact sensitivities to first order, or from draws
+        where parameters are poorly known. For a record that the fit has used they are
+        slightly too wide.
     """
+    if not isinstance(noise, NoiseModel):
+        noise = NoiseModel.white_only(np.asarray(noise), model.output_names)
     way = "given" if isinstance(initial, Mapping) else initial
     if way not in WAYS:
         raise DataError(f"initial is {initial!r}. Choose 'fit', 'first' or give the states.")
@@ -144,9 +162,12 @@ def predict(
                 f"initial gives {', '.join(initial) or 'nothing'}; give a value for each of "
                 f"{', '.join(model.state_names)}."
             )
-    parts = [_predict(model, record, covariance, sigma, initial, way) for record in dataset]
+    if noise.is_white:
+        parts = [_predict(model, r, covariance, noise.white, initial, way) for r in dataset]
+    else:
+        parts = [_predict_disturbed(model, r, covariance, noise, initial, way) for r in dataset]
     outputs, stds, starts, local = zip(*parts, strict=True)
-    return Prediction(dataset, outputs, stds, sigma.copy(), starts, way, local)
+    return Prediction(dataset, outputs, stds, noise.white.copy(), starts, way, local)
 
 
 def _predict(
@@ -199,7 +220,154 @@ def _predict(
     else:
         other_covariance = np.diag([*own_variance, *np.zeros(len(layout.local))])
     variance = _carry(by_other, other_covariance) + _carry_uncertain(by_shared, covariance)
-    return _outputs(shooting, point.unknowns), np.sqrt(variance), states, values
+    outputs = _outputs(shooting, point.unknowns)
+    if _poorly_known(model, layout.shared_names, covariance) and np.any(
+        variance > (MATTERS * sigma) ** 2
+    ):
+        gain = np.zeros((len(others), n_shared))
+        if way == "fit":
+            gain = inverse[:, : len(outer)] @ outer
+        columns = layout.record_columns(0)
+        drawn = _drawn(
+            lambda unknowns: _outputs(shooting, unknowns),
+            point.unknowns,
+            shared,
+            columns[others],
+            gain,
+            covariance,
+            other_covariance,
+            (shooting.limits.lower, shooting.limits.upper),
+        )
+        spread = np.mean((drawn - outputs) ** 2, axis=0)
+        variance = np.where(np.isfinite(variance), spread, variance)
+    return outputs, np.sqrt(variance), states, values
+
+
+def _predict_disturbed(
+    model: Model,
+    record: Record,
+    covariance: np.ndarray,
+    noise: NoiseModel,
+    initial: Initial,
+    way: str,
+) -> tuple[np.ndarray, np.ndarray, dict[str, float], dict[str, float]]:
+    """One record under random forces or coloured sensors."""
+    guess = [dict(initial)] if isinstance(initial, Mapping) else None
+    start = Shooting(model, Dataset((record,)), noise.sensors, initial_states=guess)
+    begin = start.start_unknowns()
+    disturbances = tuple(f"disturbance_{place.replace(' ', '_', 1)}" for place in noise.places)
+    nothing = np.zeros(0, dtype=bool)
+    levels = Levels.of(
+        noise,
+        noise,
+        disturbances,
+        white=np.zeros(len(noise.white), dtype=bool),
+        colour=np.zeros(len(noise.white), dtype=bool),
+        force=np.zeros(len(noise.force), dtype=bool) if len(noise.force) else nothing,
+    )
+    problem = Filtered(model, Dataset((record,)), levels)
+    layout = problem.layout
+    n_shared, n_own = len(layout.shared), layout.n_own
+    columns = layout.record_columns(0)
+    shared = np.arange(n_shared)
+    others = np.concatenate([columns[:n_own], columns[n_own + layout.local]])
+    point = problem.point([begin[columns[:n_own]]])
+    other_covariance = np.zeros((len(others), len(others)))
+    gain = np.zeros((len(others), n_shared))
+    if way == "fit":
+        held = problem.holding(shared, point.unknowns[shared])
+        solution = solve_filtered(held, point, polish=0)
+        if solution is not None:
+            point = solution.point
+            matrix = solution.matrix + np.diag(problem.limits.prior_weight)
+            other_covariance = np.linalg.pinv(matrix[np.ix_(others, others)], rcond=1e-10)
+            gain = other_covariance @ matrix[np.ix_(others, shared)]
+    elif way == "first":
+        stds = start.guess_std[0, :n_own]
+        own_variance = np.where(np.isfinite(stds), stds, 0.0) ** 2
+        other_covariance = np.diag([*own_variance, *np.zeros(len(layout.local))])
+    unknowns = point.unknowns
+    blind = np.full(record.outputs.shape, np.nan)
+    (part,) = problem.passes(unknowns, rows=True, measured=[blind])
+    states = dict(
+        zip(model.state_names, map(float, problem.initial_state(unknowns, 0)), strict=True)
+    )
+    own = unknowns[columns[n_own:]]
+    values = {layout.free_names[i]: float(own[i]) for i in layout.local}
+
+    def simulated(vector: np.ndarray) -> np.ndarray:
+        own = problem.initial_state(vector, 0)
+        values = problem.values(vector, 0)
+        return problem.kernel.simulate(record.times, record.inputs, values, own)[0]
+
+    outputs = simulated(unknowns)
+    if not part.ok or part.rows is None:
+        return np.full(record.outputs.shape, np.nan), blind, states, values
+    jacobian = -part.rows * np.sqrt(part.variances)[:, :, None]
+    by_shared = jacobian[:, :, n_own + layout.shared]
+    by_other = jacobian[:, :, np.concatenate([np.arange(n_own), n_own + layout.local])]
+    by_shared = by_shared - by_other @ gain
+    variance = _carry(by_other, other_covariance) + _carry_uncertain(by_shared, covariance)
+    random = np.maximum(part.variances - noise.white**2, 0.0)
+    if _poorly_known(model, layout.shared_names, covariance) and np.any(
+        variance > MATTERS**2 * part.variances
+    ):
+        drawn = _drawn(
+            simulated,
+            unknowns,
+            shared,
+            others,
+            gain,
+            covariance,
+            other_covariance,
+            (problem.limits.lower, problem.limits.upper),
+        )
+        spread = np.mean((drawn - outputs) ** 2, axis=0)
+        variance = np.where(np.isfinite(variance), spread, variance)
+    return outputs, np.sqrt(variance + random), states, values
+
+
+def _poorly_known(model: Model, names: Sequence[str], covariance: np.ndarray) -> bool:
+    """Whether some parameter's error is too large for a first-order band."""
+    errors = np.sqrt(np.diag(covariance))
+    sizes = np.array([abs(model.parameter(name).value) for name in names])
+    return bool(np.any(np.isfinite(errors) & (errors > DRAWN * sizes)))
+
+
+def _drawn(
+    simulate: Callable[[np.ndarray], np.ndarray],
+    unknowns: np.ndarray,
+    shared: np.ndarray,
+    others: np.ndarray,
+    gain: np.ndarray,
+    covariance: np.ndarray,
+    other_covariance: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """Outputs of draws from the distribution of the unknowns, ``(n_draws, n_times, n_outputs)``.
+
+    Start states follow the parameters, as they would if they were estimated anew.
+    """
+    rng = np.random.default_rng(0)  # the same draws for the same fit
+    known = np.isfinite(np.diag(covariance))
+    root = _root(covariance[np.ix_(known, known)])
+    other_root = _root(other_covariance)
+    found = []
+    for _ in range(N_DRAWS):
+        step = np.zeros(len(shared))
+        step[known] = root @ rng.normal(size=root.shape[1])
+        vector = unknowns.copy()
+        vector[shared] += step
+        vector[others] += other_root @ rng.normal(size=other_root.shape[1]) - gain @ step
+        outputs = simulate(np.clip(vector, *bounds))
+        if np.isfinite(outputs).all():
+            found.append(outputs)
+    return np.array(found) if found else np.full((1, *simulate(unknowns).shape), np.inf)
+
+
+def _root(covariance: np.ndarray) -> np.ndarray:
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def _outputs(shooting: Shooting, unknowns: np.ndarray) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Where each unknown of an estimation sits, between which bounds, with which prior.
 
 Unknowns, in order: shared free parameters, then for each record its initial
-states and its own (``per_record``) parameters.
+states and its own (``per_record``) parameters, then levels of the noise, where
+these are estimated together with the rest.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ class Layout:
         Positions, among the free ones, of shared and of per-record parameters.
     n_own, n_records : int
         Initial states per record; number of records.
+    n_levels : int
+        Levels and times of the noise.
     """
 
     free_names: tuple[str, ...]
@@ -32,9 +35,10 @@ class Layout:
     local: np.ndarray
     n_own: int
     n_records: int
+    n_levels: int = 0
 
     @classmethod
-    def of(cls, model: Model, n_records: int) -> Layout:
+    def of(cls, model: Model, n_records: int, n_levels: int = 0) -> Layout:
         """Layout of a model's unknowns over some records."""
         local = np.array([p.per_record for p in model.free_parameters], dtype=bool)
         return cls(
@@ -43,12 +47,19 @@ class Layout:
             local=np.flatnonzero(local),
             n_own=len(model.states),
             n_records=n_records,
+            n_levels=n_levels,
         )
 
     @property
     def n_unknowns(self) -> int:
         """Length of the vector of unknowns."""
-        return len(self.shared) + self.n_records * (self.n_own + len(self.local))
+        own = self.n_records * (self.n_own + len(self.local))
+        return len(self.shared) + own + self.n_levels
+
+    @property
+    def levels(self) -> slice:
+        """Positions of the levels of the noise."""
+        return slice(self.n_unknowns - self.n_levels, self.n_unknowns)
 
     def record_columns(self, index: int) -> np.ndarray:
         """Positions of ``[own states, free parameters]`` of one record among the unknowns."""
@@ -72,6 +83,7 @@ class Layout:
         for record in range(self.n_records):
             names += [f"x0[{record}][{i}]" for i in range(self.n_own)]
             names += [f"{self.free_names[i]}[{record}]" for i in self.local]
+        names += [f"noise[{i}]" for i in range(self.n_levels)]
         return tuple(names)
 
 

@@ -7,12 +7,26 @@ outputs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from oed_sysid.diagnosis.linearise import DISTURBANCE, disturbed_equations
-from oed_sysid.effects import Actuator, Effect, Environment, Force
+from oed_sysid.effects import Actuator, Effect, Environment, Force, Sensor
+from oed_sysid.errors import ModelError
+from oed_sysid.language import expressions
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
+
+DISTURBANCE = "disturbance_"
+
+
+def disturbed_equations(model: Model) -> tuple[str, ...]:
+    """Equations in which a force may be missing: axes, or states whose rate is no identity."""
+    if model.axes:
+        return tuple(model.axes)
+    parameters = set(model.parameter_names)
+    return tuple(
+        state for state, rate in model.kinematics.items() if expressions.names(rate) & parameters
+    )
 
 
 @dataclass(frozen=True)
@@ -77,11 +91,47 @@ def _rate(unit: str) -> str:
     return f"{unit}/s" if not slash else f"{head}/({denominator} s)"
 
 
-def disturbance(place: Place) -> Effect | None:
-    """The disturbance of a place as an effect; None for sensors, which need no dynamics."""
-    kind = {"actuator": Actuator, "flow": Environment, "force": Force, "kinematics": Force}
-    if place.stage not in kind:
-        return None
+def disturbance(place: Place) -> Effect:
+    """The disturbance of a place as an effect, with one parameter of its own name."""
+    kind: dict[str, type[Effect]] = {
+        "actuator": Actuator,
+        "flow": Environment,
+        "force": Force,
+        "kinematics": Force,
+        "sensor": Sensor,
+    }
     name = f"{DISTURBANCE}{place.stage}_{place.signal}"
     text = name if kind[place.stage] is Force else f"{place.signal} + {name}"
     return kind[place.stage](name, {place.signal: text}, (Parameter(name, 0.0),))
+
+
+def chosen_places(model: Model, names: Sequence[str] | str) -> tuple[Place, ...]:
+    """Places that a user names.
+
+    Parameters
+    ----------
+    model : Model
+    names : str or sequence of str
+        ``"all"`` for a force in every equation that may lack one; an equation or a state
+        (``"Z"``); or a place in full (``"actuator fin"``, ``"flow u"``, ``"sensor q"``).
+    """
+    known = places(model)
+    if isinstance(names, str) and names == "all":
+        found = tuple(place for place in known if place.stage == "force")
+        if not found:
+            raise ModelError(
+                f"Model {model.name!r} has no equation with a parameter in which a force could "
+                "act. Name the states that are disturbed, such as disturbances=('r',)."
+            )
+        return found
+    result = []
+    for name in [names] if isinstance(names, str) else names:
+        fits = [p for p in known if p.name == name]
+        fits = fits or [p for p in known if p.signal == name and p.stage in ("force", "kinematics")]
+        if not fits:
+            raise ModelError(
+                f"There is no place {name!r} for a disturbance in model {model.name!r}. Places "
+                f"are: {', '.join(p.name for p in known)}."
+            )
+        result.append(fits[0])
+    return tuple(dict.fromkeys(result))

@@ -13,13 +13,14 @@ import ctypes
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 
 import numpy as np
 
 from oed_sysid.compiled.compile import call, load_source
+from oed_sysid.noise.model import NoiseModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,43 +46,6 @@ class Deviations:
     output: np.ndarray
     present: np.ndarray
     sample_time: float
-
-
-@dataclass(frozen=True, eq=False)
-class NoiseModel:
-    """Standard deviations of what disturbs a vehicle and its sensors.
-
-    Attributes
-    ----------
-    white : ndarray (n_outputs,)
-        White sensor noise, per sample.
-    colour : ndarray (n_outputs,)
-        Coloured sensor noise (first-order Markov).
-    force : ndarray (n_forces,)
-        Coloured generalized forces.
-    colour_time, force_time : float
-        Their correlation times, s.
-    """
-
-    white: np.ndarray
-    colour: np.ndarray
-    force: np.ndarray
-    colour_time: float = 0.4
-    force_time: float = 1.0
-
-    @property
-    def has_colour(self) -> bool:
-        """Whether any sensor noise is coloured."""
-        return bool(np.any(self.colour > 0))
-
-    @property
-    def is_white(self) -> bool:
-        """Whether nothing but white sensor noise is left."""
-        return not (self.has_colour or np.any(self.force > 0))
-
-    def with_levels(self, white: np.ndarray, colour: np.ndarray, force: np.ndarray) -> NoiseModel:
-        """Return the same model with other levels."""
-        return replace(self, white=white, colour=colour, force=force)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,9 +156,10 @@ def _library(n_states: int, n_forces: int, n_outputs: int, colour: int) -> ctype
 
 def memories(noise: NoiseModel, record: Deviations) -> tuple[np.ndarray, np.ndarray]:
     """What is left of each force and colour one sample later, as a factor."""
-    force = np.exp(-record.sample_time / noise.force_time)
-    colour = np.exp(-record.sample_time / noise.colour_time)
-    return np.full(len(noise.force), force), np.full(len(noise.white), colour)
+    with np.errstate(divide="ignore"):  # a process without memory
+        force = np.exp(-record.sample_time / noise.force_time)
+        colour = np.exp(-record.sample_time / noise.colour_time)
+    return force, colour
 
 
 def _filter_numpy(noise: NoiseModel, record: Deviations, column: np.ndarray) -> Innovations:

@@ -1,252 +1,267 @@
-"""Noise levels by maximum likelihood: Fisher scoring on variances.
+r"""Levels and times of the noise as unknowns of an estimation.
 
-In a variance the likelihood has a slope even at zero, so that an absent
-disturbance stays absent for a reason, and one scoring step from anywhere
-solves the case of plain white noise.
+A level enters as its variance in squared units, :math:`\eta = (\sigma/\sigma_0)^2 \ge 0`: the
+likelihood has a slope there even at zero, so that an absent disturbance stays absent for a
+reason. A correlation time enters as :math:`\ln \tau`, with a wide normal prior, because nothing
+is known of the time of a disturbance that is absent.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.diagnosis.lanes import innovations_by_model
-from oed_sysid.information import autocorrelation
-from oed_sysid.noise.kalman import Deviations, Innovations, NoiseModel
-from oed_sysid.projection import bounded_step
+from oed_sysid.compiled.filtering import (
+    COLOUR_TIME,
+    COLOUR_VARIANCE,
+    FORCE_TIME,
+    FORCE_VARIANCE,
+    WHITE_VARIANCE,
+    Disturbed,
+)
+from oed_sysid.noise.model import NoiseModel
 
 # Smallest white variance, as a share of its unit: the filter must stay regular.
 WHITE_FLOOR = 1e-4
-# Finite-difference step, as a share of the variance and of its unit.
-RELATIVE_STEP, ABSOLUTE_STEP = 1e-4, 1e-5
+# Standard deviation of the prior of the logarithm of a correlation time.
+VAGUE_TIME = 2.0
+# Shortest time in samples, longest as a share of the shortest record.
+SHORTEST, LONGEST = 0.5, 0.2
 
 
-def estimate_noise(
-    start: NoiseModel,
-    units: NoiseModel,
-    deviations: Sequence[Deviations],
-    residuals: Sequence[np.ndarray],
-    *,
-    known: bool,
-    least_white: np.ndarray | None = None,
-    tolerance: float = 0.01,
-    max_iterations: int = 25,
-) -> NoiseModel:
-    """Noise levels that make residuals most likely.
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Which levels and times are unknown, between which bounds.
 
-    Coloured sensor noise is admitted only where the innovations without it are
-    correlated from sample to sample.
-
-    Parameters
+    Attributes
     ----------
-    start : NoiseModel
-        Start levels.
-    units : NoiseModel
-        Natural size of every level; also the white levels, where known.
-    deviations : sequence of Deviations
-    residuals : sequence of ndarray (n_times, n_outputs)
-        NaN where nothing was measured.
-    known : bool
-        Whether white levels are given and sensors have no other noise.
-    least_white : ndarray (n_outputs,), optional
-        Smallest white levels, in their unit: what disturbances may not explain away.
-    tolerance : float
-        Stop when minus twice the log-likelihood would fall by less.
-    max_iterations : int
-        Most scoring steps, without and with colour.
+    noise : NoiseModel
+        Values to begin with; what is not unknown stays there.
+    unit : NoiseModel
+        Natural size of every level.
+    entries : tuple of (kind, index)
+        Unknowns, as :mod:`oed_sysid.compiled.filtering` numbers them; colours count
+        among the outputs that have one.
+    coloured : ndarray of int
+        Outputs with coloured noise.
+    disturbances : tuple of str
+        Parameters of the filtered model that are the disturbances.
+    lower, upper, scale : ndarray (n_levels,)
+        Bounds and squared units (1 for times).
+    prior_mean, prior_weight : ndarray (n_levels,)
+        Of the logarithms of times.
     """
-    series = [residual[:, :, None] for residual in residuals]
-    floor = np.full(len(units.white), WHITE_FLOOR)
-    if least_white is not None:
-        floor = np.maximum(floor, (least_white / units.white) ** 2)
-    search = _Search(units, deviations, series, floor, known=known, coloured=start.has_colour)
-    noise = search.run(start, tolerance, max_iterations)
-    if known or noise.has_colour or not search.is_coloured(noise):
-        return noise
-    colour = np.where(noise.colour > 0, noise.colour, 0.3 * units.colour)
-    search = _Search(units, deviations, series, floor, known=known, coloured=True)
-    admitted = noise.with_levels(noise.white, colour, noise.force)
-    return search.run(admitted, tolerance, max_iterations)
 
+    noise: NoiseModel
+    unit: NoiseModel
+    entries: tuple[tuple[int, int], ...]
+    coloured: np.ndarray
+    disturbances: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    scale: np.ndarray
+    prior_mean: np.ndarray
+    prior_weight: np.ndarray
 
-class _Search:
-    """Fisher scoring on the variances that are free, in squared units."""
-
-    def __init__(
-        self,
-        units: NoiseModel,
-        deviations: Sequence[Deviations],
-        series: Sequence[np.ndarray],
-        white_floor: np.ndarray,
+    @classmethod
+    def of(
+        cls,
+        noise: NoiseModel,
+        unit: NoiseModel,
+        disturbances: Sequence[str],
         *,
-        known: bool,
-        coloured: bool,
-    ) -> None:
-        self.units, self.deviations, self.series = units, deviations, series
-        self.known, self.coloured = known, coloured
-        self.n_forces, self.n_outputs = len(units.force), len(units.white)
-        lower = [np.zeros(self.n_forces)]
-        if not known:
-            lower.append(white_floor)
-        if coloured:
-            lower.append(np.zeros(self.n_outputs))
-        self.lower = np.concatenate(lower)
+        white: np.ndarray,
+        colour: np.ndarray,
+        force: np.ndarray,
+        own_times: bool = False,
+        least_white: np.ndarray | None = None,
+        times: tuple[float, float] = (1e-3, np.inf),
+    ) -> Levels:
+        """Name the unknowns.
 
-    def variances(self, noise: NoiseModel) -> np.ndarray:
-        """Free variances of a noise model, in squared units."""
-        parts = [(noise.force / self.units.force) ** 2]
-        if not self.known:
-            parts.append((noise.white / self.units.white) ** 2)
-        if self.coloured:
-            parts.append((noise.colour / self.units.colour) ** 2)
-        return np.maximum(np.concatenate(parts), self.lower)
-
-    def model(self, variances: np.ndarray) -> NoiseModel:
-        """Noise model of given variances."""
-        size = np.sqrt(variances)
-        rest = size[self.n_forces :]
-        white = self.units.white * (1.0 if self.known else rest[: self.n_outputs])
-        colour = (
-            self.units.colour * rest[-self.n_outputs :]
-            if self.coloured
-            else np.zeros(self.n_outputs)
-        )
-        return self.units.with_levels(white, colour, self.units.force * size[: self.n_forces])
-
-    def filter(self, variances: Sequence[np.ndarray]) -> list[list[Innovations]]:
-        """Innovations of every record under several noise models, side by side."""
-        return innovations_by_model(
-            [self.model(v) for v in variances], self.deviations, self.series
-        )
-
-    def run(self, start: NoiseModel, tolerance: float, max_iterations: int) -> NoiseModel:
-        """Iterate until minus twice the log-likelihood would fall by less than the tolerance.
-
-        Variances at their bound rest until the others have settled.
+        Parameters
+        ----------
+        noise, unit : NoiseModel
+        disturbances : sequence of str
+            Parameters that are the disturbances, as many as ``noise`` has forces.
+        white, colour, force : ndarray of bool
+            Which levels are unknown; ``colour`` also says which outputs may have it.
+        own_times : bool
+            Whether every unknown disturbance and colour has a time of its own; else all share one.
+        least_white : ndarray (n_outputs,), optional
+            Smallest white levels, in the outputs' units.
+        times : tuple of float
+            Shortest and longest correlation time, s.
         """
-        point = self.at(self.variances(start))
-        slopes = _Slopes.empty(len(point.variances), point)
-        awake, damping = np.ones(len(point.variances), dtype=bool), 1e-3
-        for _ in range(max_iterations):
-            self.differentiate(point, slopes, awake)
-            step, promised = self.step(point, slopes, awake, damping)
-            if promised < tolerance and not awake.all():
-                self.differentiate(point, slopes, ~awake)
-                awake[:] = True
-                step, promised = self.step(point, slopes, awake, damping)
-            if promised < tolerance:
-                break
-            for _ in range(8):
-                trial = self.at(point.variances + step)
-                if trial.value < point.value:
-                    break
-                damping = max(10 * damping, 1e-2)
-                step, _ = self.step(point, slopes, awake, damping)
+        coloured = np.flatnonzero(colour | (noise.colour > 0))
+        floor = np.full(len(noise.white), WHITE_FLOOR)
+        if least_white is not None:
+            floor = np.maximum(floor, (least_white / unit.white) ** 2)
+        low, high = np.log(times[0]), np.log(times[1])
+        rows: list[tuple[int, int, float, float, float, float]] = []
+
+        def variance(kind: int, index: int, size: float, least: float = 0.0) -> None:
+            rows.append((kind, index, least, np.inf, size**2, 0.0))
+
+        def logarithm(kind: int, index: int, value: float) -> None:
+            rows.append((kind, index, low, high, 1.0, float(np.clip(np.log(value), low, high))))
+
+        for i in np.flatnonzero(force):
+            variance(FORCE_VARIANCE, int(i), unit.force[i])
+        if own_times:
+            for i in np.flatnonzero(force):
+                logarithm(FORCE_TIME, int(i), noise.force_time[i])
+        elif force.any():
+            logarithm(FORCE_TIME, -1, _middle(noise.force_time[force]))
+        for i in np.flatnonzero(white):
+            variance(WHITE_VARIANCE, int(i), unit.white[i], floor[i])
+        for position, i in enumerate(coloured):
+            if colour[i]:
+                variance(COLOUR_VARIANCE, position, unit.colour[i])
+                if own_times:
+                    logarithm(COLOUR_TIME, position, noise.colour_time[i])
+        if colour.any() and not own_times:
+            logarithm(COLOUR_TIME, -1, _middle(noise.colour_time[colour]))
+        kinds = np.array([row[0] for row in rows], dtype=int)
+        table = np.array([row[2:] for row in rows], dtype=float).reshape(len(rows), 4)
+        is_time = (kinds == FORCE_TIME) | (kinds == COLOUR_TIME)
+        return cls(
+            noise,
+            unit,
+            tuple((row[0], row[1]) for row in rows),
+            coloured,
+            tuple(disturbances),
+            table[:, 0],
+            table[:, 1],
+            table[:, 2],
+            table[:, 3],
+            np.where(is_time, VAGUE_TIME**-2.0, 0.0),
+        )
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def vector(self, noise: NoiseModel | None = None) -> np.ndarray:
+        """Unknowns of a noise model, within the bounds, ``(n_levels,)``."""
+        noise = self.noise if noise is None else noise
+        values = []
+        for (kind, index), scale in zip(self.entries, self.scale, strict=True):
+            if kind == FORCE_VARIANCE:
+                values.append(noise.force[index] ** 2 / scale)
+            elif kind == WHITE_VARIANCE:
+                values.append(noise.white[index] ** 2 / scale)
+            elif kind == COLOUR_VARIANCE:
+                values.append(noise.colour[self.coloured[index]] ** 2 / scale)
             else:
-                break
-            point = trial
-            damping /= 10
-            awake = point.variances > self.lower
-        return self.model(point.variances)
+                times = noise.force_time if kind == FORCE_TIME else noise.colour_time[self.coloured]
+                values.append(np.log(_middle(times) if index < 0 else times[index]))
+        return np.clip(np.array(values, dtype=float), self.lower, self.upper)
 
-    def at(self, variances: np.ndarray) -> _Point:
-        """Innovations and likelihood at given variances."""
-        return _Point.of(variances, self.filter([variances])[0])
-
-    def differentiate(self, point: _Point, slopes: _Slopes, which: np.ndarray) -> None:
-        """Fill the slopes by the variances that are named, by differences."""
-        index = np.flatnonzero(which)
-        sizes = RELATIVE_STEP * point.variances[index] + ABSOLUTE_STEP
-        unit = np.eye(len(which))[index]
-        moved = self.filter([point.variances + d * e for d, e in zip(sizes, unit, strict=True)])
-        for position, size, parts in zip(index, sizes, moved, strict=True):
-            slopes.fill(int(position), point, parts, float(size))
-
-    def step(
-        self, point: _Point, slopes: _Slopes, awake: np.ndarray, damping: float
-    ) -> tuple[np.ndarray, float]:
-        """Damped scoring step within the bounds, and the decrease that it promises."""
-        gradient, fisher = slopes.of(point, awake)
-        part = bounded_step(
-            fisher,
-            -0.5 * gradient,
-            (self.lower - point.variances)[awake],
-            np.full(len(gradient), np.inf),
-            damping,
+    def at(self, vector: np.ndarray) -> NoiseModel:
+        """Noise model of given unknowns."""
+        noise = self.noise
+        white, colour, force = noise.white.copy(), noise.colour.copy(), noise.force.copy()
+        colour_time, force_time = noise.colour_time.copy(), noise.force_time.copy()
+        for (kind, index), scale, value in zip(self.entries, self.scale, vector, strict=True):
+            if kind == FORCE_VARIANCE:
+                force[index] = np.sqrt(max(value, 0.0) * scale)
+            elif kind == WHITE_VARIANCE:
+                white[index] = np.sqrt(max(value, 0.0) * scale)
+            elif kind == COLOUR_VARIANCE:
+                colour[self.coloured[index]] = np.sqrt(max(value, 0.0) * scale)
+            elif kind == FORCE_TIME:
+                force_time[slice(None) if index < 0 else index] = np.exp(value)
+            else:
+                colour_time[self.coloured if index < 0 else self.coloured[index]] = np.exp(value)
+        return replace(
+            noise,
+            white=white,
+            colour=colour,
+            force=force,
+            colour_time=colour_time,
+            force_time=force_time,
         )
-        step = np.zeros_like(point.variances)
-        step[awake] = part
-        return step, float(-(gradient @ part + part @ fisher @ part))
 
-    def is_coloured(self, noise: NoiseModel) -> bool:
-        """Whether any output's innovations are clearly correlated from sample to sample."""
-        found = self.filter([self.variances(noise)])[0]
-        for column in range(self.n_outputs):
-            lag_one, count = 0.0, 0
-            for part, record in zip(found, self.deviations, strict=True):
-                seen = record.present[:, column] > 0
-                values = np.where(seen, part.white[:, column, 0], np.nan)
-                n = int(seen.sum())
-                if n > 20:
-                    lag_one += n * float(autocorrelation(values, 1)[1])
-                    count += n
-            if count and abs(lag_one / count) > 4.0 / np.sqrt(count):
-                return True
-        return False
+    def disturbed(self, noise: NoiseModel) -> Disturbed:
+        """What the filter takes."""
+        return Disturbed(
+            self.disturbances,
+            noise.force**2,
+            noise.force_time,
+            noise.white**2,
+            self.coloured,
+            noise.colour[self.coloured] ** 2,
+            noise.colour_time[self.coloured],
+        )
 
+    def name_of(self, kind: int, index: int) -> str:
+        """Name of one unknown, such as ``"force Z level"`` or ``"colour of q time"``."""
+        if kind in (FORCE_VARIANCE, FORCE_TIME):
+            place = "disturbances" if index < 0 else self.noise.places[index]
+        elif kind == WHITE_VARIANCE:
+            place = f"white of {self.noise.outputs[index]}"
+        elif index < 0:
+            place = "colours"
+        else:
+            place = f"colour of {self.noise.outputs[self.coloured[index]]}"
+        return f"{place} {'time' if kind in (FORCE_TIME, COLOUR_TIME) else 'level'}"
 
-@dataclass(frozen=True, eq=False)
-class _Point:
-    """Variances, with the innovations and minus twice the log-likelihood that they give."""
+    def held(self) -> Levels:
+        """Return the same noise with nothing unknown."""
+        nothing = np.zeros(0)
+        return replace(
+            self,
+            entries=(),
+            lower=nothing,
+            upper=nothing,
+            scale=nothing,
+            prior_mean=nothing,
+            prior_weight=nothing,
+        )
 
-    variances: np.ndarray
-    white: np.ndarray
-    roots: np.ndarray
-    value: float
+    @property
+    def shares_a_time(self) -> bool:
+        """Whether several levels have one time together."""
+        return any(index < 0 for _, index in self.entries)
 
-    @classmethod
-    def of(cls, variances: np.ndarray, parts: Sequence[Innovations]) -> _Point:
-        white, roots = _joined(parts)
-        value = float(white @ white + 2.0 * np.log(roots).sum())
-        return cls(variances, white, roots, value if np.isfinite(value) else np.inf)
+    @property
+    def n_coloured(self) -> int:
+        """Number of outputs with coloured noise."""
+        return len(self.coloured)
 
+    def without_forces(self, dropped: np.ndarray) -> Levels:
+        """Return the same unknowns with some disturbances absent.
 
-@dataclass(frozen=True, eq=False)
-class _Slopes:
-    """Derivatives of every innovation, and of the logarithm of its variance.
-
-    Rows belong to variances, columns to scalar innovations.
-    """
-
-    innovation: np.ndarray
-    log_variance: np.ndarray
-
-    @classmethod
-    def empty(cls, n_variances: int, point: _Point) -> _Slopes:
-        shape = n_variances, len(point.white)
-        return cls(np.zeros(shape), np.zeros(shape))
-
-    def fill(self, position: int, point: _Point, moved: Sequence[Innovations], size: float) -> None:
-        white, roots = _joined(moved)
-        self.log_variance[position] = 2.0 * np.log(roots / point.roots) / size
-        self.innovation[position] = (white * roots / point.roots - point.white) / size
-
-    def of(self, point: _Point, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient of the objective and expected information, from scalar innovations.
-
-        With innovations ``e`` of variance ``s``, the objective is the sum of
-        ``e^2/s + log s`` and the information of two parameters is the sum of
-        ``ds ds / (2 s^2) + de de / s`` (e.g. Harvey 1989, section 3.4).
+        Parameters
+        ----------
+        dropped : ndarray of bool (n_forces,)
         """
-        dlog, de = self.log_variance[which], self.innovation[which]
-        gradient = dlog @ (1.0 - point.white**2) + 2.0 * de @ point.white
-        return gradient, 0.5 * dlog @ dlog.T + de @ de.T
+        none_left = bool(np.all(dropped | (self.noise.force == 0)))
+        keep = [
+            not (
+                (kind == FORCE_VARIANCE and dropped[index])
+                or (kind == FORCE_TIME and (none_left if index < 0 else dropped[index]))
+            )
+            for kind, index in self.entries
+        ]
+        noise = replace(self.noise, force=np.where(dropped, 0.0, self.noise.force))
+        return replace(
+            self,
+            noise=noise,
+            entries=tuple(e for e, kept in zip(self.entries, keep, strict=True) if kept),
+            **{
+                name: getattr(self, name)[keep]
+                for name in ("lower", "upper", "scale", "prior_mean", "prior_weight")
+            },
+        )
+
+    def starting(self, noise: NoiseModel) -> Levels:
+        """Return the same unknowns, begun elsewhere."""
+        return replace(self, noise=noise)
 
 
-def _joined(parts: Sequence[Innovations]) -> tuple[np.ndarray, np.ndarray]:
-    return (
-        np.concatenate([part.white.ravel() for part in parts]),
-        np.concatenate([part.roots.ravel() for part in parts]),
-    )
+def _middle(times: np.ndarray) -> float:
+    """Geometric mean of some times."""
+    return float(np.exp(np.mean(np.log(np.maximum(times, 1e-9)))))

@@ -1,9 +1,17 @@
-"""Linear dynamics along the trajectory that a vehicle most likely took.
+r"""Linear dynamics along the trajectory that a vehicle most likely took.
 
 A model that lacks physics, run on its own, soon leaves the vehicle's track;
 what is linear there says little about what happened here. With all forces of
-the noise model let in, the smoothed trajectory stays near the measurements.
-The model is linearised along it, its one-step errors are carried as defects.
+the noise model let in, the smoothed trajectory :math:`\bar x` stays near the measurements:
+
+.. math::
+    x_{k+1} - \bar x_{k+1} = A_k (x_k - \bar x_k) + B_k\, \delta p + G_k w_k
+    + \left[F(\bar x_k) - \bar x_{k+1}\right]
+
+The model is linearised along it, its one-step errors (the bracket) are carried as defects.
+Regressors along a smoothed path hold the noise, so this serves to say where a model fails, for
+residual forces and pictures; parameters and their errors come from the filtered path
+(:mod:`oed_sysid.fitting.filtered`).
 """
 
 from __future__ import annotations
@@ -14,18 +22,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.data.dataset import Record
-from oed_sysid.diagnosis.greybox import GreyBox, Task
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import Place, disturbance, places
-from oed_sysid.noise.kalman import Deviations, NoiseModel
+from oed_sysid.noise.kalman import Deviations
+from oed_sysid.noise.model import NoiseModel
 from oed_sysid.noise.restricted_likelihood import Grounds, restricted
 from oed_sysid.noise.smoother import smooth
 
 # Most relinearisations; they stop when the trajectory moves by less than this, as its outputs
 # show it in units of the noise (root mean square).
 ROUNDS, STILL = 8, 0.1
+# Deviations that grow by more along a record would leave nothing but rounding errors.
+GROWN = 1e10
 # Smallest force that is let in, as a share of the one that moves an output by its noise.
 LEAST_FORCE = 0.1
 # Smallest white sensor noise, as a share of its unit: a level that colour has taken over
@@ -163,34 +173,38 @@ def _shown(stretch: Stretch, states: np.ndarray, white: np.ndarray) -> float:
     return float(np.sqrt(np.mean(moved**2)))
 
 
-def fitted_model(task: Task, fit: GreyBox) -> Model:
-    """The base model with the effects that a fit has, at its values."""
-    names = set(fit.names) | {name for name, value in fit.values.items() if value}
-    active = [
-        effect
-        for effect in task.super_model.candidates
-        if names.intersection(effect.amplitude_names)
-    ]
-    model = task.super_model.base + active
-    known = set(model.parameter_names)
-    return model.with_values({k: v for k, v in fit.values.items() if k in known})
-
-
-def along(task: Task, fit: GreyBox) -> Along:
+def along(
+    model: Model,
+    names: Sequence[str],
+    dataset: Dataset,
+    nodes: Sequence[np.ndarray],
+    noise: NoiseModel,
+    unit: NoiseModel,
+    local: Sequence[Mapping[str, float]] | None = None,
+) -> Along:
     """Linearise a fit along the trajectories that its noise model makes most likely.
 
     Parameters
     ----------
-    task : Task
-    fit : GreyBox
-        With estimated noise levels.
+    model : Model
+        At the values to linearise at.
+    names : sequence of str
+        Estimated parameters; those of each record may be among them.
+    dataset : Dataset
+    nodes : sequence of ndarray (n_times, n_full)
+        Full states near the true ones, such as those of a filter, per record.
+    noise : NoiseModel
+        With a disturbance for every equation.
+    unit : NoiseModel
+        Natural size of every level.
+    local : sequence of mapping, optional
+        Values of per-record parameters.
     """
-    system = System.of(task, fit)
-    nodes = system.free_run([run.states[0] for run in fit.runs])
+    system = System.of(model, names, dataset, local)
     noise = replace(
-        fit.noise,
-        white=np.maximum(fit.noise.white, LEAST_WHITE * task.units.white),
-        force=np.maximum(fit.noise.force, LEAST_FORCE * task.units.force),
+        noise,
+        white=np.maximum(noise.white, LEAST_WHITE * unit.white),
+        force=np.maximum(noise.force, LEAST_FORCE * unit.force),
     )
     found = system.linearise(nodes, noise)
     for _ in range(ROUNDS):
@@ -209,30 +223,48 @@ class System:
 
     Attributes
     ----------
-    task : Task
+    dataset : Dataset
     model : Model
         At the values to linearise at, with the effects of the fit.
     names : tuple of str
-        Estimated parameters.
+        Estimated parameters that all records share.
+    own_names : tuple of str
+        Estimated parameters of each record.
     where : tuple of Place
     held : Model
         The model with a disturbance at every place.
+    local : tuple of mapping
+        Values of parameters of each record.
     """
 
-    task: Task
+    dataset: Dataset
     model: Model
     names: tuple[str, ...]
+    own_names: tuple[str, ...]
     where: tuple[Place, ...]
     held: Model
+    local: tuple[Mapping[str, float], ...]
 
     @classmethod
-    def of(cls, task: Task, fit: GreyBox) -> System:
+    def of(
+        cls,
+        model: Model,
+        names: Sequence[str],
+        dataset: Dataset,
+        local: Sequence[Mapping[str, float]] | None = None,
+    ) -> System:
         """The model of a fit."""
-        model = fitted_model(task, fit)
         where = places(model)
-        held = model.fix(*(name for name in model.free_names if name not in fit.names))
-        held += [effect for effect in map(disturbance, where) if effect is not None]
-        return cls(task, model, fit.names, where, held)
+        held = model.fix(*(name for name in model.free_names if name not in names))
+        held += [disturbance(place) for place in where if place.stage != "sensor"]
+        own = tuple(name for name in names if model.parameter(name).per_record)
+        shared = tuple(name for name in names if name not in own)
+        return cls(dataset, model, shared, own, where, held, tuple(local or ({},) * len(dataset)))
+
+    def values(self, index: int) -> np.ndarray:
+        """Values of all parameters for one record."""
+        own = {name: v for name, v in self.local[index].items() if name in self.own_names}
+        return self.held.with_values(own).value_vector
 
     def moved(self, correction: np.ndarray) -> System:
         """The same at values that differ by a correction, bounds respected."""
@@ -248,21 +280,6 @@ class System:
         own = {name: values[name] for name in self.names}
         return replace(self, model=self.model.with_values(own), held=self.held.with_values(own))
 
-    def free_run(self, starts: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Full states of the model on its own, ``(n_times, n_full)`` per record."""
-        compiled, values = kernel(self.held), self.held.value_vector
-        result = []
-        for record, own in zip(self.task.dataset, starts, strict=True):
-            z0, _ = compiled.start(own, record.inputs[0], values, record.times[0])
-            run = compiled.run(record.times, record.inputs, values, z0)
-            if not run.ok:
-                raise SimulationError(
-                    f"Model {self.model.name!r} diverges on record {record.name!r} at sample "
-                    f"{run.failed_at}. Start from other values, or bound the parameters."
-                )
-            result.append(run.states)
-        return result
-
     def linearise(self, nodes: Sequence[np.ndarray], noise: NoiseModel) -> Along:
         """Linearise along given states.
 
@@ -274,8 +291,8 @@ class System:
             Noise model that goes with them.
         """
         stretches = tuple(
-            _stretch(self, record, states)
-            for record, states in zip(self.task.dataset, nodes, strict=True)
+            _stretch(self, index, record, states)
+            for index, (record, states) in enumerate(zip(self.dataset, nodes, strict=True))
         )
         columns = tuple(stretch.columns for stretch in stretches)
         grounds = Grounds(columns, _prior(self.model, self.names), noise.white)
@@ -292,9 +309,9 @@ def _prior(model: Model, names: Sequence[str]) -> np.ndarray:
     return prior
 
 
-def _stretch(system: System, record: Record, states: np.ndarray) -> Stretch:
+def _stretch(system: System, index: int, record: Record, states: np.ndarray) -> Stretch:
     model, names, where = system.held, system.names, system.where
-    compiled, values = kernel(model), model.value_vector
+    compiled, values = kernel(model), system.values(index)
     run = compiled.run(
         record.times,
         record.inputs,
@@ -311,34 +328,40 @@ def _stretch(system: System, record: Record, states: np.ndarray) -> Stretch:
     n, size, n_own = record.n_samples, compiled.n_full, compiled.n_own
     free = {name: size + i for i, name in enumerate(model.free_names)}
     by_name = [free[name] for name in names]
+    by_own = [free[name] for name in system.own_names]
+    n_shared, n_free = len(by_name), len(by_own)
     transition = np.ascontiguousarray(run.end_sensitivities[:, :, :size])
     output = np.ascontiguousarray(run.output_sensitivities[:, :, :size])
     gains, direct = np.zeros((n, size, len(where))), np.zeros((*record.outputs.shape, len(where)))
-    for index, place in enumerate(where):
-        effect = disturbance(place)
-        if effect is None:
-            direct[:, model.output_names.index(place.signal), index] = 1.0
+    for position, place in enumerate(where):
+        if place.stage == "sensor":
+            direct[:, model.output_names.index(place.signal), position] = 1.0
         else:
-            gains[:, :, index] = run.end_sensitivities[:, :, free[effect.name]]
-            direct[:, :, index] = run.output_sensitivities[:, :, free[effect.name]]
+            column = free[disturbance(place).name]
+            gains[:, :, position] = run.end_sensitivities[:, :, column]
+            direct[:, :, position] = run.output_sensitivities[:, :, column]
     # Sensitivities and drift of the linear model, started from the nodes' own first state.
+    # Columns: shared parameters, own start states, parameters of the record, what is left.
     _, first = compiled.start(states[0, :n_own], record.inputs[0], values, record.times[0])
-    drive = np.zeros((n, size, len(names) + n_own + 1))
-    drive[:, :, : len(names)] = run.end_sensitivities[:, :, by_name]
+    width = n_shared + n_own + n_free + 1
+    columns_of = [*range(n_shared), *range(n_shared + n_own, width - 1)]
+    both = [*by_name, *by_own]
+    drive = np.zeros((n, size, width))
+    drive[:, :, columns_of] = run.end_sensitivities[:, :, both]
     drive[:-1, :, -1] = run.ends[:-1] - states[1:]
-    moved = np.zeros((n, size, len(names) + n_own + 1))
-    moved[0, :, : len(names)] = first[:, [n_own + free[name] - size for name in names]]
-    moved[0, :, len(names) : -1] = first[:, :n_own]
+    moved = np.zeros((n, size, width))
+    moved[0][:, columns_of] = first[:, [n_own + column - size for column in both]]
+    moved[0, :, n_shared : n_shared + n_own] = first[:, :n_own]
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(n - 1):
             moved[k + 1] = transition[k] @ moved[k] + drive[k]
         columns = output @ moved
-    if not np.isfinite(columns).all():
+    if not np.isfinite(columns).all() or np.abs(columns).max() > GROWN * np.abs(first).max():
         raise SimulationError(
             f"Small deviations of model {model.name!r} grow without bound along record "
-            f"{record.name!r}. Bound its parameters."
+            f"{record.name!r}. Cut the record, or bound the parameters."
         )
-    columns[:, :, : len(names)] += run.output_sensitivities[:, :, by_name]
+    columns[:, :, columns_of] += run.output_sensitivities[:, :, both]
     columns[:, :, -1] = record.outputs - run.outputs - columns[:, :, -1]
     return Stretch(
         states,

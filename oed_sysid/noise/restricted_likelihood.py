@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.noise.kalman import Deviations, NoiseModel, innovations
+from oed_sysid.noise.kalman import Deviations, innovations
+from oed_sysid.noise.model import NoiseModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,8 @@ from importlib.resources import files
 import numpy as np
 
 from oed_sysid.compiled.compile import call, load_source
-from oed_sysid.noise.kalman import Deviations, NoiseModel, memories
+from oed_sysid.noise.kalman import Deviations, memories
+from oed_sysid.noise.model import NoiseModel
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,237 @@
+r"""What a model leaves unexplained: noise of sensors, random forces, or structure.
+
+The likelihood with random forces is compared with that without, everything else estimated
+anew. A force is *random* where its level is the same on the validation records and no term of
+the dictionary explains it; *structure is missing* where something that repeats with the
+manoeuvre would. How much it matters is the error of the model on its own, beside the spread of
+each signal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.diagnosis.study import Study
+from oed_sysid.fitting.gauss_newton import FilteredSolution
+from oed_sysid.noise.disturbances import places
+
+# Twice the log-likelihood that disturbances may gain before they count as real.
+REMAINDER_LIMIT = 14.0
+# Below this share of a signal's spread an error of the model is no reason to go on.
+RELEVANT = 0.01
+# A level on other records that differs by more than this factor is tied to the manoeuvre.
+SAME_LEVEL = 2.0
+
+
+@dataclass(frozen=True)
+class RandomForceFound:
+    """One random force that is left.
+
+    Attributes
+    ----------
+    place, unit : str
+        Where it acts, ``"force Z"``, and the unit of its level.
+    level, time : float
+        Standard deviation and correlation time, s.
+    gain : float
+        What dropping it, all else estimated again, loses in twice the log-likelihood.
+    elsewhere : float
+        Its level on the validation records; NaN without any.
+    """
+
+    place: str
+    unit: str
+    level: float
+    time: float
+    gain: float
+    elsewhere: float
+
+    @property
+    def is_the_same_elsewhere(self) -> bool:
+        """Whether its level on validation records is about that on the training records."""
+        if np.isnan(self.elsewhere):
+            return True
+        low, high = sorted((self.level, self.elsewhere))
+        return low > 0 and high / low < SAME_LEVEL
+
+    @property
+    def text(self) -> str:
+        """The force in words, for instance ``random force in Z, 0.31 N, 2.0 s``."""
+        stage, _, signal = self.place.partition(" ")
+        what = {"actuator": f"noise on {signal}", "force": f"random force in {signal}"}
+        name = what.get(stage, f"random {stage} of {signal}")
+        time = f", {self.time:.2g} s" if self.time > 0 else ""
+        return f"{name}, {self.level:.2g} {self.unit}{time}".replace(" ,", ",")
+
+
+@dataclass(frozen=True)
+class Remains:
+    """What a fit leaves unexplained.
+
+    Attributes
+    ----------
+    forces : float
+        Gain in twice the log-likelihood that random forces bring over noise of the
+        sensors alone.
+    sensor_time : float or None
+        Correlation time of the sensors' noise, s; None where white noise
+        explains them too.
+    random : tuple of RandomForceFound
+        Those that are real, largest gain first.
+    shares : mapping of str to float
+        Error of the model on its own, as a share of each signal's spread.
+    tied : tuple of str
+        Terms or effects that would explain what is left but were not confirmed.
+    """
+
+    forces: float
+    sensor_time: float | None
+    random: tuple[RandomForceFound, ...] = ()
+    shares: Mapping[str, float] | None = None
+    tied: tuple[str, ...] = ()
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether no disturbance is needed any more."""
+        return self.forces < REMAINDER_LIMIT
+
+    @property
+    def kind(self) -> str:
+        """``"adequate"``, ``"random forces"`` or ``"structure missing"``."""
+        if self.is_noise or not self.random:
+            return "adequate"
+        if self.tied or not all(force.is_the_same_elsewhere for force in self.random):
+            small = self.shares and max(self.shares.values()) < RELEVANT
+            return "adequate" if small else "structure missing"
+        return "random forces"
+
+    @property
+    def sentence(self) -> str:
+        """What is left, with its size."""
+        colour = (
+            ""
+            if self.sensor_time is None
+            else f", correlated over about {self.sensor_time:.2g} s at the sensors"
+        )
+        if self.is_noise or not self.random:
+            return f"adequate: the remaining misfit is noise at this level{colour}."
+        listed = "; ".join(force.text for force in self.random)
+        shares = self._shares()
+        if self.kind == "adequate":
+            return f"adequate: what is left ({listed}) moves no signal by more than {shares}."
+        if self.kind == "random forces":
+            checked = not np.isnan(self.random[0].elsewhere)
+            same = ", about the same on the validation records" if checked else ""
+            return f"{listed}{same}; nothing in it repeats with the manoeuvre{colour}."
+        why = (
+            f"{', '.join(self.tied[:3])} would explain part of it but is not confirmed"
+            if self.tied
+            else "its level differs between training and validation records"
+        )
+        return (
+            f"structure missing in {', '.join(f.place for f in self.random)} ({why}); on its own "
+            f"the model misses {shares}."
+        )
+
+    def _shares(self) -> str:
+        if not self.shares:
+            return "an unknown share of the signals"
+        worst = sorted(self.shares.items(), key=lambda pair: -pair[1])[:3]
+        return ", ".join(f"{100 * share:.2g} % of {name}" for name, share in worst)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what remains as plain data for JSON."""
+        return {
+            "kind": self.kind,
+            "gain_of_forces": self.forces,
+            "sensor_time": self.sensor_time,
+            "random": [
+                {
+                    "place": f.place,
+                    "unit": f.unit,
+                    "level": f.level,
+                    "time": f.time,
+                    "gain": f.gain,
+                    "level_on_validation": None if np.isnan(f.elsewhere) else f.elsewhere,
+                }
+                for f in self.random
+            ],
+            "shares": dict(self.shares or {}),
+            "tied": list(self.tied),
+        }
+
+
+def remains(study: Study, fit: FilteredSolution) -> Remains:
+    """Judge what a fit leaves.
+
+    Parameters
+    ----------
+    study : Study
+    fit : FilteredSolution
+        With estimated noise levels.
+    """
+    noise = fit.noise
+    if noise.is_white:
+        return Remains(0.0, None)
+    quiet = _without(study, fit, np.zeros(len(noise.force), dtype=bool))
+    forces = np.inf if quiet is None else max(quiet.objective - fit.objective, 0.0)
+    if not noise.has_forces:
+        forces = 0.0
+    time = _sensor_time(study, fit)
+    if forces < REMAINDER_LIMIT:
+        return Remains(forces, time)
+    elsewhere = _levels_elsewhere(study, fit)
+    units = {place.name: place.unit for place in places(study.base)}
+    found = []
+    for index in np.flatnonzero(noise.force > 0):
+        kept = np.ones(len(noise.force), dtype=bool)
+        kept[index] = False
+        without = _without(study, fit, kept)
+        gain = np.inf if without is None else without.objective - fit.objective
+        if gain > REMAINDER_LIMIT:
+            name = noise.places[index]
+            level, tau = float(noise.force[index]), float(noise.force_time[index])
+            other = elsewhere[index]
+            found.append(RandomForceFound(name, units.get(name, ""), level, tau, gain, other))
+    found.sort(key=lambda force: -force.gain)
+    return Remains(forces, time, tuple(found))
+
+
+def _without(study: Study, fit: FilteredSolution, kept: np.ndarray) -> FilteredSolution | None:
+    """The fit again with some disturbances only."""
+    noise = fit.noise
+    levels = study.levels(noise, study.train).without_forces(~kept)
+    problem = study.problem_of(fit, levels)
+    return study.solve(problem, problem.point(fit.initial, fit.local), max_iterations=8)
+
+
+def _sensor_time(study: Study, fit: FilteredSolution) -> float | None:
+    """Correlation time of coloured sensors where it is clear."""
+    noise = fit.noise
+    if not noise.has_colour:
+        return None
+    levels = study.setting.levels(
+        study.train,
+        noise.with_levels(noise.sensors, 0 * noise.colour, noise.force),
+        study.unit,
+        np.zeros(len(noise.colour), dtype=bool),
+    )
+    problem = study.problem_of(fit, levels)
+    again = study.solve(problem, problem.point(fit.initial, fit.local), max_iterations=8)
+    gain = np.inf if again is None else again.objective - fit.objective
+    if gain < REMAINDER_LIMIT:
+        return None
+    loudest = int(np.argmax(noise.colour / noise.white))
+    return float(noise.colour_time[loudest])
+
+
+def _levels_elsewhere(study: Study, fit: FilteredSolution) -> np.ndarray:
+    """Levels of the disturbances on the validation records, parameters as they are."""
+    if study.validation is None:
+        return np.full(len(fit.noise.force), np.nan)
+    found = study.on_records(fit, study.validation)
+    return np.full(len(fit.noise.force), np.nan) if found is None else found.noise.force

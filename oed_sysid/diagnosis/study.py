@@ -1,0 +1,409 @@
+r"""What stays the same while models are compared: records, candidates, noise, one compiled filter.
+
+Every model on the way is a nominal model and some of the candidate effects, fitted by the
+likelihood of :mod:`oed_sysid.fitting.filtered` with a random force in every equation: a model
+that lacks an effect then admits what it cannot explain, instead of bending its parameters to it.
+One compiled filter of all candidates serves every such model.
+
+On validation records a model is judged by how likely it makes them, given what the training
+records say of its parameters, with start states and noise levels estimated there:
+
+.. math::
+    -2 \log p(y_v | y_t) \approx \min_{\theta, x_0, \eta}
+    \left[ -2 \log L_v + (\theta - \hat\theta)' \Lambda (\theta - \hat\theta) \right]
+    + \log \det(I + \Lambda^{-1} H_v)
+
+with the information :math:`\Lambda` of the training and :math:`H_v` of the validation records
+(Laplace's approximation; Kass & Raftery 1995, *Bayes factors*, J. Am. Stat. Assoc. 90).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.effects import Effect
+from oed_sysid.errors import DataError, ModelError, SimulationError
+from oed_sysid.estimators.multiple_shooting import MultipleShooting
+from oed_sysid.fitting.filtered import Filtered, Knowledge, disturbed_model
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.fitting.gauss_newton import FilteredSolution, solve_filtered
+from oed_sysid.fitting.noise_levels import credible_levels, given_levels
+from oed_sysid.fitting.random_forces import (
+    ScoreTest,
+    Setting,
+    Start,
+    fit_disturbed,
+    score_test,
+    with_colour,
+    with_own_times,
+)
+from oed_sysid.fitting.shooting import Point, Shooting
+from oed_sysid.fitting.summary import eliminate, summarise_filtered
+from oed_sysid.model import Model
+from oed_sysid.noise.disturbances import chosen_places
+from oed_sysid.noise.levels import Levels
+from oed_sysid.noise.model import NoiseModel
+
+# Below this share of a typical magnitude's inverse square, training records say nothing.
+VAGUE = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Records, candidates and the noise setting of one comparison of models.
+
+    Attributes
+    ----------
+    base : Model
+        The nominal model.
+    candidates : tuple of Effect
+        What may be missing, absent.
+    skipped : tuple of str
+        Candidates that do not fit the nominal model.
+    train : Dataset
+    validation : Dataset or None
+    setting : Setting
+    unit : NoiseModel
+        Natural size of every level.
+    kernel : FilterKernel
+        Of the nominal model with all candidates and all disturbances.
+    estimated : ndarray of bool (n_outputs,)
+        Outputs whose noise nobody declared.
+    plain : Fit or None
+        The nominal model fitted as if its residuals were sensor noise; None where that fails.
+    """
+
+    base: Model
+    candidates: tuple[Effect, ...]
+    skipped: tuple[str, ...]
+    train: Dataset
+    validation: Dataset | None
+    setting: Setting
+    unit: NoiseModel
+    kernel: FilterKernel
+    estimated: np.ndarray
+    plain: Fit | None = None
+
+    @classmethod
+    def begin(
+        cls,
+        model: Model,
+        train: Dataset,
+        validation: Dataset | None,
+        candidates: Sequence[Effect],
+        *,
+        known_noise: bool,
+    ) -> tuple[Study, FilteredSolution]:
+        """Join model and candidates, and fit the nominal model.
+
+        Parameters
+        ----------
+        model : Model
+        train, validation : Dataset
+        candidates : sequence of Effect
+        known_noise : bool
+            Whether declared levels are right and sensors have no other noise.
+        """
+        levels = given_levels(model.outputs)
+        if known_noise and not np.all(np.isfinite(levels)):
+            unknown = [o.name for o in model.outputs if o.noise_std is None]
+            raise DataError(
+                f"The noise of {', '.join(unknown)} is not declared, so it cannot be taken as "
+                "known. Set noise_std on these outputs, or let the noise be estimated."
+            )
+        floor, _ = credible_levels(train)
+        white = np.where(np.isfinite(levels), levels, floor)
+        try:
+            places = chosen_places(model, "all")
+        except ModelError as error:
+            raise ModelError(
+                f"Model {model.name!r} has no equation with a parameter in which physics could be "
+                "missing."
+            ) from error
+        free = np.full(len(white), not known_noise)
+        setting = Setting.of(train, places, white, free, colour=not known_noise)
+        effects, skipped = fitting_candidates(model, candidates)
+        wide = disturbed_model(model + effects, setting.disturbances)
+        kernel = filter_kernel(wide, selectable=True)
+        found = MultipleShooting(max_iterations=40, coloured="never", disturbances="none")
+        plain = found.fit(model, train)
+        starts = [_nominal_start(model, train, white)]
+        if np.isfinite(plain.cost):
+            starts.append(Start(plain.model.values, plain.initial_states, plain.local_values))
+        test = _best_test(model, train, setting, starts)
+        study = cls(
+            base=model,
+            candidates=effects,
+            skipped=skipped,
+            train=train,
+            validation=validation,
+            setting=setting,
+            unit=test.unit,
+            kernel=kernel,
+            estimated=~np.isfinite(levels),
+            plain=plain if np.isfinite(plain.cost) else None,
+        )
+        best = fit_disturbed(model, train, setting, starts, test, kernel=kernel, polish=0)
+        if best is None:
+            raise SimulationError(
+                f"Model {model.name!r} diverges on the training records from every start that was "
+                "tried. Check signs and units of its values, or bound its parameters."
+            )
+        return study, best
+
+    def with_candidates(self, effects: Sequence[Effect]) -> Study:
+        """The same study with more candidates, compiled anew."""
+        joined, skipped = fitting_candidates(self.base, (*self.candidates, *effects))
+        wide = disturbed_model(self.base + joined, self.setting.disturbances)
+        kernel = filter_kernel(wide, selectable=True)
+        return replace(self, candidates=joined, skipped=skipped, kernel=kernel)
+
+    # -- fits ------------------------------------------------------------------------
+
+    def problem(
+        self,
+        effects: Sequence[Effect],
+        values: Mapping[str, float],
+        levels: Levels,
+        dataset: Dataset,
+        knowledge: Knowledge | None = None,
+    ) -> Filtered:
+        """Likelihood of the nominal model with some effects."""
+        order = {effect.name: i for i, effect in enumerate(self.candidates)}
+        # In the order of the filter's full state.
+        model = self.base + sorted(effects, key=lambda e: order.get(e.name, len(order)))
+        known = set(model.parameter_names)
+        model = model.with_values({k: v for k, v in values.items() if k in known})
+        return Filtered(model, dataset, levels, kernel=self.kernel, knowledge=knowledge)
+
+    def problem_of(self, found: FilteredSolution, levels: Levels) -> Filtered:
+        """The same model on the training records with other unknown levels."""
+        return self.problem(self.effects_of(found), found.values, levels, self.train)
+
+    def effects_of(self, found: FilteredSolution) -> tuple[Effect, ...]:
+        """Effects that a fit has beside those of the nominal model."""
+        return found.problem.model.effects[len(self.base.effects) :]
+
+    def solve(
+        self, problem: Filtered, point: Point, *, max_iterations: int
+    ) -> FilteredSolution | None:
+        """Estimate at frozen gain."""
+        return solve_filtered(
+            problem, point, max_iterations=max_iterations, tolerance=0.01, polish=0
+        )
+
+    def levels(self, noise: NoiseModel, dataset: Dataset) -> Levels:
+        """All levels unknown, begun at a noise model."""
+        own = len(set(noise.force_time[noise.force > 0])) > 1
+        return self.setting.levels(dataset, noise, self.unit, noise.colour > 0, own_times=own)
+
+    def estimate(
+        self,
+        effects: Sequence[Effect],
+        values: Mapping[str, float],
+        start: FilteredSolution,
+        *,
+        update_noise: bool = True,
+        noise: NoiseModel | None = None,
+        max_iterations: int = 12,
+        tolerance: float = 0.01,
+    ) -> FilteredSolution | None:
+        """Estimate the nominal model with some effects on the training records.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+        values : mapping
+            Start values of parameters.
+        start : FilteredSolution
+            Gives start states, values of each record, and the noise to begin with.
+        update_noise : bool
+            Whether levels and times are estimated too.
+        noise : NoiseModel, optional
+            In place of the start's.
+        max_iterations, tolerance
+            See :func:`~oed_sysid.fitting.gauss_newton.solve_filtered`.
+
+        Returns
+        -------
+        FilteredSolution or None
+            None where the filter leaves the numbers at the start.
+        """
+        noise = start.noise if noise is None else noise
+        levels = self.levels(noise, self.train)
+        problem = self.problem(
+            effects, values, levels if update_noise else levels.held(), self.train
+        )
+        point = problem.point(start.initial, start.local)
+        return solve_filtered(
+            problem, point, max_iterations=max_iterations, tolerance=tolerance, polish=0
+        )
+
+    def settle(self, found: FilteredSolution) -> FilteredSolution:
+        """Estimate once more, colours of sensors and own times of disturbances admitted."""
+        again = solve_filtered(found.problem, found.point, max_iterations=25, polish=0)
+        again = found if again is None or again.objective > found.objective else again
+        return with_own_times(with_colour(again, self.setting), self.setting)
+
+    def loosened(self, noise: NoiseModel) -> NoiseModel:
+        """Noise levels from which a vanished disturbance can come back."""
+        return replace(noise, force=np.maximum(noise.force, 0.5 * self.unit.force))
+
+    def result(self, found: FilteredSolution, label: str) -> Fit:
+        """The fit of a model that was found, with errors of the filter as it is."""
+        polished = solve_filtered(found.problem, found.point, max_iterations=2, polish=2)
+        found = polished if polished is not None else found
+        fit = summarise_filtered(found, self.estimated, label, found.iterations, _now())
+        return replace(fit, seconds=0.0)
+
+    # -- validation ------------------------------------------------------------------
+
+    def validate(self, found: FilteredSolution, dataset: Dataset | None = None) -> float:
+        """Minus twice the log-likelihood of validation records, the training records known.
+
+        Returns
+        -------
+        float
+            Up to a constant that all models share; infinite where the model cannot be run.
+        """
+        dataset = self.validation if dataset is None else dataset
+        assert dataset is not None
+        layout, limits = found.problem.layout, found.problem.limits
+        shared = np.arange(len(layout.shared))
+        rest = np.arange(len(shared), layout.n_unknowns)
+        matrix = found.matrix + np.diag(limits.prior_weight)
+        known = eliminate(matrix, shared, rest) + np.diag(VAGUE / limits.scale[shared] ** 2)
+        knowledge = Knowledge(found.point.unknowns[shared].copy(), known)
+        noise = found.noise
+        problem = self.problem(
+            self.effects_of(found),
+            found.values,
+            self.levels(self.loosened(noise), dataset),
+            dataset,
+            knowledge,
+        )
+        start = _nominal_start(problem.model, dataset, noise.sensors)
+        point = problem.point(start.initial, start.local)
+        solution = solve_filtered(problem, point, max_iterations=20, tolerance=0.01, polish=0)
+        if solution is None:
+            return np.inf
+        total = solution.matrix + np.diag(problem.limits.prior_weight)
+        n = problem.layout.n_unknowns
+        both = eliminate(total, shared, np.arange(len(shared), n))
+        sign, value = np.linalg.slogdet(_scaled(both, limits.scale[shared]))
+        own_sign, own = np.linalg.slogdet(_scaled(known, limits.scale[shared]))
+        occam = value - own if sign > 0 and own_sign > 0 else 0.0
+        return float(solution.objective + max(occam, 0.0))
+
+    def on_records(self, found: FilteredSolution, dataset: Dataset) -> FilteredSolution | None:
+        """A fit on other records: parameters held, start states and noise levels estimated."""
+        problem = self.problem(
+            self.effects_of(found),
+            found.values,
+            self.levels(self.loosened(found.noise), dataset),
+            dataset,
+        )
+        start = _nominal_start(problem.model, dataset, found.noise.sensors)
+        shared = np.arange(len(problem.layout.shared))
+        point = problem.point(start.initial, start.local)
+        held = problem.holding(shared, point.unknowns[shared])
+        return solve_filtered(held, point, max_iterations=15, tolerance=0.01, polish=0)
+
+    def rms(self, found: FilteredSolution, dataset: Dataset) -> np.ndarray:
+        """Errors of the model on its own, ``(n_outputs,)``, as `compare` finds them.
+
+        Shared parameters are held, start states estimated on each record under the fit's
+        noise model; infinite where the model leaves the numbers.
+        """
+        levels = self.levels(found.noise, dataset).held()
+        problem = self.problem(self.effects_of(found), found.values, levels, dataset)
+        start = _nominal_start(problem.model, dataset, found.noise.sensors)
+        shared = np.arange(len(problem.layout.shared))
+        point = problem.point(start.initial, start.local)
+        held = problem.holding(shared, point.unknowns[shared])
+        solution = solve_filtered(held, point, polish=0)
+        unknowns = (solution.point if solution is not None else point).unknowns
+        squares = np.zeros(len(self.base.outputs))
+        count = np.zeros(len(squares))
+        for index, record in enumerate(dataset):
+            outputs, _, ok = problem.kernel.simulate(
+                record.times,
+                record.inputs,
+                problem.values(unknowns, index),
+                problem.initial_state(unknowns, index),
+            )
+            residual = record.outputs - outputs
+            seen = np.isfinite(record.outputs)
+            count += seen.sum(axis=0)
+            with np.errstate(over="ignore", invalid="ignore"):
+                squares += (np.where(seen, residual, 0.0) ** 2).sum(axis=0)
+            if not ok:
+                squares += np.where(seen.any(axis=0), np.inf, 0.0)
+        with np.errstate(invalid="ignore"):
+            return np.where(count > 0, np.sqrt(squares / np.maximum(count, 1)), np.nan)
+
+
+def fitting_candidates(
+    base: Model, candidates: Sequence[Effect]
+) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
+    """Candidates that a model can take, absent, and the names of those that it cannot.
+
+    A candidate that acts on signals the model does not have, or that it already holds, is left
+    out.
+    """
+    absent = tuple(effect.absent() for effect in candidates)
+    try:
+        base + absent
+    except ModelError:
+        joined, kept, skipped = base, [], []
+        for effect in absent:
+            try:
+                joined = joined + effect
+            except ModelError:
+                skipped.append(effect.name)
+            else:
+                kept.append(effect)
+        return tuple(kept), tuple(skipped)
+    return absent, ()
+
+
+def _nominal_start(model: Model, dataset: Dataset, white: np.ndarray) -> Start:
+    """A model's own values, and start states from measurements and kinematics."""
+    shooting = Shooting(model, dataset, white)
+    unknowns = shooting.start_unknowns()
+    own = [shooting.initial_state(unknowns, index).copy() for index in range(len(dataset))]
+    local = [{p.name: p.value for p in model.free_parameters if p.per_record} for _ in own]
+    return Start(model.values, own, local)
+
+
+def _best_test(
+    model: Model, train: Dataset, setting: Setting, starts: Sequence[Start]
+) -> ScoreTest:
+    """Levels to begin with: from the start that explains the records better."""
+    tests = []
+    problem: SimulationError | None = None
+    for start in starts:
+        at = model.with_values(dict(start.values))
+        try:
+            tests.append(score_test(at, train, setting, start.initial, start.local))
+        except SimulationError as error:
+            problem = error
+    if not tests:
+        assert problem is not None
+        raise problem
+    return min(tests, key=lambda test: test.gain)
+
+
+def _scaled(matrix: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    return matrix * scale[:, None] * scale
+
+
+def _now() -> float:
+    import time
+
+    return time.perf_counter()

@@ -1,0 +1,461 @@
+r"""Maximum likelihood with random forces: the problem that the iterates evaluate.
+
+.. math::
+    -2 \log L(p, x_0, \eta) = \sum_k \frac{e_k^2}{S_k} + \log S_k + \text{priors}
+
+with innovations ``e`` and variances ``S`` of an extended Kalman filter, one scalar measurement
+at a time (:mod:`oed_sysid.compiled.filtering`). Unknown together are parameters ``p``, start
+states and parameters of each record, and levels and times ``eta`` of the noise. Two gradients
+serve: along the filtered path at frozen gain, cheap and nearly exact for ``p``; and that of the
+filter as it is, by differences of whole filters, for the last steps and for the errors.
+
+The covariance of start states is zero, and columns carry them instead: what is known of them
+enters as a prior.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oed_sysid.batch.threads import both_cores
+from oed_sysid.compiled.filtering import FilterKernel, FilterPass, filter_kernel
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.effects import Effect
+from oed_sysid.fitting.shooting import Point
+from oed_sysid.fitting.unknowns import Layout, Limits
+from oed_sysid.model import Model
+from oed_sysid.noise.disturbances import Place, disturbance
+from oed_sysid.noise.levels import Levels
+from oed_sysid.noise.model import NoiseModel
+
+# Step of differences of whole filters, in standard deviations of the unknown.
+DIFFERENCE = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """What other records say about the shared parameters.
+
+    Attributes
+    ----------
+    mean : ndarray (n_shared,)
+    information : ndarray (n_shared, n_shared)
+    """
+
+    mean: np.ndarray
+    information: np.ndarray
+
+
+class Filtered:
+    """Likelihood of one model, data set and noise model.
+
+    Parameters
+    ----------
+    model : Model
+        Free parameters are unknown; its values are the start values.
+    dataset : Dataset
+    levels : Levels
+        What of the noise is unknown, and all of its values.
+    kernel : FilterKernel, optional
+        Of a larger model that holds this one; by default of the model with its disturbances.
+    start_std : ndarray (n_records, n_own), optional
+        How well the start states given are known; infinite where not at all, zero where exactly.
+    start_mean : ndarray (n_records, n_own), optional
+        What is known of them.
+    knowledge : Knowledge, optional
+        Joint normal prior of the shared parameters, as another fit left it.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        dataset: Dataset,
+        levels: Levels,
+        *,
+        kernel: FilterKernel | None = None,
+        start_mean: np.ndarray | None = None,
+        start_std: np.ndarray | None = None,
+        knowledge: Knowledge | None = None,
+    ) -> None:
+        self.model, self.dataset, self.levels = model, dataset, levels
+        self.knowledge = knowledge
+        self.records: tuple[Record, ...] = tuple(dataset)
+        self.kernel = kernel or filter_kernel(disturbed_model(model, levels.disturbances))
+        self.layout = Layout.of(model, len(self.records), len(levels))
+        self.limits = _limits(model, self.layout, levels, start_mean, start_std)
+        if knowledge is not None:  # what other records say already holds these priors
+            self.limits.prior_weight[: len(self.layout.shared)] = 0.0
+        wide = self.kernel.model
+        positions = {name: i for i, name in enumerate(wide.parameter_names)}
+        self._base = wide.value_vector
+        for name, value in model.values.items():
+            self._base[positions[name]] = value
+        self._free = np.array([positions[name] for name in model.free_names], dtype=int)
+        self.active = active_components(wide, model)
+        self._columns = tuple(self.layout.record_columns(i) for i in range(len(self.records)))
+
+    # -- points --------------------------------------------------------------------
+
+    def values(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """Values of all parameters of the kernel's model for one record."""
+        values = self._base.copy()
+        values[self._free] = unknowns[self._columns[record][self.layout.n_own :]]
+        return values
+
+    def initial_state(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """The model's own initial states of one record, shape ``(n_own,)``."""
+        return unknowns[self._columns[record][: self.layout.n_own]]
+
+    def noise(self, unknowns: np.ndarray) -> NoiseModel:
+        """Noise model at a point."""
+        return self.levels.at(unknowns[self.layout.levels])
+
+    def point(
+        self,
+        initial: Sequence[np.ndarray],
+        local: Sequence[Mapping[str, float]] | None = None,
+        noise: NoiseModel | None = None,
+    ) -> Point:
+        """Point at the model's values.
+
+        Parameters
+        ----------
+        initial : sequence of ndarray (n_own,)
+            Start states, per record.
+        local : sequence of mapping, optional
+            Values of per-record parameters.
+        noise : NoiseModel, optional
+            By default the one the levels begin with.
+        """
+        unknowns = np.zeros(self.layout.n_unknowns)
+        values = self.model.values
+        for index, columns in enumerate(self._columns):
+            own = values | dict(local[index] if local else {})
+            unknowns[columns] = [*initial[index], *(own[n] for n in self.layout.free_names)]
+        unknowns[self.layout.levels] = self.levels.vector(noise)
+        return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), ())
+
+    def move(
+        self,
+        point: Point,
+        maps: Sequence[np.ndarray],
+        offsets: Sequence[np.ndarray],
+        step: np.ndarray,
+        length: float,
+    ) -> Point:
+        """Return the point after a step; there are no nodes to move."""
+        unknowns = point.unknowns + length * step
+        return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), ())
+
+    def prior_cost(self, unknowns: np.ndarray) -> float:
+        """Half the weighted sum of squares of the departures from the priors."""
+        cost = 0.5 * float(self.limits.prior_weight @ (unknowns - self.limits.prior_mean) ** 2)
+        if self.knowledge is not None:
+            away = unknowns[: len(self.layout.shared)] - self.knowledge.mean
+            cost += 0.5 * float(away @ self.knowledge.information @ away)
+        return cost
+
+    def _add_knowledge(self, unknowns: np.ndarray, matrix: np.ndarray, right: np.ndarray) -> None:
+        if self.knowledge is not None:
+            n = len(self.layout.shared)
+            matrix[:n, :n] += self.knowledge.information
+            right[:n] += self.knowledge.information @ (self.knowledge.mean - unknowns[:n])
+
+    def holding(self, positions: np.ndarray, values: np.ndarray) -> Filtered:
+        """Return the same problem with some unknowns held at given values."""
+        lower, upper = self.limits.lower.copy(), self.limits.upper.copy()
+        lower[positions] = upper[positions] = values
+        other = copy.copy(self)
+        other.limits = replace(self.limits, lower=lower, upper=upper)
+        return other
+
+    @property
+    def state_scale(self) -> np.ndarray:
+        """Typical magnitudes of the own states."""
+        return np.array([state.scale for state in self.model.states])
+
+    # -- evaluation ----------------------------------------------------------------
+
+    def passes(
+        self,
+        unknowns: np.ndarray,
+        *,
+        columns: bool = True,
+        rows: bool = False,
+        names: Sequence[str] | None = None,
+        measured: Sequence[np.ndarray] | None = None,
+    ) -> list[FilterPass]:
+        """Filter every record.
+
+        Parameters
+        ----------
+        unknowns : ndarray (n_unknowns,)
+        columns : bool
+            Whether derivatives are wanted.
+        rows : bool
+            Whether these of every innovation.
+        names : sequence of str, optional
+            Columns of parameters; by default all free ones.
+        measured : sequence of ndarray, optional
+            Measurements in place of those of the records.
+        """
+        noise = self.levels.disturbed(self.noise(unknowns))
+        if not columns:
+            names = ()
+        elif names is None:
+            names = self.layout.free_names
+
+        def one(index: int) -> FilterPass:
+            record = self.records[index]
+            return self.kernel.filter(
+                record.times,
+                record.inputs,
+                self.values(unknowns, index),
+                self.initial_state(unknowns, index),
+                record.outputs if measured is None else measured[index],
+                noise,
+                names=names,
+                own_columns=columns,
+                active=self.active,
+                levels=self.levels.entries if columns else (),
+                rows=rows,
+            )
+
+        return both_cores(one, range(len(self.records)))
+
+    def objective(self, unknowns: np.ndarray) -> float:
+        """Minus twice the log-likelihood with priors, up to a constant."""
+        found = self.passes(unknowns, columns=False)
+        return 2.0 * self.prior_cost(unknowns) + sum(part.objective for part in found)
+
+    def gathered(
+        self, unknowns: np.ndarray, found: Sequence[FilterPass]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix and right-hand side from passes with columns, priors excluded."""
+        n, levels = self.layout.n_unknowns, self.layout.levels
+        matrix, right = np.zeros((n, n)), np.zeros(n)
+        scale = self.levels.scale
+        tail = np.arange(levels.start, levels.stop)
+        for columns, part in zip(self._columns, found, strict=True):
+            where = np.concatenate([columns, tail])
+            size = np.concatenate([np.ones(len(columns)), scale])
+            matrix[np.ix_(where, where)] += part.gram[:-1, :-1] * size[:, None] * size
+            right[where] -= part.gram[:-1, -1] * size
+            matrix[levels, levels] += part.level_information * scale[:, None] * scale
+            right[levels] -= part.level_slope * scale
+        self._add_knowledge(unknowns, matrix, right)
+        return matrix, right
+
+    def differentiated(
+        self, unknowns: np.ndarray, std: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix and right-hand side of the filter as it is, by differences of whole filters.
+
+        Parameters
+        ----------
+        unknowns : ndarray (n_unknowns,)
+        std : ndarray (n_unknowns,)
+            Sizes of the differences, in hundreds.
+        """
+        n, layout = self.layout.n_unknowns, self.layout
+        base = self.passes(unknowns, rows=True)
+        n_own, n_levels = layout.n_own, len(self.levels)
+        width = n_own + len(layout.free_names)
+        tail = np.arange(layout.levels.start, layout.levels.stop)
+        matrix, right = np.zeros((n, n)), np.zeros(n)
+        moved = self._moved(unknowns, std)
+        for index, (columns, part) in enumerate(zip(self._columns, base, strict=True)):
+            where = np.concatenate([columns, tail])
+            seen = np.isfinite(part.innovations)
+            root = np.sqrt(part.variances[seen])
+            white = part.innovations[seen] / root
+            assert part.rows is not None
+            rows = part.rows[seen]
+            size = np.concatenate([np.ones(width), self.levels.scale])
+            slope = rows[:, : width + n_levels] * size
+            spread = np.zeros_like(slope)
+            spread[:, width:] = rows[:, width + n_levels :] * self.levels.scale
+            for position, column in enumerate(columns[n_own:], start=n_own):
+                other, length = moved[column][index], DIFFERENCE * std[column]
+                slope[:, position] = (other.innovations[seen] - part.innovations[seen]) / (
+                    root * length
+                )
+                spread[:, position] = np.log(other.variances[seen] / part.variances[seen]) / length
+            matrix[np.ix_(where, where)] += slope.T @ slope + 0.5 * spread.T @ spread
+            right[where] -= slope.T @ white + 0.5 * spread.T @ (1.0 - white**2)
+        self._add_knowledge(unknowns, matrix, right)
+        return matrix, right
+
+    def _moved(self, unknowns: np.ndarray, std: np.ndarray) -> dict[int, dict[int, FilterPass]]:
+        """Passes with each parameter moved, by unknown and record."""
+        noise = self.levels.disturbed(self.noise(unknowns))
+        jobs = [
+            (int(column), index)
+            for index, columns in enumerate(self._columns)
+            for column in columns[self.layout.n_own :]
+        ]
+
+        def one(job: tuple[int, int]) -> FilterPass:
+            column, index = job
+            shifted = unknowns.copy()
+            shifted[column] += DIFFERENCE * std[column]
+            record = self.records[index]
+            return self.kernel.filter(
+                record.times,
+                record.inputs,
+                self.values(shifted, index),
+                self.initial_state(shifted, index),
+                record.outputs,
+                noise,
+                own_columns=False,
+                active=self.active,
+            )
+
+        found: dict[int, dict[int, FilterPass]] = {}
+        for (column, index), part in zip(jobs, both_cores(one, jobs), strict=True):
+            found.setdefault(column, {})[index] = part
+        return found
+
+
+def disturbed_model(model: Model, disturbances: Sequence[str]) -> Model:
+    """The model with disturbances as its last free parameters, all else as it is."""
+    effects: list[Effect] = []
+    for name in disturbances:
+        stage, _, signal = name.removeprefix("disturbance_").partition("_")
+        effects.append(disturbance(Place(stage, signal)))
+    return model + effects
+
+
+def active_components(wide: Model, model: Model) -> np.ndarray | None:
+    """Components of the wide model's full state that a smaller model has; None for all."""
+    if set(wide.effect_names) - set(model.effect_names) <= {
+        e.name for e in wide.effects if not (e.states or e.memory)
+    }:
+        return None
+    own = set(model.effect_names)
+    kept, position = list(range(len(wide.states))), len(wide.states)
+
+    def extend(parts: Sequence[tuple[str, int]]) -> None:
+        nonlocal position
+        for name, count in parts:
+            if name in own:
+                kept.extend(range(position, position + count))
+            position += count
+
+    extend([(e.name, len(e.states)) for e in wide.effects])
+    for stage in ("actuator", "sensor"):
+        extend([(e.name, len(e.memory)) for e in wide.effects if e.stage == stage])
+    return np.array(kept, dtype=int)
+
+
+def _limits(
+    model: Model,
+    layout: Layout,
+    levels: Levels,
+    start_mean: np.ndarray | None,
+    start_std: np.ndarray | None,
+) -> Limits:
+    limits = Limits.of(model, layout)
+    for name in ("lower", "upper", "prior_mean", "prior_weight"):
+        getattr(limits, name)[layout.levels] = getattr(levels, name)
+    if start_mean is not None and start_std is not None:
+        for index in range(layout.n_records):
+            columns = layout.record_columns(index)[: layout.n_own]
+            mean, std = start_mean[index], start_std[index]
+            exact, known = std == 0.0, np.isfinite(std) & (std > 0)
+            limits.lower[columns[exact]] = limits.upper[columns[exact]] = mean[exact]
+            limits.prior_mean[columns[known]] = mean[known]
+            limits.prior_weight[columns[known]] = std[known] ** -2.0
+    return limits
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """A point with gradients along the filtered path at frozen gain; an iterate.
+
+    A rise of the cost within ``slack`` near the end is the frozen gain's, not a wrong step.
+    """
+
+    problem: Filtered
+    point: Point
+    cost: float
+    matrix: np.ndarray
+    right: np.ndarray
+    defect: float = 0.0
+    maps: tuple[np.ndarray, ...] = ()
+    offsets: tuple[np.ndarray, ...] = ()
+
+    @classmethod
+    def at(cls, problem: Filtered, point: Point) -> Whitened | None:
+        """Evaluate a point; None where the filter leaves the numbers."""
+        found = problem.passes(point.unknowns)
+        objective = sum(part.objective for part in found)
+        if not np.isfinite(objective):
+            return None
+        matrix, right = problem.gathered(point.unknowns, found)
+        if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+            return None
+        cost = 0.5 * objective + problem.prior_cost(point.unknowns)
+        return cls(problem, point, cost, matrix, right)
+
+    def equations(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton matrix and right-hand side, priors excluded."""
+        return self.matrix, self.right
+
+    def predicted(self, step: np.ndarray) -> float:
+        """Cost of the quadratic model after a step."""
+        return _predicted(self.problem, self.point, self.cost, self.matrix, self.right, step)
+
+
+class Differentiated:
+    """A point with the gradient of the filter as it is; derivatives only when asked for."""
+
+    defect = 0.0
+    maps: tuple[np.ndarray, ...] = ()
+    offsets: tuple[np.ndarray, ...] = ()
+
+    def __init__(self, problem: Filtered, point: Point, cost: float) -> None:
+        self.problem, self.point, self.cost = problem, point, cost
+        self._equations: tuple[np.ndarray, np.ndarray] | None = None
+
+    @classmethod
+    def at(cls, problem: Filtered, point: Point) -> Differentiated | None:
+        """Evaluate a point; None where the filter leaves the numbers."""
+        objective = problem.objective(point.unknowns)
+        return cls(problem, point, 0.5 * objective) if np.isfinite(objective) else None
+
+    def equations(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton matrix and right-hand side, priors excluded."""
+        if self._equations is None:
+            unknowns = self.point.unknowns
+            frozen, _ = self.problem.gathered(unknowns, self.problem.passes(unknowns))
+            size = np.diag(frozen) + self.problem.limits.prior_weight
+            scale = self.problem.limits.scale
+            std = np.where(size > 0, 1.0 / np.sqrt(np.where(size > 0, size, 1.0)), scale)
+            self._equations = self.problem.differentiated(unknowns, np.minimum(std, scale))
+        return self._equations
+
+    def predicted(self, step: np.ndarray) -> float:
+        """Cost of the quadratic model after a step."""
+        matrix, right = self.equations()
+        return _predicted(self.problem, self.point, self.cost, matrix, right, step)
+
+
+def _predicted(
+    problem: Filtered,
+    point: Point,
+    cost: float,
+    matrix: np.ndarray,
+    right: np.ndarray,
+    step: np.ndarray,
+) -> float:
+    # Joint knowledge is in matrix and right-hand side already, priors of single unknowns are not.
+    change = float(step @ (0.5 * (matrix @ step) - right))
+    limits = problem.limits
+    away = point.unknowns - limits.prior_mean
+    prior = 0.5 * float(limits.prior_weight @ ((away + step) ** 2 - away**2))
+    return cost + change + prior

@@ -1,0 +1,265 @@
+"""From the end of the iterations to a :class:`~oed_sysid.fitting.fit.Fit`."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from oed_sysid.fitting.covariance import ReducedProblem
+from oed_sysid.fitting.fit import Fit, Status
+from oed_sysid.fitting.gauss_newton import FilteredSolution, Solution
+from oed_sysid.fitting.shooting import Shooting, replace_values
+from oed_sysid.information import Information
+from oed_sysid.model import Model
+
+_ADVICE = {
+    "converged": "",
+    "stalled": (
+        "no step lowers the misfit, yet the gradient is not zero. Values are the best found; "
+        "check bounds and not identifiable parameters, or shorten the shooting interval."
+    ),
+    "iterations": "the limit of iterations was reached. Raise max_iterations or start closer.",
+    "interrupted": "stopped by the user. Values are the best so far; fit(..., warm=fit) goes on.",
+    "infeasible": (
+        "no trajectory satisfies the constraints. Loosen them, or start from values that do."
+    ),
+    "diverged": (
+        "the model leaves the numbers from every start that was tried. Check signs and units of "
+        "the start values, reduce model.step, or bound the parameters."
+    ),
+}
+
+
+def summarise(
+    shooting: Shooting,
+    solution: Solution | None,
+    estimated: np.ndarray,
+    estimator: str,
+    iterations: int,
+    began: float,
+    *,
+    coloured: str = "auto",
+) -> Fit:
+    """Build the result of an estimation from its last iterate.
+
+    Parameters
+    ----------
+    shooting : Shooting
+        The problem, at the final noise levels.
+    solution : Solution or None
+        Last iterate; None where no trajectory was finite.
+    estimated : ndarray of bool (n_outputs,)
+        Which noise levels were estimated.
+    estimator : str
+        Name for reports.
+    iterations : int
+        Iterations in all.
+    began : float
+        ``time.perf_counter()`` at the start.
+    coloured : str
+        ``"auto"``, ``"never"`` or ``"always"``.
+    """
+    model, layout = shooting.model, shooting.layout
+    if solution is None:
+        return _failed(shooting, estimated, estimator, iterations, began)
+    unknowns = solution.point.unknowns
+    reduced = ReducedProblem(shooting, solution.linearisation)
+    information = reduced.information
+    covariance = information.covariance
+    use = coloured == "always" or (coloured == "auto" and reduced.is_coloured)
+    if use or shooting.loss is not None:
+        covariance = reduced.sandwich(covariance, coloured=use)
+    predictions, states, residuals, initial, local = [], [], [], [], []
+    for index, record in enumerate(shooting.records):
+        values = shooting.values(unknowns, index)
+        own = shooting.initial_state(unknowns, index)
+        z0, _ = shooting.kernel.start(own, record.inputs[0], values, record.times[0])
+        run = shooting.kernel.run(record.times, record.inputs, values, z0)
+        predictions.append(run.outputs)
+        states.append(run.states)
+        residuals.append(record.outputs - run.outputs)
+        initial.append(own.copy())
+        free = unknowns[layout.record_columns(index)[layout.n_own :]]
+        local.append({layout.free_names[i]: float(free[i]) for i in layout.local})
+    return Fit(
+        model=replace_values(model, shooting, unknowns),
+        dataset=shooting.dataset,
+        estimator=estimator,
+        names=layout.shared_names,
+        estimates=unknowns[: len(layout.shared)].copy(),
+        information=information,
+        covariance=covariance,
+        coloured=use,
+        sigma=shooting.sigma.copy(),
+        sigma_estimated=np.asarray(estimated, dtype=bool),
+        predictions=tuple(predictions),
+        residuals=tuple(residuals),
+        states=tuple(states),
+        initial_states=tuple(initial),
+        local_values=tuple(local),
+        cost=solution.cost,
+        status=Status(solution.reason, _ADVICE[solution.reason]),
+        iterations=iterations,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def summarise_filtered(
+    solution: FilteredSolution,
+    estimated: np.ndarray,
+    estimator: str,
+    iterations: int,
+    began: float,
+) -> Fit:
+    r"""Build the result of an estimation with random forces from its last iterate.
+
+    With the information ``H`` of all unknowns, start states, per-record parameters and
+    levels ``o`` are eliminated from that of the shared parameters ``p``,
+    :math:`H_{pp} - H_{po} H_{oo}^{-1} H_{op}`.
+
+    Parameters
+    ----------
+    solution : FilteredSolution
+    estimated : ndarray of bool (n_outputs,)
+        Which white levels nobody had declared.
+    estimator : str
+        Name for reports.
+    iterations : int
+        Iterations in all.
+    began : float
+        ``time.perf_counter()`` at the start.
+    """
+    problem, unknowns = solution.problem, solution.point.unknowns
+    model, layout = problem.model, problem.layout
+    matrix = solution.matrix + np.diag(problem.limits.prior_weight)
+    shared = np.arange(len(layout.shared))
+    rest = np.arange(len(shared), layout.n_unknowns)
+    reduced = eliminate(matrix, shared, rest)
+    information = Information.from_matrix(
+        layout.shared_names, reduced, problem.limits.scale[shared]
+    )
+    noise = problem.noise(unknowns)
+    measured = [np.isfinite(record.outputs) for record in problem.records]
+    passes = problem.passes(unknowns, columns=False)
+    predictions, states, residuals, initial, local = [], [], [], [], []
+    free = np.array(
+        [
+            unknowns[problem.layout.record_columns(i)[layout.n_own :]]
+            for i in range(len(problem.records))
+        ]
+    )
+    at = model.with_values(_means(model, layout.free_names, free))
+    for index, record in enumerate(problem.records):
+        values = problem.values(unknowns, index)
+        own = problem.initial_state(unknowns, index)
+        outputs, path, _ = problem.kernel.simulate(record.times, record.inputs, values, own)
+        predictions.append(outputs)
+        states.append(path if problem.active is None else path[:, problem.active])
+        residuals.append(record.outputs - outputs)
+        initial.append(own.copy())
+        local.append({layout.free_names[i]: float(free[index][i]) for i in layout.local})
+    return Fit(
+        model=at,
+        dataset=problem.dataset,
+        estimator=estimator,
+        names=layout.shared_names,
+        estimates=unknowns[shared].copy(),
+        information=information,
+        covariance=information.covariance,
+        coloured=False,
+        sigma=noise.white.copy(),
+        sigma_estimated=np.asarray(estimated, dtype=bool),
+        predictions=tuple(predictions),
+        residuals=tuple(residuals),
+        states=tuple(states),
+        initial_states=tuple(initial),
+        local_values=tuple(local),
+        cost=solution.cost,
+        status=Status(solution.reason, _ADVICE[solution.reason]),
+        iterations=iterations,
+        seconds=time.perf_counter() - began,
+        noise=noise,
+        noise_std=_level_errors(solution, matrix),
+        innovations=tuple(part.innovations for part in passes),
+        innovation_std=tuple(
+            np.where(seen, np.sqrt(np.maximum(part.variances, 1e-300)), 1.0)
+            for part, seen in zip(passes, measured, strict=True)
+        ),
+    )
+
+
+def eliminate(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Information of some unknowns once all others are estimated too."""
+    if not len(others):
+        return matrix[np.ix_(kept, kept)]
+    inner = matrix[np.ix_(others, others)]
+    size = np.sqrt(np.maximum(np.diag(inner), 0.0))
+    seen = size > 0
+    scaled = inner[np.ix_(seen, seen)] / size[seen][:, None] / size[seen]
+    values, vectors = np.linalg.eigh(scaled)
+    clear = values > 1e-12 * values.max(initial=0.0)
+    cross = matrix[np.ix_(kept, others[seen])] / size[seen]
+    root = cross @ (vectors[:, clear] / np.sqrt(values[clear]))
+    return matrix[np.ix_(kept, kept)] - root @ root.T
+
+
+def _means(model: Model, names: tuple[str, ...], free: np.ndarray) -> dict[str, float]:
+    """Values of the free parameters; those of each record take their mean, within bounds."""
+    lower = [p.lower for p in model.free_parameters]
+    upper = [p.upper for p in model.free_parameters]
+    means = np.clip(free.mean(axis=0), lower, upper) if len(names) else []
+    return dict(zip(names, map(float, means), strict=True))
+
+
+def _level_errors(solution: FilteredSolution, matrix: np.ndarray) -> dict[str, float]:
+    """Standard errors of levels, relative, and of the logarithms of times."""
+    problem, unknowns = solution.problem, solution.point.unknowns
+    levels, block = problem.levels, problem.layout.levels
+    if not len(levels):
+        return {}
+    where = np.arange(block.start, block.stop)
+    others = np.arange(block.start)
+    reduced = eliminate(matrix, where, others)
+    open_ = np.diag(reduced) > 0
+    errors = np.full(len(where), np.inf)
+    errors[open_] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(reduced[np.ix_(open_, open_)])), 0.0))
+    found = {}
+    for (kind, index), value, error in zip(levels.entries, unknowns[block], errors, strict=True):
+        name = levels.name_of(kind, index)
+        if name.endswith("level"):
+            # Of a variance: twice the relative error of its root.
+            found[name] = float(0.5 * error / value) if value > 0 else np.inf
+        else:
+            found[name] = float(error)
+    return found
+
+
+def _failed(
+    shooting: Shooting, estimated: np.ndarray, estimator: str, iterations: int, began: float
+) -> Fit:
+    names = shooting.layout.shared_names
+    n = len(names)
+    shapes = [record.outputs.shape for record in shooting.records]
+    unknown = tuple(np.full(shape, np.nan) for shape in shapes)
+    return Fit(
+        model=shooting.model,
+        dataset=shooting.dataset,
+        estimator=estimator,
+        names=names,
+        estimates=np.array([shooting.model.values[name] for name in names]),
+        information=Information(names, np.zeros((n, n)), np.ones(n)),
+        covariance=np.diag(np.full(n, np.inf)) if n else np.zeros((0, 0)),
+        coloured=False,
+        sigma=shooting.sigma.copy(),
+        sigma_estimated=np.asarray(estimated, dtype=bool),
+        predictions=unknown,
+        residuals=unknown,
+        states=tuple(np.full((shape[0], shooting.kernel.n_full), np.nan) for shape in shapes),
+        initial_states=tuple(np.full(shooting.layout.n_own, np.nan) for _ in shapes),
+        local_values=tuple({} for _ in shapes),
+        cost=np.inf,
+        status=Status("diverged", _ADVICE["diverged"]),
+        iterations=iterations,
+        seconds=time.perf_counter() - began,
+    )
