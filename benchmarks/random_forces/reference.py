@@ -1,18 +1,18 @@
-"""The reference: full maximum likelihood of an extended Kalman filter, started at the truth.
+r"""The reference: full maximum likelihood of an extended Kalman filter, started at the truth.
 
 .. math::
 
-    -2 \\log L(p, x_0, \\sigma, \\tau) = \\sum_k \\log S_k + e_k^2 / S_k
+    -2 \log L(p, x_0, \sigma, \tau) = \sum_k \log S_k + e_k^2 / S_k
 
 with innovations :math:`e_k` and their variances :math:`S_k` from ``filter.c``.
 Every unknown moves at once: parameters, start states, logarithms of levels and
 times. Their derivatives are differences of whole filters, so nothing is frozen;
-with :math:`q = \\partial \\log S` the gradient and the expected information are
+with :math:`q = \partial \log S` the gradient and the expected information are
 
 .. math::
 
-    g = \\sum_k \\tfrac12 q (1 - e^2/S) + \\frac{e\\, \\partial e}{S}, \\qquad
-    I = \\sum_k \\tfrac12 q q' + \\frac{\\partial e\\, \\partial e'}{S}
+    g = \sum_k \tfrac12 q (1 - e^2/S) + \frac{e\, \partial e}{S}, \qquad
+    I = \sum_k \tfrac12 q q' + \frac{\partial e\, \partial e'}{S}
 
 and Fisher's scoring, damped after Levenberg and Marquardt, finds the maximum.
 It knows which kinds of noise act (see :func:`structure`), not how large they
@@ -233,9 +233,7 @@ class _Problem:
             columns = self.columns(i)
             here = unknowns[columns]
             moved = np.vstack([here, here + np.diag(self.step)])
-            e, variance = innovations(
-                self.vehicle, run, self.vectors(moved), self.noise.coloured
-            )
+            e, variance = innovations(self.vehicle, run, self.vectors(moved), self.noise.coloured)
             e, variance = e.reshape(len(e), -1), variance.reshape(len(e), -1)
             slope = (e[1:] - e[0]) / self.step[:, None]
             by_log = np.log(variance[1:] / variance[0]) / self.step[:, None]
@@ -263,16 +261,15 @@ def maximise(
     highest = np.where(is_log & ~is_level, unknowns + 3.0, np.inf)
     value, damping, converged = problem.objective(unknowns), 0.0, False
     gradient, information = problem.derivatives(unknowns)
-    iteration = 0
-    for iteration in range(1, ITERATIONS + 1):
+    iterations = 0
+    while iterations < ITERATIONS:
+        iterations += 1
         held = (unknowns <= lowest) & (gradient > 0) | (unknowns >= highest) & (gradient < 0)
         free = np.flatnonzero(~held)
         scale = np.sqrt(np.diag(information)[free])
         scaled = information[np.ix_(free, free)] / np.outer(scale, scale)
         move = np.zeros(len(unknowns))
-        change = np.linalg.solve(
-            scaled + damping * np.eye(len(free)), gradient[free] / scale
-        )
+        change = np.linalg.solve(scaled + damping * np.eye(len(free)), gradient[free] / scale)
         move[free] = -change / scale
         # No level or time changes more than twofold in a step.
         move[is_log] = np.clip(move[is_log], -LARGEST_STEP, LARGEST_STEP)
@@ -305,7 +302,7 @@ def maximise(
         {name: float(v) for name, v in stds.items()},
         value,
         converged,
-        iteration,
+        iterations,
         {name: float(v) for name, v in errors.items()},
     )
 
@@ -320,6 +317,4 @@ def reference(scenario: Scenario, data: Set) -> Maximum:
 
 def _without_spikes(run: Run) -> Run:
     outputs = np.where(run.spike, np.nan, run.outputs)
-    return Run(
-        run.name, run.times, run.inputs, outputs, run.clean, run.force, run.spike, run.local
-    )
+    return Run(run.name, run.times, run.inputs, outputs, run.clean, run.force, run.spike, run.local)

@@ -133,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         prog="python -m benchmarks.random_forces",
         description="Coverage and errors under random forces and imperfect sensors.",
     )
-    parser.add_argument("scenarios", nargs="*", help=f"some of: {', '.join(SCENARIOS)}; default all")
+    parser.add_argument("scenarios", nargs="*", help=f"default all: {', '.join(SCENARIOS)}")
     parser.add_argument("--sets", type=int, default=SETS, help="data sets per scenario")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--json", type=Path, help="write measures and every fit there")

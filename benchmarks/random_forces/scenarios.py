@@ -28,9 +28,7 @@ ZIGZAGS = (
     Manoeuvre("zigzag_10_10", 10.0, 10.0, 9.0),
     Manoeuvre("zigzag_15_12", 15.0, 12.0, 10.0),
 )
-CALM = tuple(
-    Manoeuvre(f"calm_{i}", 1.0, 1.0, thrust) for i, thrust in enumerate((5.0, 9.0, 10.0))
-)
+CALM = tuple(Manoeuvre(f"calm_{i}", 1.0, 1.0, thrust) for i, thrust in enumerate((5.0, 9.0, 10.0)))
 FRESH = Manoeuvre("zigzag_12_8", 12.0, 8.0, 8.0)
 # An unstable vehicle turns before its pitch angle can no longer be caught.
 STEADIED = tuple(
@@ -132,9 +130,7 @@ SCENARIOS = {
         Scenario("colour_0.8", "noise of q: AR(1), 0.8", colour=0.8, may_flag=True),
         Scenario("noise_2x", "noise 2 x declared", level=2.0, may_flag=True),
         Scenario("spikes", "2 % spikes of 10 sigma", spikes=0.02, may_flag=True),
-        Scenario(
-            "spikes_up", "2 % spikes, one-sided", spikes=0.02, one_sided=True, may_flag=True
-        ),
+        Scenario("spikes_up", "2 % spikes, one-sided", spikes=0.02, one_sided=True, may_flag=True),
         Scenario("fin_0.1", "logged fin with 0.1 deg noise", fin_noise=0.1, may_flag=True),
         Scenario("fin_0.5", "logged fin with 0.5 deg noise", fin_noise=0.5, may_flag=True),
         Scenario("weak", "weak trial: 30 s, fin within 2 deg", records=GENTLE),
@@ -142,8 +138,6 @@ SCENARIOS = {
             "weak_small", "weak trial, 0.3 x medium forces", records=GENTLE, force=_times(0.3)
         ),
         _YAW,
-        replace(
-            _YAW, name="yaw_zero_force", title="the same with a random moment", force=(3e-4,)
-        ),
+        replace(_YAW, name="yaw_zero_force", title="the same with a random moment", force=(3e-4,)),
     )
 }

@@ -1,10 +1,10 @@
-"""Simulated records, the truth: plain NumPy, no code of the package.
+r"""Simulated records, the truth: plain NumPy, no code of the package.
 
 Runge-Kutta of fourth order at 0.01 s (yaw: 0.1 s), commands held between
 samples; the random forces are drawn at the same fine step from
 
-.. math:: w_{k+1} = \\varphi w_k + \\sigma \\sqrt{1 - \\varphi^2}\\, \\varepsilon_k,
-    \\qquad \\varphi = e^{-\\Delta t/\\tau}
+.. math:: w_{k+1} = \varphi w_k + \sigma \sqrt{1 - \varphi^2}\, \varepsilon_k,
+    \qquad \varphi = e^{-\Delta t/\tau}
 
 beginning in their stationary distribution. The zigzag turns on the *measured*
 angle, so the commands depend on nothing that the records do not hold. All sets

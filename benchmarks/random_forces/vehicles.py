@@ -1,25 +1,25 @@
-"""The two vehicles of the benchmark: equations of motion in plain NumPy.
+r"""The two vehicles of the benchmark: equations of motion in plain NumPy.
 
 Diving plane of a REMUS-like AUV, from Prestero (2001):
 
 .. math::
 
-    \\begin{aligned}
-    (m - X_{\\dot u})\\,\\dot u &= -m q w + X_{uu} u|u| + T + w_X \\\\
-    (m - Z_{\\dot w})\\,\\dot w - Z_{\\dot q}\\,\\dot q
-        &= m u q + u (Z_{uw} w + Z_{uq} q) + Z_{uuds} u^2 \\delta_s + w_Z \\\\
-    -M_{\\dot w}\\,\\dot w + (I_{yy} - M_{\\dot q})\\,\\dot q
-        &= u (M_{uw} w + M_{uq} q) + M_{uuds} u^2 \\delta_s - z_G W \\sin\\theta + w_M \\\\
-    \\dot\\theta &= q, \\qquad \\dot z = -u \\sin\\theta + w \\cos\\theta
-    \\end{aligned}
+    \begin{aligned}
+    (m - X_{\dot u})\,\dot u &= -m q w + X_{uu} u|u| + T + w_X \\
+    (m - Z_{\dot w})\,\dot w - Z_{\dot q}\,\dot q
+        &= m u q + u (Z_{uw} w + Z_{uq} q) + Z_{uuds} u^2 \delta_s + w_Z \\
+    -M_{\dot w}\,\dot w + (I_{yy} - M_{\dot q})\,\dot q
+        &= u (M_{uw} w + M_{uq} q) + M_{uuds} u^2 \delta_s - z_G W \sin\theta + w_M \\
+    \dot\theta &= q, \qquad \dot z = -u \sin\theta + w \cos\theta
+    \end{aligned}
 
 Yaw of a ship per unit of inertia, with a rudder zero of each record:
 
-.. math:: \\dot\\psi = r, \\qquad
-    \\dot r = N_r r + N_{|r|r} |r| r + N_\\delta (\\delta + \\delta_0) + w_N
+.. math:: \dot\psi = r, \qquad
+    \dot r = N_r r + N_{|r|r} |r| r + N_\delta (\delta + \delta_0) + w_N
 
 The random forces :math:`w` are first-order Gauss-Markov processes of standard
-deviation :math:`\\sigma` and time :math:`\\tau`.
+deviation :math:`\sigma` and time :math:`\tau`.
 """
 
 from __future__ import annotations
