@@ -273,7 +273,12 @@ def test_what_a_fit_warns_of_is_read_from_concerns_or_its_report() -> None:
 def test_cached_reference_is_of_these_data(tmp_path: Path, medium: list[Set]) -> None:
     """Written, read back, and not used once the data differ."""
     scenario, data = SCENARIOS["medium"], medium[0]
-    line = {"data": data.fingerprint, "estimates": {"X_uu": -3.9}, "std_errors": {"X_uu": 0.01}}
+    line = {
+        "data": data.fingerprint,
+        "estimates": {name: float(i) for i, name in enumerate(cache.names(scenario))},
+        "std_errors": dict.fromkeys(cache.names(scenario), 0.01),
+        "converged": True,
+    }
     entries = {cache.key(scenario, 3, 0): line}
     cache.save(entries, tmp_path / "reference.json")
     read = cache.load(tmp_path / "reference.json")

@@ -40,9 +40,10 @@ prediction, from first
 levels
     ``fit.noise.force`` and ``force_time`` over the true ones, where the fit has them.
 
-Targets, missed where beyond twice the Monte-Carlo error: coverage 93 to 97 % (90 to 97 % for large
-forces, the unstable vehicle and weak trials), or with wrong sensors a warning in 95 % of the runs; errors up to
-1.1 times the reference's; prediction 93 to 97 %; no more than 5 % false warnings.
+Targets, missed where beyond twice the Monte-Carlo error: coverage 93 to 97 % (90 to 97 % for
+large forces, the unstable vehicle and weak trials), or with wrong sensors a warning in 95 % of the
+runs; errors up to 1.1 times the reference's; prediction 93 to 97 %; no more than 5 % false
+warnings.
 
 **Recipe.** ::
 

@@ -1,6 +1,9 @@
 """The reference's numbers, kept beside the benchmark: one line a data set.
 
-An entry holds the fingerprint of its data; where the simulator changes, it is
+A line reads ``"scenario/seed/number": [fingerprint of the data, 1 if converged,
+estimates, standard errors]``; parameters come in the order of
+``Vehicle.believed``, then the noise that :func:`~benchmarks.random_forces.reference.structure`
+leaves free. Where the simulator changes, the fingerprint differs and the line is
 computed anew.
 """
 
@@ -11,12 +14,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.random_forces.reference import Maximum, reference
-from benchmarks.random_forces.scenarios import Scenario
+from benchmarks.random_forces.reference import Maximum, reference, structure
+from benchmarks.random_forces.scenarios import SCENARIOS, Scenario
 from benchmarks.random_forces.simulator import Set
+from benchmarks.random_forces.vehicles import VEHICLES
 
 PATH = Path(__file__).with_name("reference.json")
-DIGITS = 7
+DIGITS = 7  # of an estimate
 
 
 def key(scenario: Scenario, seed: int, number: int) -> str:
@@ -24,17 +28,40 @@ def key(scenario: Scenario, seed: int, number: int) -> str:
     return f"{scenario.name}/{seed}/{number}"
 
 
+def names(scenario: Scenario) -> list[str]:
+    """What the reference estimates, in order."""
+    return [*VEHICLES[scenario.vehicle].believed, *structure(scenario).free]
+
+
 def load(path: Path = PATH) -> dict[str, dict[str, Any]]:
     """All entries."""
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    if not path.exists():
+        return {}
+    entries = {}
+    for name, line in json.loads(path.read_text(encoding="utf-8")).items():
+        fingerprint, converged, estimates, std_errors = line
+        order = names(SCENARIOS[name.partition("/")[0]])
+        entries[name] = {
+            "data": fingerprint,
+            "estimates": dict(zip(order, estimates, strict=True)),
+            "std_errors": dict(zip(order, std_errors, strict=True)),
+            "converged": bool(converged),
+        }
+    return entries
 
 
 def save(entries: dict[str, dict[str, Any]], path: Path = PATH) -> None:
     """Write all entries, one on a line, sorted."""
-    lines = [
-        f"{json.dumps(name)}: {json.dumps(entries[name], separators=(',', ':'))}"
-        for name in sorted(entries, key=_order)
-    ]
+    lines = []
+    for name in sorted(entries, key=_order):
+        line = entries[name]
+        numbers = [
+            line["data"],
+            int(line["converged"]),
+            list(line["estimates"].values()),
+            list(line["std_errors"].values()),
+        ]
+        lines.append(f"{json.dumps(name)}: {json.dumps(numbers, separators=(',', ':'))}")
     path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
 
 
@@ -48,7 +75,7 @@ def entry(data: Set, found: Maximum) -> dict[str, Any]:
     return {
         "data": data.fingerprint,
         "estimates": {name: _short(value) for name, value in found.estimates.items()},
-        "std_errors": {name: _short(value, 4) for name, value in found.std_errors.items()},
+        "std_errors": {name: _short(value, 3) for name, value in found.std_errors.items()},
         "converged": found.converged,
     }
 
