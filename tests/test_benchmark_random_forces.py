@@ -208,8 +208,9 @@ def test_measures_count_what_they_say() -> None:
         fake(1, -1.0, force=levels),
         fake(2, 3.0, concerns=("spikes",), force=levels),
     ]
+    noise = {"force X": 0.1, "force Z": 0.3, "force M": 0.06, "force time": 3.0}
     known = {
-        i: {"estimates": fake(i, 1.0).estimates, "std_errors": fake(i, 1.0).std_errors}
+        i: {"estimates": fake(i, 1.0).estimates | noise, "std_errors": fake(i, 1.0).std_errors}
         for i in (0, 1)
     }
     found = measure(scenario, fits, known)
@@ -223,9 +224,13 @@ def test_measures_count_what_they_say() -> None:
     assert found["forces"]["X"]["level"][0] == pytest.approx(1.1)
     assert found["forces"]["X"]["within"] == 100.0
     assert found["forces"]["M"]["within"] == 0.0
+    assert found["reference"]["forces"]["Z"]["level"][0] == pytest.approx(1.0)
+    assert found["reference"]["forces"]["Z"]["time"][0] == pytest.approx(1.5)
     assert found["prediction"]["first"] == pytest.approx((90.0, 0.0))
     assert "prediction" not in found["missed"]
-    assert "| medium:" in table([found])
+    page = table([found])
+    assert "| medium | X | 1.10 (1.10 to 1.10) | 1.05 (1.05 to 1.05) | 100 | 100 |" in page
+    assert "| 66.7 ± 33.3 | 1.91 | 1.00 | 33 |" in page
 
 
 def test_a_fit_that_raises_is_outside_its_intervals() -> None:

@@ -6,7 +6,9 @@ that was written for this purpose and shares no code with the package.
 
 **Truth** (:mod:`~benchmarks.random_forces.simulator`). The diving plane of a REMUS-like AUV with
 the eight derivatives of ``remus_diving_plane`` drawn 9 % about the believed ones; three records of
-60 s at 0.1 s, zigzags in pitch of 5/5, 10/10 and 15/12 degrees; white sensor noise as the problem
+60 s at 0.1 s, zigzags of 5/5, 10/10 and 15/12 degrees that turn on the *measured* pitch angle: the
+forces move the fin's reversals, so a fit that takes what they do for sensor noise is biased, not
+only inefficient (``medium_clock`` shows the difference); white sensor noise as the problem
 declares it; first-order Gauss-Markov forces on X, Z and M. *Medium* is 0.1 N, 0.3 N and 0.06 N m
 with a time of 2 s. Runge-Kutta at 0.01 s, forces drawn at the same step. And a ship in yaw with a
 rudder zero of each record. :data:`~benchmarks.random_forces.scenarios.SCENARIOS` lists all.

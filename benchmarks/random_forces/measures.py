@@ -15,6 +15,8 @@ from benchmarks.random_forces.vehicles import VEHICLES
 QUANTILE = 1.959964
 # An error of more than this many standard errors counts as this many in z.
 LARGEST = 100.0
+# Level and time of each random force.
+Forces = Mapping[str, tuple[float, float]]
 DIFFICULT = ("large", "large_calm", "unstable", "weak", "weak_small")
 LARGEST_RATIO = 1.1
 FLAGGED = 95.0  # per cent of runs
@@ -77,11 +79,11 @@ def measure(
             for kind in ("fit", "first")
             if any(o.covered for o in outcomes)
         },
-        "forces": _forces(scenario, outcomes),
+        "forces": _forces(scenario, [o.force for o in outcomes if o.force is not None]),
     }
     both = [i for i, o in enumerate(outcomes) if o.number in known]
     if both:
-        found["reference"] = _against(outcomes, both, error, known, names)
+        found["reference"] = _against(scenario, outcomes, both, error, known)
     found["missed"] = missed(scenario, found)
     return found
 
@@ -132,13 +134,15 @@ def _errors(outcomes: Sequence[Any], names: Sequence[str]) -> tuple[np.ndarray, 
 
 
 def _against(
+    scenario: Scenario,
     outcomes: Sequence[Outcome],
     both: Sequence[int],
     error: np.ndarray,
     known: Mapping[int, Mapping[str, Any]],
-    names: Sequence[str],
 ) -> dict[str, Any]:
     """Errors over those of the reference, on the data sets that both have."""
+    vehicle = VEHICLES[scenario.vehicle]
+    names = list(vehicle.believed)
     rows = [known[outcomes[i].number] for i in both]
     truth = np.array([[outcomes[i].truth[n] for n in names] for i in both])
     estimates = np.array([[row["estimates"][n] for n in names] for row in rows])
@@ -156,21 +160,28 @@ def _against(
         "coverage": coverage[0],
         "coverage_error": coverage[1],
         "z": float(np.sqrt(np.mean(((estimates - truth) / std) ** 2))),
+        "forces": _forces(scenario, [_told(row["estimates"], vehicle.forces) for row in rows])
+        if any(scenario.force)
+        else None,
     }
 
 
-def _forces(scenario: Scenario, outcomes: Sequence[Outcome]) -> dict[str, Any] | None:
-    """Found levels and times over the true ones; without forces, how often any was found."""
-    told = [o.force for o in outcomes if o.force is not None]
+def _told(estimates: Mapping[str, float], names: Sequence[str]) -> Forces:
+    """Levels and their one time, as the reference keeps them."""
+    return {n: (estimates[f"force {n}"], estimates["force time"]) for n in names}
+
+
+def _forces(scenario: Scenario, told: Sequence[Forces]) -> dict[str, Any] | None:
+    """Found levels and times over the true ones, and how often any force was found."""
     if not told:
         return None
-    present = [bool(any(level > 0 for level, _ in force.values())) for force in told]
+    present = [any(level > 0 for level, _ in forces.values()) for forces in told]
     found: dict[str, Any] = {"found": float(100 * np.mean(present))}
     for name, true in zip(VEHICLES[scenario.vehicle].forces, scenario.force, strict=True):
         if true == 0.0:
             continue
-        levels = np.array([force[name][0] for force in told]) / true
-        times = np.array([force[name][1] for force in told]) / scenario.force_time
+        levels = np.array([forces[name][0] for forces in told]) / true
+        times = np.array([forces[name][1] for forces in told]) / scenario.force_time
         good = (np.abs(levels - 1) <= WITHIN) & (np.abs(times - 1) <= WITHIN)
         found[name] = {
             "level": [float(v) for v in np.percentile(levels, [50, 5, 95])],
@@ -214,23 +225,35 @@ def _band(result: Mapping[str, Any], kind: str) -> str:
 def _force_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
     rows = []
     for r in results:
-        for name, f in (r["forces"] or {}).items():
-            if name == "found":
-                continue
-            level, low, high = f["level"]
-            time, early, late = f["time"]
+        if r["forces"] is None:
+            continue
+        often = f"{r['forces']['found']:.0f}"
+        named = [name for name in r["forces"] if name != "found"]
+        if not named:
+            rows.append(f"| {r['scenario']} | none | – | – | – | {often} | – |")
+        for name in named:
+            f = r["forces"][name]
+            known = r.get("reference", {}).get("forces")
+            own = "–"
+            if known:
+                own = f"{known[name]['level'][0]:.2f}, {known[name]['time'][0]:.2f}; "
+                own += f"{known[name]['within']:.0f}"
             rows.append(
-                f"| {r['scenario']} | {name} | {level:.2f} ({low:.2f} to {high:.2f}) "
-                f"| {time:.2f} ({early:.2f} to {late:.2f}) | {f['within']:.0f} "
-                f"| {r['forces']['found']:.0f} |"
+                f"| {r['scenario']} | {name} | {_range(f['level'])} | {_range(f['time'])} "
+                f"| {f['within']:.0f} | {often} | {own} |"
             )
     if not rows:
         return ["The fits tell no levels of random forces."]
     head = (
         "| scenario | force | level / true: median (5 to 95 %) | time / true | both within 20 %, % "
-        "| any force found, % |"
+        "| any force found, % | reference: level, time; within |"
     )
-    return [head, "|---|---|---|---|---|---|", *rows]
+    return [head, "|---|---|---|---|---|---|---|", *rows]
+
+
+def _range(numbers: Sequence[float]) -> str:
+    middle, low, high = numbers
+    return f"{middle:.2f} ({low:.2f} to {high:.2f})"
 
 
 def _parameter_table(results: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 MEDIUM = (0.1, 0.3, 0.06)  # X [N], Z [N], M [N m]
@@ -12,7 +13,7 @@ class Manoeuvre:
     """A zigzag: fin or rudder amplitude and switching angle in degrees, thrust in N.
 
     It turns when the measured angle plus ``lead`` (s) times its measured rate
-    passes the switching angle.
+    passes the switching angle; or, with a finite ``hold``, every so many seconds.
     """
 
     name: str
@@ -21,12 +22,17 @@ class Manoeuvre:
     thrust: float = 0.0
     duration: float | None = None
     lead: float = 0.0
+    hold: float = math.inf
 
 
 ZIGZAGS = (
     Manoeuvre("zigzag_5_5", 5.0, 5.0, 5.0),
     Manoeuvre("zigzag_10_10", 10.0, 10.0, 9.0),
     Manoeuvre("zigzag_15_12", 15.0, 12.0, 10.0),
+)
+CLOCKED = tuple(
+    replace(zigzag, name=f"clocked_{i}", hold=hold)
+    for i, (zigzag, hold) in enumerate(zip(ZIGZAGS, (3.5, 3.4, 3.3), strict=True))
 )
 CALM = tuple(Manoeuvre(f"calm_{i}", 1.0, 1.0, thrust) for i, thrust in enumerate((5.0, 9.0, 10.0)))
 FRESH = Manoeuvre("zigzag_12_8", 12.0, 8.0, 8.0)
@@ -116,6 +122,13 @@ SCENARIOS = {
         Scenario("small", "random forces, 0.3 x medium", force=_times(0.3)),
         Scenario("medium", "random forces 0.1 N, 0.3 N, 0.06 N m, 2 s", force=_times(1.0)),
         Scenario("medium_5s", "the same, 5 s", force=_times(1.0), force_time=5.0),
+        Scenario(
+            "medium_clock",
+            "medium, fin reversed by the clock",
+            records=CLOCKED,
+            fresh=replace(FRESH, hold=3.4),
+            force=_times(1.0),
+        ),
         Scenario("large", "random forces, 3 x medium", force=_times(3.0)),
         Scenario("large_calm", "3 x medium, fin within 1 deg", force=_times(3.0), records=CALM),
         Scenario(

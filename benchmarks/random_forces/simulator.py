@@ -178,6 +178,7 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
     values |= {name: np.array([c.local[name] for c in columns]) for name in vehicle.local}
     amplitude, switch = np.radians([[c.manoeuvre.amplitude, c.manoeuvre.switch] for c in columns]).T
     lead = np.array([c.manoeuvre.lead for c in columns])
+    hold = np.array([c.manoeuvre.hold for c in columns])
     thrust = np.array([c.manoeuvre.thrust for c in columns])
     state = np.zeros((len(vehicle.states), width))
     if vehicle.name == "remus":
@@ -191,7 +192,10 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
         seen = state + noise[k]
         angle = seen[vehicle.steered] + lead * seen[vehicle.rate_output]
         relay = np.where(angle > switch, 1.0, np.where(angle < -switch, -1.0, relay))
-        going = k * vehicle.sample_time >= vehicle.begin - 1e-9
+        elapsed = k * vehicle.sample_time - vehicle.begin + 1e-9
+        by_clock = np.where(np.floor(elapsed / hold) % 2 == 0, 1.0, -1.0)
+        relay = np.where(hold < np.inf, by_clock, relay)
+        going = elapsed >= 0.0
         # A bow-down fin lowers theta, a positive rudder raises psi.
         inputs[k] = np.stack([vehicle.sense * relay * amplitude * going, thrust])[: inputs.shape[1]]
         if k + 1 == n:
