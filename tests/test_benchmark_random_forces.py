@@ -270,11 +270,15 @@ def test_what_a_fit_warns_of_is_read_from_concerns_or_its_report() -> None:
         status=SimpleNamespace(ok=False, code="stalled"), concerns=[SimpleNamespace(kind="spikes")]
     )
     assert concerns(listed) == ("stalled", "spikes")
+    sentence = SimpleNamespace(status=good, concerns=("noise of q 2.03 times declared",))
+    assert concerns(sentence) == ("noise of q # times declared",)
     noise = SimpleNamespace(force=np.array([0.1, 0.2, 0.3]), force_time=np.array([1.0, 2.0, 3.0]))
     told = forces(SimpleNamespace(noise=noise), "remus")
     assert told is not None
     assert told["M"] == (0.3, 3.0)
     assert forces(spoken, "remus") is None
+    empty = SimpleNamespace(force=np.zeros(0), force_time=np.zeros(0))
+    assert forces(SimpleNamespace(noise=empty), "remus")["Z"][0] == 0.0  # type: ignore[index]
 
 
 def test_cached_reference_is_of_these_data(tmp_path: Path, medium: list[Set]) -> None:

@@ -73,6 +73,7 @@ def measure(
         "concerns": dict(Counter(kind for o in outcomes for kind in set(o.concerns))),
         "status": dict(Counter(o.status for o in outcomes)),
         "seconds": float(np.median([o.seconds for o in outcomes])),
+        "misfit": float(np.median([o.misfit for o in outcomes])),
         "local": float(np.sqrt(np.mean(np.square([o.local for o in outcomes])))),
         "prediction": {
             kind: share(np.array([o.covered[kind] for o in outcomes if o.covered]))
@@ -287,5 +288,8 @@ def _concerns(results: Sequence[Mapping[str, Any]]) -> list[str]:
     for r in results:
         kinds = ", ".join(f"{kind} ({count})" for kind, count in r["concerns"].items()) or "nothing"
         states = ", ".join(f"{kind} ({count})" for kind, count in r["status"].items())
-        lines.append(f"- {r['scenario']}: warned of {kinds}; status {states}.")
+        text = f"- {r['scenario']}: misfit {r['misfit']:.3f} x noise; warned of {kinds}; "
+        if np.isfinite(r["local"]):
+            text += f"parameters of records to {100 * r['local']:.1f} % of their spread; "
+        lines.append(f"{text}status {states}.")
     return lines

@@ -57,6 +57,8 @@ class Outcome:
         Share of a fresh record within the 95 % band, by kind of start.
     seconds : float
         Processor time of the fit.
+    misfit : float
+        Root mean square residual in units of the declared noise.
     local : float
         Root mean square error of per-record parameters over their spread.
     """
@@ -70,6 +72,7 @@ class Outcome:
     force: dict[str, tuple[float, float]] | None
     covered: dict[str, float]
     seconds: float
+    misfit: float = np.nan
     local: float = np.nan
 
 
@@ -158,6 +161,7 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
         force=forces(fit, scenario.vehicle),
         covered=covered,
         seconds=seconds,
+        misfit=float(fit.normalised_rms),
         local=float(np.sqrt(np.mean(np.square(local)))) / spread if local else np.nan,
     )
 
@@ -173,11 +177,11 @@ def concerns(fit: Any) -> tuple[str, ...]:
 
 
 def _kind(concern: Any) -> str:
-    """The shortest name that a concern goes by."""
+    """The shortest name that a concern goes by; numbers in a sentence do not make it another."""
     for attribute in ("kind", "code", "name"):
         if isinstance(found := getattr(concern, attribute, None), str):
             return found
-    return str(concern)
+    return re.sub(r"[-+]?\d+([.,]\d+)?(e[-+]?\d+)?", "#", str(concern))
 
 
 def forces(fit: Any, vehicle: str) -> dict[str, tuple[float, float]] | None:
@@ -187,6 +191,8 @@ def forces(fit: Any, vehicle: str) -> dict[str, tuple[float, float]] | None:
         return None
     names = VEHICLES[vehicle].forces
     levels = np.atleast_1d(np.asarray(noise.force, dtype=float))
+    if not len(levels):  # none was let in
+        return dict.fromkeys(names, (0.0, float("nan")))
     times = np.broadcast_to(np.asarray(noise.force_time, dtype=float), levels.shape)
     if len(levels) < len(names):
         return None
