@@ -26,8 +26,15 @@ from benchmarks.random_forces.reference import (  # noqa: E402
 )
 from benchmarks.random_forces.scenarios import MEDIUM, SCENARIOS, Manoeuvre, Scenario  # noqa: E402
 from benchmarks.random_forces.simulator import Set, simulate  # noqa: E402
-from benchmarks.random_forces.trial import Outcome, concerns, forces, outcome  # noqa: E402
+from benchmarks.random_forces.trial import (  # noqa: E402
+    Outcome,
+    concerns,
+    dataset,
+    forces,
+    outcome,
+)
 from benchmarks.random_forces.vehicles import REMUS, YAW, pitch_pole  # noqa: E402
+from oed_sysid import load_problem  # noqa: E402
 
 needs_compiler = pytest.mark.skipif(
     not (shutil.which("gcc") or shutil.which("clang")), reason="the reference is compiled"
@@ -79,6 +86,21 @@ def test_sensors_are_disturbed_as_stated() -> None:
     assert np.std(gap[:, 0]) == pytest.approx(np.radians(0.5), rel=0.1)
     assert np.all(gap[:, 1] == 0.0)
     np.testing.assert_array_equal(first.outputs, second.outputs)
+
+
+def test_samples_are_missing_as_stated() -> None:
+    """Half of the samples, or rows that a log does not have; never one with a new command."""
+    (data,) = simulate(short("missing"), 2, [0])
+    assert np.mean(np.isnan(data.runs[0].outputs)) == pytest.approx(0.5, abs=0.06)
+    scenario = short("irregular")
+    (data,) = simulate(scenario, 2, [0])
+    run = data.runs[0]
+    model = load_problem("remus_diving_plane").model
+    record = dataset(scenario, model, data.runs)["zigzag_10_10"]
+    assert record.n_samples / len(run.times) == pytest.approx(0.4, abs=0.1)
+    held = np.searchsorted(record.times, run.times, side="right") - 1
+    np.testing.assert_array_equal(record.inputs[held], run.inputs)
+    assert np.ptp(np.diff(record.times)) > 0.3
 
 
 def test_a_data_set_does_not_depend_on_how_many_there_are() -> None:

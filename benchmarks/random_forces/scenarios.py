@@ -78,6 +78,13 @@ class Scenario:
         All spikes go up.
     fin_noise : float
         White noise of the logged first input, deg.
+    missing : float
+        Share of samples that were not taken.
+    dropped : float
+        Share of rows that the log does not have: the sampling is irregular. A
+        row in which the command changes is always there.
+    hidden : bool
+        The fitted model does not know the parameters that differ from record to record.
     may_flag : bool
         Wrong sensors: intervals hold, or the report says that they may not.
     """
@@ -97,6 +104,9 @@ class Scenario:
     spike_size: float = 10.0
     one_sided: bool = False
     fin_noise: float = 0.0
+    missing: float = 0.0
+    dropped: float = 0.0
+    hidden: bool = False
     may_flag: bool = False
 
 
@@ -139,6 +149,8 @@ SCENARIOS = {
             force=_times(1.0),
             pole=0.5,
         ),
+        Scenario("missing", "medium, half of the samples missing", force=_times(1.0), missing=0.5),
+        Scenario("irregular", "medium, 60 % of the rows missing", force=_times(1.0), dropped=0.6),
         Scenario("colour_0.6", "noise of q: AR(1), 0.6", colour=0.6, may_flag=True),
         Scenario("colour_0.8", "noise of q: AR(1), 0.8", colour=0.8, may_flag=True),
         Scenario("noise_2x", "noise 2 x declared", level=2.0, may_flag=True),
@@ -151,6 +163,8 @@ SCENARIOS = {
             "weak_small", "weak trial, 0.3 x medium forces", records=GENTLE, force=_times(0.3)
         ),
         _YAW,
-        replace(_YAW, name="yaw_zero_force", title="the same with a random moment", force=(3e-4,)),
+        replace(
+            _YAW, name="yaw_zero_force", title="rudder zeros and a random moment", force=(3e-4,)
+        ),
     )
 }

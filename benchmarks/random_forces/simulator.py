@@ -38,7 +38,7 @@ class Run:
     name : str
     times : ndarray (n_times,)
     inputs, outputs : ndarray (n_times, ...)
-        As logged.
+        As logged; NaN where no sample was taken.
     clean : ndarray (n_times, n_outputs)
         The states.
     force : ndarray (n_times, n_forces)
@@ -69,7 +69,7 @@ class Set:
     @property
     def fingerprint(self) -> float:
         """A number that changes whenever the data change."""
-        return float(f"{sum(float(np.abs(run.outputs).sum()) for run in self.runs):.9g}")
+        return float(f"{sum(float(np.nansum(np.abs(run.outputs))) for run in self.runs):.9g}")
 
 
 def stream(seed: int, number: int, *purpose: str) -> np.random.Generator:
@@ -121,7 +121,8 @@ class _Column:
     """One manoeuvre of one data set and all its random numbers.
 
     Random forces at the fine step, sensor noise, spikes in standard
-    deviations, noise of the logged fin, parameters of the record.
+    deviations, samples that are absent, noise of the logged fin, parameters of
+    the record.
     """
 
     def __init__(
@@ -152,6 +153,10 @@ class _Column:
         sign = np.where(spike.random(white.shape) < 0.5, -1.0, 1.0)
         self.spike = np.where(chosen, 1.0 if scenario.one_sided else sign, 0.0)
         self.spike *= scenario.spike_size
+        gaps = stream(seed, number, manoeuvre.name, "gaps")
+        self.absent = gaps.random(white.shape) < scenario.missing
+        self.absent |= gaps.random((self.n, 1)) < scenario.dropped
+        self.absent[0] = False
         self.fin_noise = fin.standard_normal(self.n) * np.radians(scenario.fin_noise)
         zeros = zero.standard_normal(len(vehicle.local))
         self.local = {
@@ -212,13 +217,16 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
     for i, column in enumerate(columns):
         part = slice(0, column.n)
         logged = inputs[part, :, i].copy()
+        outputs = clean[part, :, i] + column.noise + sigma * column.spike
+        if scenario.dropped:
+            column.absent[1:][np.any(np.diff(logged, axis=0) != 0.0, axis=1)] = False
         logged[:, 0] += column.fin_noise
         runs.append(
             Run(
                 column.manoeuvre.name,
                 np.arange(column.n) * vehicle.sample_time,
                 logged,
-                clean[part, :, i] + column.noise + sigma * column.spike,
+                np.where(column.absent, np.nan, outputs),
                 clean[part, :, i],
                 column.force[:: vehicle.substeps],
                 column.spike != 0,

@@ -112,11 +112,16 @@ def _model(vehicle: str) -> Model:
     )
 
 
-def dataset(model: Model, runs: Sequence[Run]) -> Dataset:
-    """Records of the package."""
-    return Dataset(
-        tuple(Record(run.name, run.times, run.inputs, run.outputs, model.channels) for run in runs)
-    )
+def dataset(scenario: Scenario, model: Model, runs: Sequence[Run]) -> Dataset:
+    """Records of the package; rows that were dropped are not in them."""
+    records = []
+    for run in runs:
+        there = np.ones(len(run.times), dtype=bool)
+        if scenario.dropped:
+            there = np.isfinite(run.outputs).any(axis=1)
+        parts = (run.times[there], run.inputs[there], run.outputs[there])
+        records.append(Record(run.name, *parts, model.channels))
+    return Dataset(tuple(records))
 
 
 def estimator(settings: Mapping[str, Any]) -> MultipleShooting:
@@ -128,10 +133,12 @@ def estimator(settings: Mapping[str, Any]) -> MultipleShooting:
 def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outcome:
     """Fit a data set, predict its fresh record, and keep what matters."""
     model = _model(scenario.vehicle).with_values(believed(scenario))
+    if scenario.hidden:
+        model = model.fix(*VEHICLES[scenario.vehicle].local)
     names = tuple(VEHICLES[scenario.vehicle].believed)
     began = time.process_time()
     try:
-        fit = estimator(settings).fit(model, dataset(model, data.runs))
+        fit = estimator(settings).fit(model, dataset(scenario, model, data.runs))
     except Exception as error:  # a benchmark counts failures, it does not stop at them
         empty = dict.fromkeys(names, float("nan"))
         kind = f"raised {type(error).__name__}: {error}"
@@ -141,14 +148,15 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
     covered = {}
     for initial in ("fit", "first"):
         try:
-            prediction = fit.predict(dataset(model, (data.fresh,)), initial=initial)
+            prediction = fit.predict(dataset(scenario, model, (data.fresh,)), initial=initial)
             covered[initial] = float(np.mean(list(prediction.coverage().values())))
         except Exception:
             covered[initial] = 0.0
     local = [
         fitted[name] - true
-        for fitted, run in zip(fit.local_values, data.runs, strict=True)
+        for fitted, run in zip(fit.local_values, data.runs, strict=False)
         for name, true in run.local.items()
+        if name in fitted
     ]
     spread = next(iter(VEHICLES[scenario.vehicle].local.values()), np.nan)
     return Outcome(
