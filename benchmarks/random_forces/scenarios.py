@@ -164,6 +164,13 @@ SCENARIOS = {
         ),
         _YAW,
         replace(
+            _YAW,
+            name="yaw_zero_hidden",
+            title="the same, the model knows no zero",
+            hidden=True,
+            may_flag=True,
+        ),
+        replace(
             _YAW, name="yaw_zero_force", title="rudder zeros and a random moment", force=(3e-4,)
         ),
     )
