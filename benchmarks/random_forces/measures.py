@@ -73,12 +73,16 @@ def measure(
         "concerns": dict(Counter(kind for o in outcomes for kind in set(o.concerns))),
         "status": dict(Counter(o.status for o in outcomes)),
         "seconds": float(np.median([o.seconds for o in outcomes])),
+        "by_output": {
+            output: float(100 * np.mean([o.by_output[output] for o in outcomes if o.by_output]))
+            for output in next((o.by_output for o in outcomes if o.by_output), {})
+        },
         "misfit": float(np.median([o.misfit for o in outcomes])),
         "local": float(np.sqrt(np.mean(np.square([o.local for o in outcomes])))),
         "prediction": {
-            kind: share(np.array([o.covered[kind] for o in outcomes if o.covered]))
+            kind: share(np.array([o.covered[kind] for o in outcomes if kind in o.covered]))
             for kind in ("fit", "first")
-            if any(o.covered for o in outcomes)
+            if any(kind in o.covered for o in outcomes)
         },
         "forces": _forces(scenario, [o.force for o in outcomes if o.force is not None]),
     }
@@ -291,5 +295,8 @@ def _concerns(results: Sequence[Mapping[str, Any]]) -> list[str]:
         text = f"- {r['scenario']}: misfit {r['misfit']:.3f} x noise; warned of {kinds}; "
         if np.isfinite(r["local"]):
             text += f"parameters of records to {100 * r['local']:.1f} % of their spread; "
+        if r["by_output"]:
+            bands = ", ".join(f"{name} {value:.0f}" for name, value in r["by_output"].items())
+            text += f"prediction by output {bands} %; "
         lines.append(f"{text}status {states}.")
     return lines

@@ -99,7 +99,7 @@ class Scenario:
     pole: float | None = None
     level: float = 1.0
     colour: float = 0.0
-    coloured: int = 2
+    coloured: int = 3
     spikes: float = 0.0
     spike_size: float = 10.0
     one_sided: bool = False
@@ -151,8 +151,8 @@ SCENARIOS = {
         ),
         Scenario("missing", "medium, half of the samples missing", force=_times(1.0), missing=0.5),
         Scenario("irregular", "medium, 60 % of the rows missing", force=_times(1.0), dropped=0.6),
-        Scenario("colour_0.6", "noise of q: AR(1), 0.6", colour=0.6, may_flag=True),
-        Scenario("colour_0.8", "noise of q: AR(1), 0.8", colour=0.8, may_flag=True),
+        Scenario("colour_0.6", "noise of theta: AR(1), 0.6", colour=0.6, may_flag=True),
+        Scenario("colour_0.8", "noise of theta: AR(1), 0.8", colour=0.8, may_flag=True),
         Scenario("noise_2x", "noise 2 x declared", level=2.0, may_flag=True),
         Scenario("spikes", "2 % spikes of 10 sigma", spikes=0.02, may_flag=True),
         Scenario("spikes_up", "2 % spikes, one-sided", spikes=0.02, one_sided=True, may_flag=True),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any
 
@@ -57,6 +57,8 @@ class Outcome:
         Share of a fresh record within the 95 % band, by kind of start.
     seconds : float
         Processor time of the fit.
+    by_output : dict
+        The same by output, start states estimated on the fresh record.
     misfit : float
         Root mean square residual in units of the declared noise.
     local : float
@@ -72,6 +74,7 @@ class Outcome:
     force: dict[str, tuple[float, float]] | None
     covered: dict[str, float]
     seconds: float
+    by_output: dict[str, float] = field(default_factory=dict)
     misfit: float = np.nan
     local: float = np.nan
 
@@ -145,11 +148,15 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
         seconds = time.process_time() - began
         return Outcome(data.number, data.truth, empty, empty, kind, (), None, {}, seconds)
     seconds = time.process_time() - began
-    covered = {}
-    for initial in ("fit", "first"):
+    covered, by_output = {}, {}
+    # A parameter of the fresh record can only be known by a fit to it.
+    for initial in ("fit",) if data.fresh.local else ("fit", "first"):
         try:
             prediction = fit.predict(dataset(scenario, model, (data.fresh,)), initial=initial)
-            covered[initial] = float(np.mean(list(prediction.coverage().values())))
+            # An output that is not predicted at all (NaN) is not covered.
+            shares = {n: float(np.nan_to_num(v)) for n, v in prediction.coverage().items()}
+            covered[initial] = float(np.mean([*shares.values()]))
+            by_output = shares if initial == "fit" else by_output
         except Exception:
             covered[initial] = 0.0
     local = [
@@ -169,6 +176,7 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
         force=forces(fit, scenario.vehicle),
         covered=covered,
         seconds=seconds,
+        by_output=by_output,
         misfit=float(fit.normalised_rms),
         local=float(np.sqrt(np.mean(np.square(local)))) / spread if local else np.nan,
     )
