@@ -1,0 +1,5 @@
+"""Random forces and imperfect sensors: coverage and errors (:mod:`benchmarks.random_forces`)."""
+
+from benchmarks.random_forces.run import main
+
+main()

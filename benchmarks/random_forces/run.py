@@ -1,0 +1,159 @@
+"""Command line: simulate, fit, compare with the reference, tabulate."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.random_forces import cache
+from benchmarks.random_forces.measures import measure, table
+from benchmarks.random_forces.scenarios import SCENARIOS, Scenario
+from benchmarks.random_forces.simulator import Set, simulate
+from benchmarks.random_forces.trial import Outcome, outcome
+
+SETS, SEED = 40, 0
+
+
+def run(
+    names: Sequence[str],
+    *,
+    sets: int = SETS,
+    seed: int = SEED,
+    settings: Mapping[str, Any] | None = None,
+    json_file: Path | None = None,
+) -> list[dict[str, Any]]:
+    """Measure the estimator in some scenarios.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of :data:`~benchmarks.random_forces.scenarios.SCENARIOS`.
+    sets, seed : int
+        Number of data sets, and which.
+    settings : mapping
+        Of ``MultipleShooting``.
+    json_file : Path, optional
+        Written after every scenario: all measures and every single fit.
+
+    Returns
+    -------
+    list of dict
+        See :func:`~benchmarks.random_forces.measures.measure`.
+    """
+    entries = cache.load()
+    results, single = [], {}
+    for name in names:
+        scenario = SCENARIOS[name]
+        began = time.perf_counter()
+        data = simulate(scenario, seed, range(sets))
+        outcomes = [outcome(scenario, one, settings or {}) for one in data]
+        results.append(measure(scenario, outcomes, cache.known(entries, scenario, seed, data)))
+        single[name] = [asdict(one) for one in outcomes]
+        last = results[-1]
+        tell(
+            f"{name}: coverage {last['coverage']:.1f} %, z {last['z']:.2f}, flagged "
+            f"{last['flagged']:.0f} % ({time.perf_counter() - began:.0f} s)"
+        )
+        if json_file is not None:
+            content = {
+                "seed": seed,
+                "settings": {k: repr(v) for k, v in (settings or {}).items()},
+                "scenarios": results,
+                "fits": single,
+            }
+            json_file.write_text(json.dumps(content, indent=1), encoding="utf-8")
+    return results
+
+
+def tell(text: str) -> None:
+    """Progress, beside the tables."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def compute_reference(names: Sequence[str], sets: int, seed: int) -> None:
+    """Fill the cache, and say whether the reference is what it should be."""
+    entries = cache.load()
+    print("| scenario | sets | coverage, % | z | converged | levels and times / true, median |")
+    print("|---|---|---|---|---|---|")
+    for name in names:
+        scenario = SCENARIOS[name]
+        data = simulate(scenario, seed, range(sets))
+        if cache.complete(entries, scenario, seed, data, tell):
+            cache.save(entries)
+        print(reference_row(scenario, data, cache.known(entries, scenario, seed, data)), flush=True)
+
+
+def reference_row(
+    scenario: Scenario, data: Sequence[Set], lines: Mapping[int, Mapping[str, Any]]
+) -> str:
+    """One row about the reference itself."""
+    from benchmarks.random_forces.reference import structure
+
+    rows = [lines[one.number] for one in data]
+    fits = [
+        Outcome(
+            one.number, one.truth, row["estimates"], row["std_errors"], "converged", (), None, {}, 0
+        )
+        for one, row in zip(data, rows, strict=True)
+    ]
+    found = measure(scenario, fits, {})
+    noise = structure(scenario)
+    ratios = {
+        name: np.median([row["estimates"][name] for row in rows]) / noise.values[name]
+        for name in noise.free
+    }
+    told = ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items())
+    converged = 100 * np.mean([row["converged"] for row in rows])
+    return (
+        f"| {scenario.name} | {len(rows)} | {found['coverage']:.1f} ± {found['coverage_error']:.1f}"
+        f" | {found['z']:.2f} | {converged:.0f} % | {told} |"
+    )
+
+
+def settings_of(options: SimpleNamespace | argparse.Namespace) -> dict[str, Any]:
+    """Settings of the estimator from the command line."""
+    disturbances: str | tuple[str, ...] = options.disturbances
+    if disturbances not in ("auto", "none", "all"):
+        disturbances = tuple(options.disturbances.split(","))
+    return {"disturbances": disturbances, "loss": options.loss}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line of the benchmark."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.random_forces",
+        description="Coverage and errors under random forces and imperfect sensors.",
+    )
+    parser.add_argument("scenarios", nargs="*", help=f"default all: {', '.join(SCENARIOS)}")
+    parser.add_argument("--sets", type=int, default=SETS, help="data sets per scenario")
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--json", type=Path, help="write measures and every fit there")
+    parser.add_argument("--reference", action="store_true", help="compute the reference instead")
+    parser.add_argument(
+        "--disturbances", default="auto", help="auto, none, all or names as Z,M (if known)"
+    )
+    parser.add_argument("--loss", default="square", help="square, huber or student")
+    options = parser.parse_args(arguments)
+    names = options.scenarios or list(SCENARIOS)
+    if unknown := [name for name in names if name not in SCENARIOS]:
+        parser.error(f"no scenario {unknown[0]!r}; there are {', '.join(SCENARIOS)}")
+    if options.reference:
+        compute_reference(names, options.sets, options.seed)
+        return
+    results = run(
+        names,
+        sets=options.sets,
+        seed=options.seed,
+        settings=settings_of(options),
+        json_file=options.json,
+    )
+    print(table(results))

@@ -1,0 +1,236 @@
+r"""Simulated records, the truth: plain NumPy, no code of the package.
+
+Runge-Kutta of fourth order at 0.01 s (yaw: 0.1 s), commands held between
+samples; the random forces are drawn at the same fine step from
+
+.. math:: w_{k+1} = \varphi w_k + \sigma \sqrt{1 - \varphi^2}\, \varepsilon_k,
+    \qquad \varphi = e^{-\Delta t/\tau}
+
+beginning in their stationary distribution. The zigzag turns on the *measured*
+angle, so the commands depend on nothing that the records do not hold. All sets
+of a scenario are integrated side by side; a set does not depend on how many
+there are, and the draws of equal sets in different scenarios are the same up
+to their levels.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from benchmarks.random_forces.scenarios import Manoeuvre, Scenario
+from benchmarks.random_forces.vehicles import VEHICLES, Vehicle, unstable
+
+SPREAD = 0.09  # of true parameters about the believed ones
+FIRST_DEPTH = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One record and what nobody measures.
+
+    Attributes
+    ----------
+    name : str
+    times : ndarray (n_times,)
+    inputs, outputs : ndarray (n_times, ...)
+        As logged; NaN where no sample was taken.
+    clean : ndarray (n_times, n_outputs)
+        The states.
+    force : ndarray (n_times, n_forces)
+    spike : ndarray of bool (n_times, n_outputs)
+    local : dict
+        Parameters of this record.
+    """
+
+    name: str
+    times: np.ndarray
+    inputs: np.ndarray
+    outputs: np.ndarray
+    clean: np.ndarray
+    force: np.ndarray
+    spike: np.ndarray
+    local: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Set:
+    """One data set: the records to fit, a fresh one, and the true parameters."""
+
+    number: int
+    truth: dict[str, float]
+    runs: tuple[Run, ...]
+    fresh: Run
+
+    @property
+    def fingerprint(self) -> float:
+        """A number that changes whenever the data change."""
+        return float(f"{sum(float(np.nansum(np.abs(run.outputs))) for run in self.runs):.9g}")
+
+
+def stream(seed: int, number: int, *purpose: str) -> np.random.Generator:
+    """Random numbers of one purpose in one data set."""
+    return np.random.default_rng([seed, number, zlib.crc32(" ".join(purpose).encode())])
+
+
+def gauss_markov(
+    draws: np.ndarray, level: np.ndarray | float, memory: float | np.ndarray
+) -> np.ndarray:
+    """A stationary first-order process along axis 0 from standard normal draws."""
+    scaled = draws * np.sqrt(1.0 - memory**2)
+    scaled[0] = draws[0]
+    return level * lfilter([1.0], [1.0, -memory], scaled, axis=0)
+
+
+def believed(scenario: Scenario) -> dict[str, float]:
+    """Parameters before the trial: the start of every fit."""
+    values = dict(VEHICLES[scenario.vehicle].believed)
+    return values if scenario.pole is None else unstable(values, scenario.pole)
+
+
+def true_values(scenario: Scenario, seed: int, number: int) -> dict[str, float]:
+    """True parameters of a data set."""
+    values = VEHICLES[scenario.vehicle].believed
+    draws = stream(seed, number, "truth").standard_normal(len(values))
+    drawn = {n: v * (1 + SPREAD * d) for (n, v), d in zip(values.items(), draws, strict=True)}
+    return drawn if scenario.pole is None else unstable(drawn, scenario.pole)
+
+
+def simulate(scenario: Scenario, seed: int, numbers: Sequence[int]) -> list[Set]:
+    """Data sets of a scenario."""
+    truths = [true_values(scenario, seed, number) for number in numbers]
+    manoeuvres = (*scenario.records, scenario.fresh)
+    columns = [
+        _Column(scenario, manoeuvre, truth, seed, number)
+        for number, truth in zip(numbers, truths, strict=True)
+        for manoeuvre in manoeuvres
+    ]
+    runs = _integrate(scenario, columns)
+    n = len(manoeuvres)
+    return [
+        Set(number, truth, tuple(runs[i * n : (i + 1) * n - 1]), runs[(i + 1) * n - 1])
+        for i, (number, truth) in enumerate(zip(numbers, truths, strict=True))
+    ]
+
+
+class _Column:
+    """One manoeuvre of one data set and all its random numbers.
+
+    Random forces at the fine step, sensor noise, spikes in standard
+    deviations, samples that are absent, noise of the logged fin, parameters of
+    the record.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        manoeuvre: Manoeuvre,
+        truth: dict[str, float],
+        seed: int,
+        number: int,
+    ) -> None:
+        vehicle = VEHICLES[scenario.vehicle]
+        self.manoeuvre, self.truth = manoeuvre, truth
+        self.n = _n_times(vehicle, manoeuvre)
+        force, noise, spike, fin, zero = (
+            stream(seed, number, manoeuvre.name, part)
+            for part in ("force", "noise", "spikes", "fin", "zero")
+        )
+        h = vehicle.sample_time / vehicle.substeps
+        draws = force.standard_normal(((self.n - 1) * vehicle.substeps + 1, len(vehicle.forces)))
+        memory = np.exp(-h / scenario.force_time)
+        self.force = gauss_markov(draws, np.array(scenario.force), memory)
+        white = noise.standard_normal((self.n, len(vehicle.states)))
+        if scenario.colour:
+            column = scenario.coloured
+            white[:, column] = gauss_markov(white[:, column], 1.0, scenario.colour)
+        self.noise = white * scenario.level * np.array(vehicle.noise_std)
+        chosen = spike.random(white.shape) < scenario.spikes
+        sign = np.where(spike.random(white.shape) < 0.5, -1.0, 1.0)
+        self.spike = np.where(chosen, 1.0 if scenario.one_sided else sign, 0.0)
+        self.spike *= scenario.spike_size
+        gaps = stream(seed, number, manoeuvre.name, "gaps")
+        self.absent = gaps.random(white.shape) < scenario.missing
+        self.absent |= gaps.random((self.n, 1)) < scenario.dropped
+        self.absent[0] = False
+        self.fin_noise = fin.standard_normal(self.n) * np.radians(scenario.fin_noise)
+        zeros = zero.standard_normal(len(vehicle.local))
+        self.local = {
+            name: float(std * draw)
+            for (name, std), draw in zip(vehicle.local.items(), zeros, strict=True)
+        }
+
+
+def _n_times(vehicle: Vehicle, manoeuvre: Manoeuvre) -> int:
+    return round((manoeuvre.duration or vehicle.duration) / vehicle.sample_time) + 1
+
+
+def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
+    """All records side by side; arrays are ``(time, signal, record)``."""
+    vehicle = VEHICLES[scenario.vehicle]
+    n, width = max(column.n for column in columns), len(columns)
+    h = vehicle.sample_time / vehicle.substeps
+    force = np.zeros(((n - 1) * vehicle.substeps + 1, len(vehicle.forces), width))
+    noise = np.zeros((n, len(vehicle.states), width))
+    for i, column in enumerate(columns):
+        force[: len(column.force), :, i] = column.force
+        noise[: column.n, :, i] = column.noise
+    values = {name: np.array([c.truth[name] for c in columns]) for name in vehicle.believed}
+    values |= {name: np.array([c.local[name] for c in columns]) for name in vehicle.local}
+    amplitude, switch = np.radians([[c.manoeuvre.amplitude, c.manoeuvre.switch] for c in columns]).T
+    lead = np.array([c.manoeuvre.lead for c in columns])
+    hold = np.array([c.manoeuvre.hold for c in columns])
+    thrust = np.array([c.manoeuvre.thrust for c in columns])
+    state = np.zeros((len(vehicle.states), width))
+    if vehicle.name == "remus":
+        state[0] = np.sqrt(thrust / -values["X_uu"])
+        state[4] = FIRST_DEPTH
+    clean = np.empty((n, *state.shape))
+    inputs = np.empty((n, len(vehicle.inputs), width))
+    relay = np.ones(width)
+    for k in range(n):
+        clean[k] = state
+        seen = state + noise[k]
+        angle = seen[vehicle.steered] + lead * seen[vehicle.rate_output]
+        relay = np.where(angle > switch, 1.0, np.where(angle < -switch, -1.0, relay))
+        elapsed = k * vehicle.sample_time - vehicle.begin + 1e-9
+        by_clock = np.where(np.floor(elapsed / hold) % 2 == 0, 1.0, -1.0)
+        relay = np.where(hold < np.inf, by_clock, relay)
+        going = elapsed >= 0.0
+        # A bow-down fin lowers theta, a positive rudder raises psi.
+        inputs[k] = np.stack([vehicle.sense * relay * amplitude * going, thrust])[: inputs.shape[1]]
+        if k + 1 == n:
+            break
+        for sub in range(k * vehicle.substeps, (k + 1) * vehicle.substeps):
+            middle = 0.5 * (force[sub] + force[sub + 1])
+            first = vehicle.rate(state, inputs[k], force[sub], values)
+            second = vehicle.rate(state + h / 2 * first, inputs[k], middle, values)
+            third = vehicle.rate(state + h / 2 * second, inputs[k], middle, values)
+            fourth = vehicle.rate(state + h * third, inputs[k], force[sub + 1], values)
+            state = state + h / 6 * (first + 2 * second + 2 * third + fourth)
+    sigma = np.array(vehicle.noise_std)
+    runs = []
+    for i, column in enumerate(columns):
+        part = slice(0, column.n)
+        logged = inputs[part, :, i].copy()
+        outputs = clean[part, :, i] + column.noise + sigma * column.spike
+        if scenario.dropped:
+            column.absent[1:][np.any(np.diff(logged, axis=0) != 0.0, axis=1)] = False
+        logged[:, 0] += column.fin_noise
+        runs.append(
+            Run(
+                column.manoeuvre.name,
+                np.arange(column.n) * vehicle.sample_time,
+                logged,
+                np.where(column.absent, np.nan, outputs),
+                clean[part, :, i],
+                column.force[:: vehicle.substeps],
+                column.spike != 0,
+                column.local,
+            )
+        )
+    return runs

@@ -1,0 +1,216 @@
+"""One data set through the estimator under test, by the public API alone."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from benchmarks.random_forces.scenarios import Scenario
+from benchmarks.random_forces.simulator import Run, Set, believed
+from benchmarks.random_forces.vehicles import VEHICLES
+from oed_sysid import (
+    Dataset,
+    Force,
+    Input,
+    Model,
+    MultipleShooting,
+    Output,
+    Parameter,
+    State,
+    load_problem,
+)
+from oed_sysid.data.record import Record
+
+# Sentences of a report that tell a reader not to trust the errors, where `fit.concerns` is absent.
+WORDS = {
+    "correlated residuals": r"[Rr]esiduals are correlated",
+    "noise level": r"noise .*(larger|smaller|times|declared)",
+    "spikes": r"spike|outlier",
+    "logged input": r"logged (input|fin|rudder)|noise (on|of) (an |the )?input",
+    "random force": r"[Rr]andom force",
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one fit said.
+
+    Attributes
+    ----------
+    number : int
+        Of the data set.
+    truth, estimates, std_errors : dict
+        By parameter; NaN where the fit raised.
+    status : str
+    concerns : tuple of str
+        What the fit warns of: its status if it did not converge, and its
+        ``concerns`` or the sentences of its report.
+    force : dict or None
+        Level and time of the random force of each equation, where a fit tells them.
+    covered : dict
+        Share of a fresh record within the 95 % band, by kind of start.
+    seconds : float
+        Processor time of the fit.
+    by_output : dict
+        The same by output, start states estimated on the fresh record.
+    misfit : float
+        Root mean square residual in units of the declared noise.
+    local : float
+        Root mean square error of per-record parameters over their spread.
+    """
+
+    number: int
+    truth: dict[str, float]
+    estimates: dict[str, float]
+    std_errors: dict[str, float]
+    status: str
+    concerns: tuple[str, ...]
+    force: dict[str, tuple[float, float]] | None
+    covered: dict[str, float]
+    seconds: float
+    by_output: dict[str, float] = field(default_factory=dict)
+    misfit: float = np.nan
+    local: float = np.nan
+
+
+@lru_cache(maxsize=2)
+def _model(vehicle: str) -> Model:
+    """The believed model without priors."""
+    if vehicle == "remus":
+        model = load_problem("remus_diving_plane").model
+        for parameter in model.free_parameters:
+            model = model.with_parameter(replace(parameter, prior_mean=None, prior_std=None))
+        return model
+    yaw = VEHICLES["yaw"]
+    hull = Force(
+        "hull",
+        {"N": "N_r*r + N_absrr*abs(r)*r + N_delta*(rudder + rudder_zero)"},
+        parameters=(
+            Parameter("N_r", -0.125, "1/s"),
+            Parameter("N_absrr", -1.0, "1"),
+            Parameter("N_delta", 0.015, "1/s^2"),
+            Parameter("rudder_zero", 0.0, "rad", scale=0.03, per_record=True),
+        ),
+    )
+    psi, rate = yaw.noise_std
+    return Model(
+        name="yaw with a rudder zero",
+        states=(State("psi", "rad", scale=0.5), State("r", "rad/s", scale=0.03)),
+        inputs=(Input("rudder", "rad"),),
+        outputs=(
+            Output("psi", "rad", noise_std=psi),
+            Output("r", "rad/s", noise_std=rate),
+        ),
+        axes={"N": "r"},
+        inertia={("N", "r"): "1"},
+        kinematics={"psi": "r"},
+        effects=(hull,),
+        step=yaw.sample_time,
+    )
+
+
+def dataset(scenario: Scenario, model: Model, runs: Sequence[Run]) -> Dataset:
+    """Records of the package; rows that were dropped are not in them."""
+    records = []
+    for run in runs:
+        there = np.ones(len(run.times), dtype=bool)
+        if scenario.dropped:
+            there = np.isfinite(run.outputs).any(axis=1)
+        parts = (run.times[there], run.inputs[there], run.outputs[there])
+        records.append(Record(run.name, *parts, model.channels))
+    return Dataset(tuple(records))
+
+
+def estimator(settings: Mapping[str, Any]) -> MultipleShooting:
+    """Multiple shooting; settings that it does not know yet are left out."""
+    known = {field.name for field in fields(MultipleShooting)}
+    return MultipleShooting(**{name: v for name, v in settings.items() if name in known})
+
+
+def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outcome:
+    """Fit a data set, predict its fresh record, and keep what matters."""
+    model = _model(scenario.vehicle).with_values(believed(scenario))
+    if scenario.hidden:
+        model = model.fix(*VEHICLES[scenario.vehicle].local)
+    names = tuple(VEHICLES[scenario.vehicle].believed)
+    began = time.process_time()
+    try:
+        fit = estimator(settings).fit(model, dataset(scenario, model, data.runs))
+    except Exception as error:  # a benchmark counts failures, it does not stop at them
+        empty = dict.fromkeys(names, float("nan"))
+        kind = f"raised {type(error).__name__}: {error}"
+        seconds = time.process_time() - began
+        return Outcome(data.number, data.truth, empty, empty, kind, (), None, {}, seconds)
+    seconds = time.process_time() - began
+    covered, by_output = {}, {}
+    # A parameter of the fresh record can only be known by a fit to it.
+    for initial in ("fit",) if data.fresh.local else ("fit", "first"):
+        try:
+            prediction = fit.predict(dataset(scenario, model, (data.fresh,)), initial=initial)
+            # An output that is not predicted at all (NaN) is not covered.
+            shares = {n: float(np.nan_to_num(v)) for n, v in prediction.coverage().items()}
+            covered[initial] = float(np.mean([*shares.values()]))
+            by_output = shares if initial == "fit" else by_output
+        except Exception:
+            covered[initial] = 0.0
+    local = [
+        fitted[name] - true
+        for fitted, run in zip(fit.local_values, data.runs, strict=False)
+        for name, true in run.local.items()
+        if name in fitted
+    ]
+    spread = next(iter(VEHICLES[scenario.vehicle].local.values()), np.nan)
+    return Outcome(
+        number=data.number,
+        truth=data.truth,
+        estimates={name: fit.values[name] for name in names},
+        std_errors={name: fit.std_errors[name] for name in names},
+        status=fit.status.code,
+        concerns=concerns(fit),
+        force=forces(fit, scenario.vehicle),
+        covered=covered,
+        seconds=seconds,
+        by_output=by_output,
+        misfit=float(fit.normalised_rms),
+        local=float(np.sqrt(np.mean(np.square(local)))) / spread if local else np.nan,
+    )
+
+
+def concerns(fit: Any) -> tuple[str, ...]:
+    """What a fit warns of, in few words each."""
+    found = [] if fit.status.ok else [fit.status.code]
+    if hasattr(fit, "concerns"):
+        stated = fit.concerns() if callable(fit.concerns) else fit.concerns
+        return (*found, *(_kind(concern) for concern in stated))
+    report = fit.report()
+    return (*found, *(kind for kind, words in WORDS.items() if re.search(words, report)))
+
+
+def _kind(concern: Any) -> str:
+    """The shortest name that a concern goes by; numbers in a sentence do not make it another."""
+    for attribute in ("kind", "code", "name"):
+        if isinstance(found := getattr(concern, attribute, None), str):
+            return found
+    return re.sub(r"[-+]?\d+([.,]\d+)?(e[-+]?\d+)?", "#", str(concern))
+
+
+def forces(fit: Any, vehicle: str) -> dict[str, tuple[float, float]] | None:
+    """Level and time of each random force, where the fit has them."""
+    noise = getattr(fit, "noise", None)
+    if getattr(noise, "force", None) is None:
+        return None
+    names = VEHICLES[vehicle].forces
+    levels = np.atleast_1d(np.asarray(noise.force, dtype=float))
+    if not len(levels):  # none was let in
+        return dict.fromkeys(names, (0.0, float("nan")))
+    times = np.broadcast_to(np.asarray(noise.force_time, dtype=float), levels.shape)
+    if len(levels) < len(names):
+        return None
+    pairs = zip(names, levels, times, strict=False)
+    return {name: (float(level), float(tau)) for name, level, tau in pairs}

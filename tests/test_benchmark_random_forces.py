@@ -1,0 +1,334 @@
+"""The benchmark of random forces: its simulator, its reference and its arithmetic."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.random_forces import cache  # noqa: E402
+from benchmarks.random_forces.measures import measure, missed, table  # noqa: E402
+from benchmarks.random_forces.reference import (  # noqa: E402
+    Structure,
+    _Problem,
+    innovations,
+    maximise,
+    reference,
+    structure,
+)
+from benchmarks.random_forces.scenarios import MEDIUM, SCENARIOS, Manoeuvre, Scenario  # noqa: E402
+from benchmarks.random_forces.simulator import Set, simulate  # noqa: E402
+from benchmarks.random_forces.trial import (  # noqa: E402
+    Outcome,
+    concerns,
+    dataset,
+    forces,
+    outcome,
+)
+from benchmarks.random_forces.vehicles import REMUS, YAW, pitch_pole  # noqa: E402
+from oed_sysid import load_problem  # noqa: E402
+
+needs_compiler = pytest.mark.skipif(
+    not (shutil.which("gcc") or shutil.which("clang")), reason="the reference is compiled"
+)
+SHORT = (Manoeuvre("zigzag_10_10", 10.0, 10.0, 9.0, 20.0),)
+
+
+def short(name: str) -> Scenario:
+    """A scenario with one record of 20 s."""
+    return replace(SCENARIOS[name], records=SHORT, fresh=replace(SHORT[0], name="fresh"))
+
+
+@pytest.fixture(scope="module")
+def medium() -> list[Set]:
+    """Twelve data sets with forces of 0.1 N, 0.3 N, 0.06 N m and 2 s."""
+    return simulate(SCENARIOS["medium"], 3, range(12))
+
+
+def test_forces_have_the_stated_level_and_time(medium: list[Set]) -> None:
+    """Standard deviation and correlation over one and two times, from 48 records."""
+    force = np.array([run.force for data in medium for run in (*data.runs, data.fresh)]) / MEDIUM
+    assert force.shape == (48, 601, 3)
+    assert np.std(force) == pytest.approx(1.0, abs=0.05)
+    assert np.mean(force[:, 20:] * force[:, :-20]) == pytest.approx(np.exp(-1), abs=0.07)
+    assert np.mean(force[:, 40:] * force[:, :-40]) == pytest.approx(np.exp(-2), abs=0.08)
+    between = np.corrcoef(force.reshape(-1, 3).T) - np.eye(3)
+    assert np.abs(between).max() < 0.1
+
+
+def test_sensors_are_disturbed_as_stated() -> None:
+    """Level, colour, share and sign of spikes, and noise of the logged fin."""
+    sigma = np.array(REMUS.noise_std)
+
+    def noise(name: str) -> np.ndarray:
+        sets = simulate(short(name), 1, range(12))
+        return np.array([(run.outputs - run.clean) / sigma for d in sets for run in d.runs])
+
+    assert np.std(noise("noise_2x")) == pytest.approx(2.0, abs=0.05)
+    coloured = noise("colour_0.8")
+    lagged = np.mean(coloured[:, 1:] * coloured[:, :-1], axis=(0, 1))
+    assert lagged[3] == pytest.approx(0.8, abs=0.06)
+    assert np.abs(np.delete(lagged, 3)).max() < 0.06
+    assert np.std(coloured[..., 3]) == pytest.approx(1.0, abs=0.08)
+    spiked = noise("spikes_up")
+    assert np.mean(spiked > 5.0) == pytest.approx(0.02, abs=0.005)
+    assert np.mean(spiked < -5.0) == 0.0
+    first, second = (simulate(short(name), 1, [0])[0].runs[0] for name in ("white", "fin_0.5"))
+    gap = second.inputs - first.inputs
+    assert np.std(gap[:, 0]) == pytest.approx(np.radians(0.5), rel=0.1)
+    assert np.all(gap[:, 1] == 0.0)
+    np.testing.assert_array_equal(first.outputs, second.outputs)
+
+
+def test_samples_are_missing_as_stated() -> None:
+    """Half of the samples, or rows that a log does not have; never one with a new command."""
+    (data,) = simulate(short("missing"), 2, [0])
+    assert np.mean(np.isnan(data.runs[0].outputs)) == pytest.approx(0.5, abs=0.06)
+    scenario = short("irregular")
+    (data,) = simulate(scenario, 2, [0])
+    run = data.runs[0]
+    model = load_problem("remus_diving_plane").model
+    record = dataset(scenario, model, data.runs)["zigzag_10_10"]
+    assert record.n_samples / len(run.times) == pytest.approx(0.4, abs=0.1)
+    held = np.searchsorted(record.times, run.times, side="right") - 1
+    np.testing.assert_array_equal(record.inputs[held], run.inputs)
+    assert np.ptp(np.diff(record.times)) > 0.3
+
+
+def test_a_data_set_does_not_depend_on_how_many_there_are() -> None:
+    """Set 3 alone is set 3 of four."""
+    (*_, last), (alone,) = (simulate(short("medium"), 3, numbers) for numbers in (range(4), [3]))
+    np.testing.assert_allclose(alone.runs[0].outputs, last.runs[0].outputs, atol=1e-12)
+    assert alone.truth == last.truth
+    assert alone.fingerprint == pytest.approx(last.fingerprint, rel=1e-8)
+
+
+def test_unstable_vehicle_has_its_pole_and_is_steadied() -> None:
+    """Pitch diverges at 0.5 1/s without a pilot, and stays below 30 degrees with one."""
+    records = tuple(replace(m, duration=25.0) for m in SCENARIOS["unstable"].records)
+    scenario = replace(SCENARIOS["unstable"], records=records, fresh=records[0])
+    (data,) = simulate(scenario, 0, [0])
+    assert pitch_pole(data.truth, 1.5) == pytest.approx(0.5, abs=1e-6)
+    assert pitch_pole(REMUS.believed, 1.5) < 0.0
+    assert max(np.abs(run.clean[:, 3]).max() for run in data.runs) < np.radians(30)
+
+
+@needs_compiler
+def test_reference_recovers_the_truth_without_noise() -> None:
+    """From five per cent off, to a ten-thousandth, over clean records."""
+    (data,) = simulate(short("white"), 0, [2])
+    clean = [replace(run, outputs=run.clean) for run in data.runs]
+    begin = {name: 1.05 * value for name, value in data.truth.items()}
+    found = maximise(REMUS, clean, structure(SCENARIOS["white"]), begin)
+    assert found.converged
+    for name, value in data.truth.items():
+        assert found.estimates[name] == pytest.approx(value, rel=2e-4), name
+
+
+@needs_compiler
+def test_filter_at_the_truth_has_white_innovations_of_unit_size(medium: list[Set]) -> None:
+    """With the true levels and times innovations are what their variances say, and uncorrelated."""
+    noise = structure(SCENARIOS["medium"])
+    scaled = []
+    for data in medium:
+        problem = _Problem(REMUS, data.runs, noise)
+        unknowns = problem.start(data.truth)
+        for i, run in enumerate(data.runs):
+            e, variance = innovations(
+                REMUS, run, problem.vectors(unknowns[None, problem.columns(i)])
+            )
+            scaled.append((e / np.sqrt(variance))[0])
+    ratio = np.array(scaled)
+    np.testing.assert_allclose(np.std(ratio, axis=(0, 1)), 1.0, atol=0.02)
+    lagged = np.mean(ratio[:, 1:] * ratio[:, :-1], axis=(0, 1))
+    assert np.abs(lagged).max() < 0.03
+    # Without the forces they are neither.
+    calm = Structure({**noise.values, **{f"force {n}": 1e-9 for n in "XZM"}}, ())
+    problem = _Problem(REMUS, medium[0].runs, calm)
+    vectors = problem.vectors(problem.start(medium[0].truth)[None, problem.columns(0)])
+    e, variance = innovations(REMUS, medium[0].runs[0], vectors)
+    assert np.std(e / np.sqrt(variance)) > 1.5
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["medium", "fin_0.5", "colour_0.6", "yaw_zero_force"])
+def test_gradient_of_the_reference_is_that_of_its_objective(name: str) -> None:
+    """Along a direction in all unknowns, levels and times included."""
+    scenario = SCENARIOS[name] if "yaw" in name else short(name)
+    (data,) = simulate(scenario, 0, [1])
+    problem = _Problem(YAW if "yaw" in name else REMUS, data.runs, structure(scenario))
+    start = problem.start(data.truth)
+    gradient, information = problem.derivatives(start)
+    way = np.random.default_rng(0).standard_normal(len(start)) / np.sqrt(np.diag(information))
+    step = 1e-3
+    slope = (problem.objective(start + step * way) - problem.objective(start - step * way)) / (
+        4 * step
+    )
+    assert slope == pytest.approx(float(gradient @ way), rel=1e-3, abs=1e-3)
+
+
+@needs_compiler
+def test_reference_finds_levels_and_time(medium: list[Set]) -> None:
+    """Over six sets the median level and time are within 15 per cent, the errors as stated."""
+    scenario = SCENARIOS["medium"]
+    found = [reference(scenario, data) for data in medium[:6]]
+    assert all(m.converged for m in found)
+    for name in structure(scenario).free:
+        true = structure(scenario).values[name]
+        ratios = [m.estimates[name] / true for m in found]
+        assert np.median(ratios) == pytest.approx(1.0, abs=0.15), name
+    z = [
+        (m.estimates[n] - d.truth[n]) / m.std_errors[n]
+        for m, d in zip(found, medium, strict=False)
+        for n in REMUS.believed
+    ]
+    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_one_fit_through_the_public_api() -> None:
+    """On a short white record the shipped model is the simulated one: errors are as stated."""
+    scenario = short("white")
+    (data,) = simulate(scenario, 0, [0])
+    found = outcome(scenario, data, {"disturbances": "auto", "coloured": "never"})
+    assert found.status == "converged"
+    z = np.array([(found.estimates[n] - v) / found.std_errors[n] for n, v in data.truth.items()])
+    assert np.abs(z).max() < 4.0
+    assert found.covered["fit"] > 0.9
+    assert np.mean([*found.by_output.values()]) == pytest.approx(found.covered["fit"])
+    assert found.seconds > 0.0
+    assert set(found.estimates) == set(REMUS.believed)
+
+
+def fake(number: int, offset: float, **changes: object) -> Outcome:
+    """A fit whose every parameter is off by some stated errors of one per cent."""
+    truth = dict(REMUS.believed)
+    values = {
+        "number": number,
+        "truth": truth,
+        "estimates": {n: v + 0.01 * offset * abs(v) for n, v in truth.items()},
+        "std_errors": {n: 0.01 * abs(v) for n, v in truth.items()},
+        "status": "converged",
+        "concerns": (),
+        "force": None,
+        "covered": {"fit": 0.95, "first": 0.9},
+        "seconds": 0.1,
+    }
+    return Outcome(**{**values, **changes})  # type: ignore[arg-type]
+
+
+def test_measures_count_what_they_say() -> None:
+    """Coverage, z, warnings and the ratio to the reference of three made-up fits."""
+    scenario = SCENARIOS["medium"]
+    levels = dict(zip("XZM", [(0.11, 2.1), (0.3, 2.0), (0.12, 2.0)], strict=True))
+    fits = [
+        fake(0, 1.0, force=levels),
+        fake(1, -1.0, force=levels),
+        fake(2, 3.0, concerns=("spikes",), force=levels),
+    ]
+    noise = {"force X": 0.1, "force Z": 0.3, "force M": 0.06, "force time": 3.0}
+    known = {
+        i: {"estimates": fake(i, 1.0).estimates | noise, "std_errors": fake(i, 1.0).std_errors}
+        for i in (0, 1)
+    }
+    found = measure(scenario, fits, known)
+    assert found["coverage"] == pytest.approx(200 / 3)
+    assert found["coverage_error"] == pytest.approx(100 / 3)
+    assert found["z"] == pytest.approx(np.sqrt(11 / 3))
+    assert found["flagged"] == pytest.approx(100 / 3)
+    assert found["reference"]["sets"] == 2
+    assert found["reference"]["error_ratio"] == pytest.approx(1.0)
+    assert found["reference"]["z"] == pytest.approx(1.0)
+    assert found["forces"]["X"]["level"][0] == pytest.approx(1.1)
+    assert found["forces"]["X"]["within"] == 100.0
+    assert found["forces"]["M"]["within"] == 0.0
+    assert found["reference"]["forces"]["Z"]["level"][0] == pytest.approx(1.0)
+    assert found["reference"]["forces"]["Z"]["time"][0] == pytest.approx(1.5)
+    assert found["prediction"]["first"] == pytest.approx((90.0, 0.0))
+    assert "prediction" not in found["missed"]
+    page = table([found])
+    assert "| medium | X | 1.10 (1.10 to 1.10) | 1.05 (1.05 to 1.05) | 100 | 100 |" in page
+    assert "| 66.7 ± 33.3 | 1.91 | 1.00 | 33 |" in page
+
+
+def test_a_fit_that_raises_is_outside_its_intervals() -> None:
+    """It counts against coverage and has an error of a hundred per cent."""
+    nothing = dict.fromkeys(REMUS.believed, float("nan"))
+    broken = fake(1, 0.0, estimates=nothing, std_errors=nothing, status="raised", covered={})
+    found = measure(SCENARIOS["white"], [fake(0, 0.5), broken], {})
+    assert found["coverage"] == pytest.approx(50.0)
+    assert found["flagged"] == pytest.approx(50.0)
+    assert found["by_parameter"]["X_uu"]["relative_rms"] == pytest.approx(100 * np.sqrt(0.5), 1e-3)
+
+
+def test_targets_admit_a_warning_only_for_wrong_sensors() -> None:
+    """Coverage of 80 per cent with a warning is enough for spikes, not for random forces."""
+    found = {
+        "coverage": 80.0,
+        "coverage_error": 1.0,
+        "flagged": 96.0,
+        "prediction": {"fit": (95.0, 0.5)},
+    }
+    assert missed(SCENARIOS["spikes"], found) == []
+    assert missed(SCENARIOS["medium"], found) == ["coverage"]
+    assert missed(SCENARIOS["white"], found) == ["coverage", "false warnings"]
+    assert missed(SCENARIOS["large"], {**found, "coverage": 91.0, "coverage_error": 0.1}) == []
+
+
+def test_what_a_fit_warns_of_is_read_from_concerns_or_its_report() -> None:
+    """An attribute comes first, then known sentences; levels are taken from its noise."""
+    good = SimpleNamespace(ok=True, code="converged")
+    spoken = SimpleNamespace(status=good, report=lambda: "Residuals are correlated in time.")
+    assert concerns(spoken) == ("correlated residuals",)
+    silent = SimpleNamespace(status=good, report=lambda: "3 x noise")
+    assert concerns(silent) == ()
+    listed = SimpleNamespace(
+        status=SimpleNamespace(ok=False, code="stalled"), concerns=[SimpleNamespace(kind="spikes")]
+    )
+    assert concerns(listed) == ("stalled", "spikes")
+    sentence = SimpleNamespace(status=good, concerns=("noise of q 2.03 times declared",))
+    assert concerns(sentence) == ("noise of q # times declared",)
+    noise = SimpleNamespace(force=np.array([0.1, 0.2, 0.3]), force_time=np.array([1.0, 2.0, 3.0]))
+    told = forces(SimpleNamespace(noise=noise), "remus")
+    assert told is not None
+    assert told["M"] == (0.3, 3.0)
+    assert forces(spoken, "remus") is None
+    empty = SimpleNamespace(force=np.zeros(0), force_time=np.zeros(0))
+    assert forces(SimpleNamespace(noise=empty), "remus")["Z"][0] == 0.0  # type: ignore[index]
+
+
+def test_cached_reference_is_of_these_data(tmp_path: Path, medium: list[Set]) -> None:
+    """Written, read back, and not used once the data differ."""
+    scenario, data = SCENARIOS["medium"], medium[0]
+    line = {
+        "data": data.fingerprint,
+        "estimates": {name: float(i) for i, name in enumerate(cache.names(scenario))},
+        "std_errors": dict.fromkeys(cache.names(scenario), 0.01),
+        "converged": True,
+    }
+    entries = {cache.key(scenario, 3, 0): line}
+    cache.save(entries, tmp_path / "reference.json")
+    read = cache.load(tmp_path / "reference.json")
+    assert read == entries
+    assert cache.known(read, scenario, 3, medium) == {0: line}
+    read[cache.key(scenario, 3, 0)]["data"] *= 1.001
+    assert cache.known(read, scenario, 3, medium) == {}
+
+
+def test_shipped_reference_fits_the_simulator() -> None:
+    """The numbers beside the benchmark belong to the data that it simulates today."""
+    scenario = SCENARIOS["medium"]
+    sets = simulate(scenario, 0, range(2))
+    found = cache.known(cache.load(), scenario, 0, sets)
+    assert sorted(found) == [0, 1]
+    for data in sets:
+        line = found[data.number]
+        for name, value in data.truth.items():
+            assert abs(line["estimates"][name] - value) < 5 * line["std_errors"][name]
