@@ -135,8 +135,8 @@ def draws(vehicles: Sequence[str], count: int) -> list[Draw]:
 
     Examples
     --------
-    >>> [draw.key for draw in draws(["motor"], 3)]
-    ['motor/0/none/white/declared', 'motor/1/single/white/declared', 'motor/2/single/white/undeclared']
+    >>> [draw.key for draw in draws(["motor"], 2)]
+    ['motor/0/none/white/declared', 'motor/1/single/white/declared']
     """
     unknown = [name for name in vehicles if name not in VEHICLES]
     if unknown:
@@ -144,9 +144,7 @@ def draws(vehicles: Sequence[str], count: int) -> list[Draw]:
     found = []
     for number in range(count):
         hidden, condition = PATTERN[number % len(PATTERN)]
-        before = sum(
-            PATTERN[i % len(PATTERN)] == (hidden, condition) for i in range(number)
-        )
+        before = sum(PATTERN[i % len(PATTERN)] == (hidden, condition) for i in range(number))
         found += [Draw(name, number, hidden, condition, before % 2 == 0) for name in vehicles]
     return found
 
@@ -225,7 +223,7 @@ def _sizes(kind: Hidden, n_records: int, rng: np.random.Generator) -> dict[str, 
     factor = math.exp(rng.uniform(math.log(FACTOR[0]), math.log(FACTOR[1])))
     side = 1.0 if kind.sign else float(rng.choice([-1.0, 1.0]))
     if kind.per_record:
-        (key, size), = kind.sizes.items()
+        ((key, size),) = kind.sizes.items()
         part = rng.uniform(0.4, 1.6, n_records) * rng.choice([-1.0, 1.0], n_records)
         return {key: size * part}
     if kind.sign == 0 and len(kind.sizes) == 2:  # a vector of any direction

@@ -105,9 +105,7 @@ def judge(draw: Draw, *, limit: float = 600.0) -> dict[str, Any]:
         "condition": draw.condition,
         "declared": draw.declared,
         "effects": list(case.effects),
-        "same_as": {
-            name: list(case.vehicle.hidden[name].same_as) for name in case.effects
-        },
+        "same_as": {name: list(case.vehicle.hidden[name].same_as) for name in case.effects},
         "sizes": {k: np.asarray(v).tolist() for k, v in case.hidden.items()},
         **_detectability(case),
     }

@@ -1,4 +1,4 @@
-"""Run the improvement on cases of vehicles that nobody tuned for, and tabulate how often it is right.
+"""Run the improvement on vehicles that nobody tuned for, and tabulate how often it is right.
 
     OMP_NUM_THREADS=1 python -m benchmarks.other_vehicles coaster motor --cases 20 --jobs 1
 
@@ -66,6 +66,9 @@ def run(
     done = {entry["key"] for entry in load(store)}
     left = [draw for draw in wanted if draw.key not in done]
     tell(f"{len(wanted)} cases, {len(wanted) - len(left)} of them done")
+    if store.exists() and not store.read_text(encoding="utf-8").endswith("\n"):
+        with store.open("a", encoding="utf-8") as file:  # after a line that was cut short
+            file.write("\n")
     with Parallel(n_jobs=n_jobs, return_as="generator_unordered") as workers:
         entries = workers(delayed(judge)(draw, limit=limit) for draw in left)
         for finished, entry in enumerate(entries, start=1):

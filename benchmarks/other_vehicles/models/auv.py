@@ -5,6 +5,8 @@ from __future__ import annotations
 from benchmarks.other_vehicles.models.base import Nominal
 from oed_sysid import Actuator, Environment, Force, Input, Model, Output, Parameter, State
 from oed_sysid.effects import (
+    Effect,
+    Sensor,
     actuator_lag,
     actuator_offset,
     added_mass_error,
@@ -23,7 +25,6 @@ from oed_sysid.effects import (
     stall,
     thrust_speed_loss,
 )
-from oed_sysid.effects import Effect, Sensor
 
 RELATIVE_PRIOR = 0.3
 

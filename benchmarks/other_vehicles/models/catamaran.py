@@ -61,9 +61,7 @@ SWAY_DAMPING = Force(
     (Parameter("Y_v", -70.0, "kg/s", -900.0, 900.0, scale=40.0, description="sway damping"),),
     description="linear sway damping",
 )
-THRUST = Force(
-    "thrust", {"X": "T_l + T_r", "N": "arm*(T_l - T_r)"}, description="both propellers"
-)
+THRUST = Force("thrust", {"X": "T_l + T_r", "N": "arm*(T_l - T_r)"}, description="both propellers")
 WIND = Force(
     "wind_force",
     {
@@ -139,9 +137,7 @@ def build(declared: bool, lacking: str | None) -> Model:
     thrust = "where({0} > 0, k*{0}**2, -k*{0}**2/2)"
     return Model(
         name="two-propeller catamaran",
-        states=tuple(
-            State(n, u, scale=s) for n, u, s in zip(names, units, scales, strict=True)
-        ),
+        states=tuple(State(n, u, scale=s) for n, u, s in zip(names, units, scales, strict=True)),
         inputs=(Input("n_left", "1/s", "left propeller"), Input("n_right", "1/s", "right one")),
         outputs=tuple(
             Output(n, u, noise_std=level if declared else None)

@@ -40,9 +40,7 @@ def _known(name: str, value: float, unit: str, description: str) -> Parameter:
 
 def _guess(name: str, value: float, description: str) -> Parameter:
     spread = RELATIVE_PRIOR * abs(value)
-    return Parameter(
-        name, value, "1", prior_mean=value, prior_std=spread, description=description
-    )
+    return Parameter(name, value, "1", prior_mean=value, prior_std=spread, description=description)
 
 
 CONSTANTS = (

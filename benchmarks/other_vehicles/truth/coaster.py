@@ -63,7 +63,14 @@ def _start(revolutions: float) -> dict[str, float]:
     return {"u": revolutions * math.sqrt(FIXED["T_nn"] / (-Q * FREE["X_uu"]))}
 
 
-FREE = {"X_uu": -0.0012, "Y_v": -0.018, "N_v": -0.005, "N_r": -0.0040, "Y_d": 0.0045, "N_d": -0.0022}
+FREE = {
+    "X_uu": -0.0012,
+    "Y_v": -0.018,
+    "N_v": -0.005,
+    "N_r": -0.0040,
+    "Y_d": 0.0045,
+    "N_d": -0.0022,
+}
 FIXED = {"Y_r": 0.0035, "T_nn": 2400.0}
 _DEGREE = math.radians(1.0)
 _PSI = 3

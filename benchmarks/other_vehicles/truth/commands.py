@@ -60,9 +60,13 @@ def multisine(
     phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, len(periods))
 
     def fresh() -> Pilot:
-        return lambda time, _: base + amplitude * sum(
-            math.sin(2 * math.pi * time / period + phase)
-            for period, phase in zip(periods, phases, strict=True)
+        return lambda time, _: (
+            base
+            + amplitude
+            * sum(
+                math.sin(2 * math.pi * time / period + phase)
+                for period, phase in zip(periods, phases, strict=True)
+            )
         )
 
     return fresh

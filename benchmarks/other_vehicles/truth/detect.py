@@ -95,8 +95,11 @@ def _whitened(
     fed = _effective(other, sent)
 
     def later(plant: Plant, own: np.ndarray, push: np.ndarray) -> np.ndarray:
-        return plant.advance(np.concatenate([own, fed, plant.vehicle.measure(
-            own, plant.parameters, plant.hidden)]), fed, push)[:n]
+        return plant.advance(
+            np.concatenate([own, fed, plant.vehicle.measure(own, plant.parameters, plant.hidden)]),
+            fed,
+            push,
+        )[:n]
 
     base = later(other, state, forces)
     true = truth.advance(full, runs.effective[record].T, forces)[:n]

@@ -18,9 +18,7 @@ from benchmarks.other_vehicles.truth.commands import multisine, steps
 from benchmarks.other_vehicles.truth.simulator import Hidden, Manoeuvre, Sizes, Vehicle
 
 
-def _applied(
-    x: np.ndarray, d: np.ndarray, p: Sizes, h: Sizes, f: np.ndarray
-) -> np.ndarray:
+def _applied(x: np.ndarray, d: np.ndarray, p: Sizes, h: Sizes, f: np.ndarray) -> np.ndarray:
     """Acceleration by everything but dry friction."""
     theta, omega = x
     drive = p["a"] * d[0] - p["b"] * omega - p["c"] * np.sin(theta) + f[0]
@@ -92,14 +90,14 @@ MOTOR = Vehicle(
         _run("multisine", multisine(0.6, (7.3, 4.1, 2.7, 1.5, 1.1), seed=1)),
         _run(
             "steps",
-            steps(
-                [(1.0, 1.5), (5.0, -1.0), (9.0, 1.8), (12.0, 0.0), (16.0, -1.8), (20.0, 0.5)]
-            ),
+            steps([(1.0, 1.5), (5.0, -1.0), (9.0, 1.8), (12.0, 0.0), (16.0, -1.8), (20.0, 0.5)]),
         ),
         _run("slow_sweep", multisine(0.9, (23.0, 11.0, 3.3), seed=5), 0.3),
     ),
     validation=(
-        _run("steps_other", steps([(1.0, -1.6), (6.0, 1.2), (11.0, -0.6), (14.0, 1.9), (20.0, 0.0)])),
+        _run(
+            "steps_other", steps([(1.0, -1.6), (6.0, 1.2), (11.0, -0.6), (14.0, 1.9), (20.0, 0.0)])
+        ),
         _run("multisine_other", multisine(0.7, (8.9, 4.7, 2.5, 1.4), seed=9), -0.2),
     ),
     settle=settle,
