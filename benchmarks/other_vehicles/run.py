@@ -24,12 +24,41 @@ from benchmarks.other_vehicles.truth import VEHICLES
 
 STORE = Path(__file__).resolve().parent.parent / "results" / "other_vehicles.jsonl"
 CASES = 60
+PAGE = """# How often missing physics is found on vehicles that nothing was tuned for
+
+| vehicle | states | measured | samples | hidden effects | candidates |
+|---|---|---|---|---|---|
+| 50 m coaster | 6 | heading, position | 5 x 361, 1 s | 14 | 26 |
+| two-propeller catamaran | 6 | speeds, yaw rate, heading, position | 5 x 401, 0.25 s | 18 | 31 |
+| AUV, six degrees of freedom | 12 | speeds, rates, attitude, depth | 5 x 301, 0.2 s | 19 | 39 |
+| motor with an unbalanced load | 2 | angle, speed | 5 x 501, 0.05 s | 13 | 21 |
+
+Three records train, two validate. The simulators (`benchmarks/other_vehicles/truth/`) share no
+code with the package; each has its own integrator (Runge-Kutta, Dormand-Prince of order
+eight, Gragg's extrapolation, Runge-Kutta that sticks in dry friction), and without anything
+hidden the nominal models give the same records to 1e-6. Free parameters start 10 to 30 %
+wrong; every other case of a kind declares no noise levels. *waves* are first-order
+Gauss-Markov forces on every axis, *input_noise* is noise on one logged input (0.5 deg of
+a rudder or fin). Sizes are 0.3 to 2 times typical. Some effects are parts of the nominal
+model that a case leaves out (yaw, sway, roll or viscous damping), so that deviations grow.
+
+*Detectable*: the expected gain of the truth in twice the log-likelihood, computed without the
+package by a Kalman filter at the true noise levels, is at least 36 on the training and 16
+on the validation records. *Accepted*: claimed, or in the group of at most three of a claim;
+names that are the same model in other words count as right.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.other_vehicles --cases 60 --table docs/other_vehicles.md
+
+continues where the last run stopped (`benchmarks/results/other_vehicles.jsonl`).
+
+"""
 
 
 def run(
     vehicles: Sequence[str] = tuple(VEHICLES),
     *,
     cases: int = CASES,
+    only: Sequence[int] = (),
     store: Path = STORE,
     n_jobs: int = 1,
     limit: float = 600.0,
@@ -44,6 +73,8 @@ def run(
         Any of coaster, catamaran, auv, motor.
     cases : int
         Cases of every vehicle.
+    only : sequence of int
+        Numbers of cases, where not all are wanted.
     store : Path
         Lines of JSON, one per finished case.
     n_jobs : int
@@ -62,7 +93,9 @@ def run(
     """
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     store.parent.mkdir(parents=True, exist_ok=True)
-    wanted = draws(vehicles, cases)
+    wanted = draws(vehicles, max((cases, *(number + 1 for number in only))))
+    if only:
+        wanted = [draw for draw in wanted if draw.number in only]
     done = {entry["key"] for entry in load(store)}
     left = [draw for draw in wanted if draw.key not in done]
     tell(f"{len(wanted)} cases, {len(wanted) - len(left)} of them done")
@@ -112,6 +145,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("vehicles", nargs="*", default=[], help=", ".join(VEHICLES))
     parser.add_argument("--cases", type=int, default=CASES, help="cases of every vehicle")
+    parser.add_argument("--only", type=int, nargs="*", default=[], help="numbers of cases")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--store", type=Path, default=STORE)
     parser.add_argument("--limit", type=float, default=600.0, help="seconds for one improvement")
@@ -126,6 +160,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         found = run(
             vehicles,
             cases=options.cases,
+            only=options.only,
             store=options.store,
             n_jobs=options.jobs,
             limit=options.limit,
@@ -135,4 +170,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     text = as_markdown(found)
     print(text)
     if options.table:
-        options.table.write_text(text + "\n", encoding="utf-8")
+        options.table.write_text(f"{PAGE}{text}\n", encoding="utf-8")

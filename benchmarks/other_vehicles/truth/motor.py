@@ -7,7 +7,9 @@ r"""An electric motor that swings an unbalanced load: angle and speed.
 The order of the constants is that of a small geared direct-current motor with a
 bar (mechanical time constant 1/b of about a second, c = m g l/J). Dry friction is
 Coulomb's: it opposes motion with a constant torque and, at rest, whatever is applied
-up to that torque (Karnopp 1985, J. Dyn. Sys. Meas. Control 107).
+up to that torque (Karnopp 1985, J. Dyn. Sys. Meas. Control 107). With c free, a centre
+of gravity beside the bar is the same as a bias of the angle (a sine with a phase), and a
+constant load the same as an offset of the voltage.
 """
 
 from __future__ import annotations
@@ -75,14 +77,14 @@ MOTOR = Vehicle(
         "coulomb_friction": Hidden({"coulomb": 0.5}, 1),
         "quadratic_drag": Hidden({"quadratic": 0.15}, -1),
         "constant_torque": Hidden({"torque": 0.6}, same_as=("drive_offset",)),
-        "unbalance": Hidden({"cosine": 0.8}),
+        "unbalance": Hidden({"cosine": 0.8}, same_as=("bias_theta",)),
         "cable_spring": Hidden({"spring": 0.6}, -1),
         "drive_lag": Hidden({"lag:V": 0.12}, 1),
         "drive_deadband": Hidden({"deadband:V": 0.3}, 1),
         "drive_backlash": Hidden({"backlash:V": 0.3}, 1),
         "tacho_lag": Hidden({"sensor_lag:omega": 0.06}, 1),
         "tacho_scale": Hidden({"scale:omega": 0.05}),
-        "bias_theta": Hidden({"bias:theta": 0.04}),
+        "bias_theta": Hidden({"bias:theta": 0.04}, same_as=("unbalance",)),
         "drive_zero": Hidden({"zero:V": 0.25}, per_record=True),
         "viscous_damping": Hidden({"b": 0.8}, lacking=True),
     },
