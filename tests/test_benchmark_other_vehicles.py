@@ -248,12 +248,12 @@ def test_expected_gain_is_what_least_squares_finds() -> None:
     assert best.cost > 0.1
 
 
-def test_random_forces_hide_what_white_noise_shows() -> None:
-    """The same effect gains less where the likelihood has to allow for forces."""
+def test_disturbances_hide_what_white_noise_shows() -> None:
+    """The same effect gains less where the likelihood has to allow for forces or input noise."""
     vehicle = shortened(VEHICLES["motor"], 100)
     hidden = {"torque": 0.1}
     runs = simulate(vehicle, hidden, rng=RNG)
-    calm, rough = (
+    calm, rough, noisy = (
         gains(
             vehicle,
             runs,
@@ -262,10 +262,27 @@ def test_random_forces_hide_what_white_noise_shows() -> None:
             (vehicle.parameters, {}),
             list(vehicle.free),
             waves=waves,
+            input_noise=noise,
         ).train
-        for waves in (0.0, 1.0)
+        for waves, noise in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
     )
     assert 0 < rough < 0.5 * calm
+    assert 0 < noisy < 0.9 * calm
+
+
+def test_an_effect_gains_as_much_beside_one_that_lags() -> None:
+    """A lag that is in both structures takes little from another effect's gain."""
+    vehicle = shortened(VEHICLES["motor"], 100)
+    found = []
+    for lag in ({}, {"lag:V": 0.1, "sensor_lag:omega": 0.02}):
+        hidden = {"quadratic": -0.1, **lag}
+        runs = simulate(vehicle, hidden, rng=RNG)
+        structure = (vehicle.parameters, lag)
+        names = list(vehicle.free)
+        found.append(
+            gains(vehicle, runs, vehicle.parameters, hidden, structure, names, waves=0.0).train
+        )
+    assert found[1] == pytest.approx(found[0], rel=0.3)
 
 
 def test_forces_have_their_level_and_time() -> None:

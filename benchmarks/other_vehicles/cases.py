@@ -78,7 +78,8 @@ class Case:
         Nominal values of the free ones.
     lacking : str or None
         Usual part that the nominal model does without.
-    waves : float
+    waves, input_noise : float
+        Sizes of the random forces and of the noise on a logged input.
     runs : Runs
         Training records first.
     """
@@ -90,6 +91,7 @@ class Case:
     start: Mapping[str, float]
     lacking: str | None
     waves: float
+    input_noise: float
     runs: Runs
 
     @property
@@ -124,6 +126,7 @@ class Case:
             structure,
             estimated,
             waves=self.waves,
+            input_noise=self.input_noise,
         )
 
 
@@ -196,17 +199,17 @@ def _attempt(draw: Draw, vehicle: Vehicle, attempt: int) -> Case:
     free = {k: v * (1 + e) for (k, v), e in zip(vehicle.free.items(), spread, strict=True)}
     wrong = rng.uniform(*WRONG, len(free)) * rng.choice([-1.0, 1.0], len(free))
     parameters = {**vehicle.fixed, **free}
-    waves = 1.0 if draw.condition == "waves" else 0.0
+    waves, input_noise = float(draw.condition == "waves"), float(draw.condition == "input_noise")
     runs = simulate(
         vehicle,
         hidden,
         rng=rng,
         waves=waves,
-        input_noise=float(draw.condition == "input_noise"),
+        input_noise=input_noise,
         parameters=parameters,
     )
     start = {k: v * (1 + e) for (k, v), e in zip(free.items(), wrong, strict=True)}
-    return Case(draw, names, hidden, parameters, start, lacking, waves, runs)
+    return Case(draw, names, hidden, parameters, start, lacking, waves, input_noise, runs)
 
 
 def _names(draw: Draw, vehicle: Vehicle, rng: np.random.Generator) -> tuple[str, ...]:

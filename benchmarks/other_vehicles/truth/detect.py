@@ -51,6 +51,7 @@ def gains(
     estimated: Sequence[str],
     *,
     waves: float,
+    input_noise: float = 0.0,
 ) -> Gains:
     """Expected gains of the truth over a nominal structure.
 
@@ -66,6 +67,8 @@ def gains(
         Parameters that are estimated.
     waves : float
         Size of the random forces.
+    input_noise : float
+        Size of the noise of the logged input, which the filter takes for a white force.
     """
     n_train = len(vehicle.train)
     parts = []
@@ -74,7 +77,7 @@ def gains(
         bare = {k: _of_record(v, record) for k, v in nominal[1].items()}
         truth = Plant(vehicle, parameters, own)
         other = Plant(vehicle, nominal[0], bare)
-        parts.append(_whitened(truth, other, runs, record, estimated, waves))
+        parts.append(_whitened(truth, other, runs, record, estimated, (waves, input_noise)))
     return _project(parts, n_train, len(vehicle.states))
 
 
@@ -83,7 +86,12 @@ def _of_record(size: float | np.ndarray, record: int) -> float:
 
 
 def _whitened(
-    truth: Plant, other: Plant, runs: Runs, record: int, estimated: Sequence[str], waves: float
+    truth: Plant,
+    other: Plant,
+    runs: Runs,
+    record: int,
+    estimated: Sequence[str],
+    disturbed: tuple[float, float],
 ) -> np.ndarray:
     """Innovations of the effect, parameters and initial states, ``(n_times * n_outputs, ...)``."""
     vehicle = truth.vehicle
@@ -94,18 +102,17 @@ def _whitened(
     state = full[:n]
     fed = _effective(other, sent)
 
-    def later(plant: Plant, own: np.ndarray, push: np.ndarray) -> np.ndarray:
-        return plant.advance(
-            np.concatenate([own, fed, plant.vehicle.measure(own, plant.parameters, plant.hidden)]),
-            fed,
-            push,
-        )[:n]
+    def later(
+        plant: Plant, own: np.ndarray, push: np.ndarray, sent: np.ndarray = fed
+    ) -> np.ndarray:
+        # What lags in both structures goes on from where it truly is.
+        return plant.advance(np.concatenate([own, full[n:]]), sent, push)[:n]
 
     base = later(other, state, forces)
     true = truth.advance(full, runs.effective[record].T, forces)[:n]
     jump = true - base
-    seen = other.measure(_resting(other, state, fed))
-    gap = truth.measure(full) - seen
+    gap = truth.measure(full) - other.measure(full)
+    seen = other.measure(other.start(state, fed))
     scale = np.maximum(np.max(np.abs(state), axis=1), 1e-3)
     # Columns of the transition and of the outputs by differences.
     transition, shown = np.empty((full.shape[1], n, n)), np.empty((full.shape[1], len(seen), n))
@@ -113,7 +120,7 @@ def _whitened(
         moved = state.copy()
         moved[i] += STEP * scale[i]
         transition[:, :, i] = ((later(other, moved, forces) - base) / (STEP * scale[i])).T
-        there = other.measure(_resting(other, moved, fed))
+        there = other.measure(other.start(moved, fed))
         shown[:, :, i] = ((there - seen) / (STEP * scale[i])).T
     driven = []
     for name in estimated:
@@ -121,17 +128,17 @@ def _whitened(
         changed = {**other.parameters, name: other.parameters[name] + STEP * size}
         driven.append((later(replace(other, parameters=changed), state, forces) - base) / STEP)
     pushed = np.empty((full.shape[1], n, len(forces)))
-    levels = waves * np.array(list(vehicle.forces.values()))
+    levels = disturbed[0] * np.array(list(vehicle.forces.values()))
     for i, level in enumerate(vehicle.forces.values()):
         shift = forces.copy()
         shift[i] += level
         pushed[:, :, i] = ((later(other, state, shift) - base) / level).T
+    channel, size = vehicle.logged
+    wrong = fed.copy()
+    wrong[vehicle.inputs.index(channel)] += size
+    shaken = disturbed[1] * (later(other, state, forces, wrong) - base).T
     inputs = np.stack([jump, *driven], axis=2).transpose(1, 0, 2)  # time, state, column
-    return _innovations(vehicle, transition, shown, inputs, gap.T, pushed, levels)
-
-
-def _resting(plant: Plant, state: np.ndarray, fed: np.ndarray) -> np.ndarray:
-    return plant.start(state, fed)
+    return _innovations(vehicle, transition, shown, inputs, gap.T, pushed, levels, shaken)
 
 
 def _effective(plant: Plant, commands: np.ndarray) -> np.ndarray:
@@ -150,6 +157,7 @@ def _innovations(
     gap: np.ndarray,
     pushed: np.ndarray,
     levels: np.ndarray,
+    shaken: np.ndarray,
 ) -> np.ndarray:
     """Deviations of every column, through the filter of forces and noise."""
     n_times, n_outputs, n = shown.shape
@@ -175,13 +183,14 @@ def _innovations(
         spread = seen @ covariance @ seen.T + np.diag(noise**2)
         root = np.linalg.cholesky(spread)
         rows[k] = np.linalg.solve(root, innovation)
-        if np.any(levels):
+        if np.any(levels) or np.any(shaken):
             gain = np.linalg.solve(spread, seen @ covariance).T
             believed = believed + gain @ innovation
             covariance = covariance - gain @ seen @ covariance
             step[:n, :n], step[:n, n:] = transition[k], pushed[k]
             believed = step @ believed
             covariance = step @ covariance @ step.T + drive
+            covariance[:n, :n] += np.outer(shaken[k], shaken[k])
         deviation = transition[k] @ deviation
         deviation[:, : n_columns - n] += inputs[k]
     return rows.reshape(n_times * n_outputs, n_columns)
