@@ -10,7 +10,7 @@ import numpy as np
 
 Entry = Mapping[str, Any]
 LARGEST_GROUP = 3
-RISE = 1.01  # validation error after a claim over that before, from which the two contradict
+RISE = 1.02  # validation error after a claim over that before, from which the two contradict
 
 
 @dataclass(frozen=True)
@@ -84,12 +84,17 @@ def more_claimed(entry: Entry) -> bool:
 
 
 def contradicts(entry: Entry) -> bool:
-    """Whether a claim stands beside a validation error that rises or is no number."""
+    """Whether a claim stands beside a validation error that rises with it, or is no number."""
     if not claims(entry):
         return False
-    after, before = (_value(entry[key].get("test")) for key in ("final_error", "base_error"))
-    # From an infinite error anything finite is an improvement.
-    return not np.isfinite(after) or (np.isfinite(before) and after > RISE * before)
+    before = _value(entry["base_error"].get("test"))
+    for step in entry["steps"]:
+        after = _value(step["test_error"])
+        # From an infinite error anything finite is an improvement.
+        if not np.isfinite(after) or (np.isfinite(before) and after > RISE * before):
+            return True
+        before = after
+    return False
 
 
 def _value(text: Any) -> float:
