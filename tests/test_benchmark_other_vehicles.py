@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,12 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.other_vehicles import run as runner  # noqa: E402
 from benchmarks.other_vehicles.cases import PATTERN, draw_case, draws, single_effect  # noqa: E402
-from benchmarks.other_vehicles.judge import nominal, nominal_model, true_model  # noqa: E402
+from benchmarks.other_vehicles.judge import (  # noqa: E402
+    _at_most,
+    nominal,
+    nominal_model,
+    true_model,
+)
 from benchmarks.other_vehicles.measures import as_markdown, measures  # noqa: E402
 from benchmarks.other_vehicles.truth import VEHICLES, auv, catamaran, coaster  # noqa: E402
 from benchmarks.other_vehicles.truth.commands import constant, multisine  # noqa: E402
@@ -430,3 +436,19 @@ def test_multisine_has_the_size_that_was_asked_for() -> None:
     values = np.array([pilot(t, np.empty(0)) for t in np.arange(0, 10, 0.01)])
     assert np.mean(values) == pytest.approx(2.0, abs=1e-3)
     assert np.var(values) == pytest.approx(0.3**2, rel=1e-3)
+
+
+def test_an_improvement_that_takes_too_long_is_an_abort() -> None:
+    """Processor time is limited, and the clock is stopped afterwards."""
+
+    def for_ever() -> None:
+        while True:
+            sum(range(1000))
+
+    with pytest.raises(TimeoutError, match=r"0\.2 s of processor time"), _at_most(0.2):
+        for_ever()
+    with _at_most(0.2):
+        pass
+    began = time.process_time()
+    while time.process_time() - began < 0.3:
+        sum(range(1000))

@@ -92,8 +92,8 @@ def _number(value: float) -> float | str:
 def judge(draw: Draw, *, limit: float = 600.0) -> dict[str, Any]:
     """Draw a case, improve its nominal model, and compare with the truth.
 
-    ``limit`` is the longest that the improvement may take, s; beyond it the case counts
-    as aborted.
+    ``limit`` is the processor time that the improvement may take, s; beyond it the case
+    counts as aborted.
     """
     case = draw_case(draw)
     model = nominal_model(case)
@@ -162,15 +162,15 @@ def _broken(error: Exception) -> Mapping[str, str]:
 
 @contextmanager
 def _at_most(seconds: float) -> Iterator[None]:
-    """Raise :class:`TimeoutError` in the main thread when time is up."""
+    """Raise :class:`TimeoutError` in the main thread when that much processor time is spent."""
 
     def stop(number: int, frame: object) -> None:
-        raise TimeoutError(f"not finished after {seconds:g} s")
+        raise TimeoutError(f"not finished after {seconds:g} s of processor time")
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)

@@ -80,7 +80,7 @@ def run(
     n_jobs : int
         Processes.
     limit : float
-        Longest time that one improvement may take, s.
+        Longest processor time that one improvement may take, s.
     deadline : float, optional
         Time (seconds since the epoch) after which no new result is waited for.
     tell : callable
@@ -148,7 +148,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", type=int, nargs="*", default=[], help="numbers of cases")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--store", type=Path, default=STORE)
-    parser.add_argument("--limit", type=float, default=600.0, help="seconds for one improvement")
+    parser.add_argument(
+        "--limit", type=float, default=600.0, help="processor seconds for one improvement"
+    )
     parser.add_argument("--minutes", type=float, help="start no wait beyond this")
     parser.add_argument("--measure", action="store_true", help="run nothing: measure what is there")
     parser.add_argument("--table", type=Path, help="write the measures there as Markdown")
