@@ -61,6 +61,7 @@ def build(declared: bool, lacking: str | None) -> Model:
     )
 
 
+# Dry friction without the jump, as one writes it for a solver of smooth equations.
 CANDIDATES = (
     _torque("coulomb_friction", "-tanh(omega/0.02)", "rad/s^2", 0.4, "dry friction"),
     _torque("quadratic_drag", "omega*abs(omega)", "1/rad", 0.1, "drag of a fan"),
