@@ -179,7 +179,7 @@ def test_nominal_model_at_true_values_is_the_vehicle(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(VEHICLES))
 def test_candidates_are_the_hidden_effects(name: str) -> None:
-    """Every hidden effect at its true size leaves at most a fiftieth of what it does.
+    """Every hidden effect at its true size leaves at most three per cent of what it does.
 
     But for dry friction, which the candidate smooths: it creeps where the motor sticks.
     """
@@ -210,7 +210,7 @@ def test_candidates_are_the_hidden_effects(name: str) -> None:
             )
             for m in (model, bare)
         )
-        assert left < (0.05 if effect == "coulomb_friction" else 0.02) * whole, (
+        assert left < (0.05 if effect == "coulomb_friction" else 0.03) * whole, (
             effect,
             left / whole,
         )
