@@ -1,0 +1,1 @@
+"""How well missing physics is found on four vehicles that nothing was tuned for."""

@@ -1,0 +1,176 @@
+"""One case: improve the nominal model, and compare with what is true."""
+
+from __future__ import annotations
+
+import signal
+import time
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from benchmarks.other_vehicles.cases import Case, Draw, draw_case
+from benchmarks.other_vehicles.models.base import Nominal
+from oed_sysid import Dataset, Model, MultipleShooting, Record, compare, improve
+
+# Expected gain in twice the log-likelihood from which an effect counts as detectable. A claim
+# among 40 candidates needs about 14; 36 is six standard deviations of one amplitude, so that
+# 49 cases in 50 exceed 16.
+DETECTABLE = 36.0
+# On validation records a claim needs a gain as well; from this on it cannot be missed.
+CONFIRMABLE = 16.0
+
+
+def nominal(vehicle: str) -> Nominal:
+    """The nominal model and candidates of a vehicle."""
+    from importlib import import_module
+
+    return import_module(f"benchmarks.other_vehicles.models.{vehicle}").NOMINAL
+
+
+def datasets(case: Case, model: Model) -> tuple[Dataset, Dataset]:
+    """Training and validation records."""
+    runs = case.runs
+    records = [
+        Record(name, runs.times, runs.logged[i], runs.outputs[i], model.channels)
+        for i, name in enumerate(runs.names)
+    ]
+    n_train = len(case.vehicle.train)
+    return Dataset(records[:n_train]), Dataset(records[n_train:])
+
+
+def nominal_model(case: Case) -> Model:
+    """What the improvement starts from: the structure without what is hidden, values wrong."""
+    model = nominal(case.draw.vehicle).model(case.draw.declared, case.lacking)
+    return model.with_values({k: v for k, v in case.start.items() if k in model.parameter_names})
+
+
+def true_model(case: Case) -> Model:
+    """The nominal structure with what is hidden, at true values."""
+    own = nominal(case.draw.vehicle)
+    model = own.model(case.draw.declared, None)
+    values = {k: v for k, v in case.parameters.items() if k in model.parameter_names}
+    for name in case.effects:
+        if name == case.lacking:
+            continue
+        model = model + own.effect(name)
+        for key, amplitude in own.amplitudes[name].items():
+            size = case.hidden[key]
+            values[amplitude] = float(size) if np.ndim(size) == 0 else 0.0
+    return model.with_values(values)
+
+
+def read(found: Any) -> dict[str, Any]:
+    """What the judge wants to know of an improvement: the only place that names its attributes."""
+    steps = [
+        {
+            "added": step.added,
+            "group": list(step.group),
+            "train_error": _number(step.train_error),
+            "test_error": _number(step.test_error),
+        }
+        for step in found.steps
+    ]
+    return {
+        "verdict": str(found.verdict),
+        "words": [str(line) for line in getattr(found, "advice", ())],
+        "steps": steps,
+        "order": list(found.ranking.order[:8]),
+        "rejected": list(found.rejected),
+        "base_error": {k: _number(v) for k, v in found.base_error.items()},
+        "final_error": {k: _number(v) for k, v in found.final_error.items()},
+    }
+
+
+def _number(value: float) -> float | str:
+    """A number that JSON can hold, or its name."""
+    return float(value) if np.isfinite(value) else str(float(value))
+
+
+def judge(draw: Draw, *, limit: float = 600.0) -> dict[str, Any]:
+    """Draw a case, improve its nominal model, and compare with the truth.
+
+    ``limit`` is the processor time that the improvement may take, s; beyond it the case
+    counts as aborted.
+    """
+    case = draw_case(draw)
+    model = nominal_model(case)
+    train, validation = datasets(case, model)
+    entry: dict[str, Any] = {
+        "key": draw.key,
+        "vehicle": draw.vehicle,
+        "hidden": draw.hidden,
+        "condition": draw.condition,
+        "declared": draw.declared,
+        "effects": list(case.effects),
+        "same_as": {name: list(case.vehicle.hidden[name].same_as) for name in case.effects},
+        "sizes": {k: np.asarray(v).tolist() for k, v in case.hidden.items()},
+        **_detectability(case),
+    }
+    began, processor = time.perf_counter(), time.process_time()
+    try:
+        with _at_most(limit):
+            found = improve(
+                model,
+                train,
+                validation,
+                candidates=nominal(draw.vehicle).effects(case.lacking),
+            )
+        entry |= read(found)
+    except Exception as error:  # a case that breaks is a result too
+        entry |= _broken(error)
+        found = None
+    entry["seconds"] = time.perf_counter() - began
+    entry["processor_seconds"] = time.process_time() - processor
+    try:
+        with _at_most(limit):
+            entry |= _against_truth(case, found, train, validation)
+    except Exception as error:
+        entry["truth_error"] = f"{type(error).__name__}: {error}"
+    return entry
+
+
+def _detectability(case: Case) -> dict[str, Any]:
+    gains = {name: case.gain(name) for name in case.effects}
+    return {
+        "true_gains": {name: gain.train for name, gain in gains.items()},
+        "true_validation_gains": {name: gain.validation for name, gain in gains.items()},
+        "detectable": all(
+            gain.train >= DETECTABLE and gain.validation >= CONFIRMABLE for gain in gains.values()
+        ),
+    }
+
+
+def _against_truth(
+    case: Case, found: Any, train: Dataset, validation: Dataset
+) -> dict[str, float | str]:
+    """Validation errors of what was found and of the true structure, by one means."""
+    fit = MultipleShooting().fit(true_model(case), train)
+    models: dict[str, Any] = {"true": fit.model}
+    if found is not None:
+        models["found"] = found.model
+    compared = compare(models, validation)
+    return {f"{part.label}_validation": _number(part.relative) for part in compared.models}
+
+
+def _broken(error: Exception) -> Mapping[str, str]:
+    text = "".join(traceback.format_exception(error))
+    return {"error": f"{type(error).__name__}: {error}", "traceback": text[-4000:]}
+
+
+@contextmanager
+def _at_most(seconds: float) -> Iterator[None]:
+    """Raise :class:`TimeoutError` in the main thread when that much processor time is spent."""
+
+    def stop(number: int, frame: object) -> None:
+        raise TimeoutError(f"not finished after {seconds:g} s of processor time")
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)

@@ -1,0 +1,289 @@
+"""Nominal model of the vehicle in six degrees of freedom; position is not measured."""
+
+from __future__ import annotations
+
+from benchmarks.other_vehicles.models.base import Nominal
+from oed_sysid import Actuator, Environment, Force, Input, Model, Output, Parameter, State
+from oed_sysid.effects import (
+    Effect,
+    Sensor,
+    actuator_lag,
+    actuator_offset,
+    added_mass_error,
+    amplitude,
+    backlash,
+    coupling,
+    crossed_drag,
+    deadband,
+    deflection_drag,
+    linear_damping,
+    quadratic_drag,
+    rate_limit,
+    sensor_bias,
+    sensor_lag,
+    sensor_scale,
+    stall,
+    thrust_speed_loss,
+)
+
+RELATIVE_PRIOR = 0.3
+
+
+def _known(name: str, value: float, unit: str, description: str) -> Parameter:
+    return Parameter(name, value, unit, fixed=True, description=description)
+
+
+def _guess(name: str, value: float, unit: str) -> Parameter:
+    spread = RELATIVE_PRIOR * abs(value)
+    return Parameter(name, value, unit, prior_mean=value, prior_std=spread)
+
+
+CONSTANTS = (
+    _known("m", 30.5, "kg", "mass"),
+    _known("I_xx", 0.8, "kg m^2", "roll inertia"),
+    _known("I_yy", 3.45, "kg m^2", "pitch and yaw inertia"),
+    _known("X_udot", -0.93, "kg", "surge added mass"),
+    _known("Y_vdot", -35.5, "kg", "sway and heave added mass"),
+    _known("K_pdot", -0.2, "kg m^2", "roll added inertia"),
+    _known("M_qdot", -4.88, "kg m^2", "pitch and yaw added inertia"),
+    _known("T_nn", 0.014, "N s^2", "thrust per n^2"),
+    _known("a_Q", 0.03, "m", "propeller torque over thrust"),
+)
+RIGID = Force(
+    "rigid_body",
+    {
+        "X": "m*(r*v - q*w)",
+        "Y": "m*(p*w - r*u)",
+        "Z": "m*(q*u - p*v)",
+        "M": "(I_yy - I_xx)*r*p",
+        "N": "(I_xx - I_yy)*p*q",
+    },
+    description="rotation of a rigid body",
+)
+IDEAL = Force(
+    "ideal_fluid",
+    {
+        "X": "Y_vdot*(q*w_r - r*v_r)",
+        "Y": "X_udot*u_r*r - Y_vdot*w_r*p",
+        "Z": "Y_vdot*v_r*p - X_udot*u_r*q",
+        "M": "(X_udot - Y_vdot)*u_r*w_r + (K_pdot - M_qdot)*r*p",
+        "N": "(Y_vdot - X_udot)*u_r*v_r + (M_qdot - K_pdot)*p*q",
+    },
+    description="rotation of the added mass",
+)
+HULL = Force(
+    "hull",
+    {
+        "X": "X_uu*u_r*abs(u_r)",
+        "Y": "Y_uv*u_r*v_r + Y_ur*u_r*r",
+        "Z": "Z_uw*u_r*w_r + Z_uq*u_r*q",
+        "M": "M_uw*u_r*w_r + M_uq*u_r*q",
+        "N": "N_uv*u_r*v_r + N_ur*u_r*r",
+    },
+    (
+        _guess("X_uu", -3.9, "kg/m"),
+        _guess("Y_uv", -40.0, "kg/m"),
+        _guess("Y_ur", 9.0, "kg"),
+        _guess("Z_uw", -40.0, "kg/m"),
+        _guess("Z_uq", -9.0, "kg"),
+        _guess("M_uw", -20.6, "kg"),
+        _guess("M_uq", -9.0, "kg m"),
+        _guess("N_uv", 20.6, "kg"),
+        _guess("N_ur", -11.0, "kg m"),
+    ),
+    description="drag and lift of the hull",
+)
+FINS = Force(
+    "fins",
+    {
+        "Y": "Y_uudr*u_r**2*dr",
+        "Z": "Z_uuds*u_r**2*ds",
+        "M": "M_uuds*u_r**2*ds",
+        "N": "N_uudr*u_r**2*dr",
+    },
+    (
+        _guess("Y_uudr", 12.0, "kg/m"),
+        _guess("Z_uuds", -12.0, "kg/m"),
+        _guess("M_uuds", -6.15, "kg"),
+        _guess("N_uudr", -6.15, "kg"),
+    ),
+    description="lift of the fins",
+)
+ROLL_DAMPING = Force(
+    "roll_damping",
+    {"K": "K_p*p"},
+    (Parameter("K_p", -1.0, "kg m^2/s", -20.0, 20.0, scale=0.5),),
+    description="roll damping",
+)
+RESTORING = Force(
+    "restoring",
+    {"K": "-zgW*cos(theta)*sin(phi)", "M": "-zgW*sin(theta)"},
+    (_guess("zgW", 5.9, "N m"),),
+    description="centre of gravity below that of buoyancy",
+)
+PROPELLER = Force("propeller", {"X": "T", "K": "-a_Q*T"}, description="thrust and torque")
+# Flow that a current north and east makes in body axes.
+CURRENT = Environment(
+    "current",
+    {
+        "u_r": "u_r - E_current_north*cos(theta)*cos(psi) - E_current_east*cos(theta)*sin(psi)",
+        "v_r": "v_r - E_current_north*(sin(phi)*sin(theta)*cos(psi) - cos(phi)*sin(psi))"
+        " - E_current_east*(sin(phi)*sin(theta)*sin(psi) + cos(phi)*cos(psi))",
+        "w_r": "w_r - E_current_north*(cos(phi)*sin(theta)*cos(psi) + sin(phi)*sin(psi))"
+        " - E_current_east*(cos(phi)*sin(theta)*sin(psi) - sin(phi)*cos(psi))",
+    },
+    (
+        amplitude("current_north", "m/s", scale=0.1, bound=1.5),
+        amplitude("current_east", "m/s", scale=0.1, bound=1.5),
+    ),
+    description="steady horizontal current",
+)
+
+
+def _force(name: str, terms: dict[str, str], unit: str, scale: float, words: str) -> Force:
+    """A force of one amplitude, written as ``E`` in the terms."""
+    size = amplitude(name, unit, scale=scale)
+    return Force(
+        name,
+        {axis: f"{size.name}*({text})" for axis, text in terms.items()},
+        (size,),
+        description=words,
+    )
+
+
+RUDDER_ZERO = Actuator(
+    "rudder_zero",
+    {"dr": "dr + E_rudder_zero"},
+    (amplitude("rudder_zero", "rad", scale=0.02, bound=0.3, per_record=True),),
+    description="rudder zero set anew before each run",
+)
+LEVER_ARM = Sensor(
+    "log_lever_arm",
+    {"v": "v + E_log_lever_arm*r", "w": "w - E_log_lever_arm*q"},
+    (amplitude("log_lever_arm", "m", scale=0.2),),
+    description="the speed log sits ahead of the origin",
+)
+
+
+def build(declared: bool, lacking: str | None) -> Model:
+    """The nominal model."""
+    levels = (0.02, 0.02, 0.02, 0.006, 0.004, 0.004, 0.006, 0.005, 0.01, 0.03)
+    measured = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "z")
+    units = dict.fromkeys("uvw", "m/s") | dict.fromkeys("pqr", "rad/s")
+    units |= dict.fromkeys(("phi", "theta", "psi"), "rad") | dict.fromkeys("xyz", "m")
+    scales = {"v": 0.1, "w": 0.1, "p": 0.1, "q": 0.1, "r": 0.1, "phi": 0.1, "theta": 0.1}
+    parts = (RIGID, IDEAL, HULL, FINS, ROLL_DAMPING, RESTORING, PROPELLER)
+    return Model(
+        name="AUV in six degrees of freedom",
+        states=tuple(State(n, u, scale=scales.get(n, 1.0)) for n, u in units.items()),
+        inputs=(
+            Input("stern", "rad", "stern planes"),
+            Input("rudder", "rad", "rudders"),
+            Input("n", "1/s", "propeller"),
+        ),
+        outputs=tuple(
+            Output(n, units[n], noise_std=level if declared else None)
+            for n, level in zip(measured, levels, strict=True)
+        ),
+        axes={"X": "u", "Y": "v", "Z": "w", "K": "p", "M": "q", "N": "r"},
+        inertia={
+            ("X", "u"): "m - X_udot",
+            ("Y", "v"): "m - Y_vdot",
+            ("Z", "w"): "m - Y_vdot",
+            ("K", "p"): "I_xx - K_pdot",
+            ("M", "q"): "I_yy - M_qdot",
+            ("N", "r"): "I_yy - M_qdot",
+        },
+        kinematics={
+            "phi": "p + (q*sin(phi) + r*cos(phi))*tan(theta)",
+            "theta": "q*cos(phi) - r*sin(phi)",
+            "psi": "(q*sin(phi) + r*cos(phi))/cos(theta)",
+            "x": "u*cos(theta)*cos(psi) + v*(sin(phi)*sin(theta)*cos(psi) - cos(phi)*sin(psi))"
+            " + w*(cos(phi)*sin(theta)*cos(psi) + sin(phi)*sin(psi))",
+            "y": "u*cos(theta)*sin(psi) + v*(sin(phi)*sin(theta)*sin(psi) + cos(phi)*cos(psi))"
+            " + w*(cos(phi)*sin(theta)*sin(psi) - sin(phi)*cos(psi))",
+            "z": "-u*sin(theta) + v*sin(phi)*cos(theta) + w*cos(phi)*cos(theta)",
+        },
+        actuators={"ds": "stern", "dr": "rudder", "T": "T_nn*n*abs(n)"},
+        signals={"u_r": "u", "v_r": "v", "w_r": "w"},
+        effects=tuple(part for part in parts if part.name != lacking),
+        parameters=CONSTANTS,
+        step=0.05,
+    )
+
+
+_DOWN = {"X": "-sin(theta)", "Y": "cos(theta)*sin(phi)", "Z": "cos(theta)*cos(phi)"}
+CANDIDATES: tuple[Effect, ...] = (
+    CURRENT,
+    _force("excess_weight", _DOWN, "N", 1.5, "weight differs from buoyancy"),
+    _force(
+        "cg_offset_x",
+        {"M": "-cos(theta)*cos(phi)", "N": "cos(theta)*sin(phi)"},
+        "N m",
+        0.3,
+        "centre of gravity ahead of that of buoyancy",
+    ),
+    _force("heel_moment", {"K": "1"}, "N m", 0.2, "constant roll moment"),
+    quadratic_drag("heave_crossflow", "Z", "w_r", scale=100.0),
+    quadratic_drag("sway_crossflow", "Y", "v_r", scale=100.0),
+    quadratic_drag("pitch_quadratic_damping", "M", "q", scale=30.0),
+    quadratic_drag("yaw_quadratic_damping", "N", "r", scale=30.0),
+    quadratic_drag("roll_quadratic_damping", "K", "p", scale=1.0),
+    quadratic_drag("pitch_crossflow_moment", "M", "w_r", scale=30.0),
+    quadratic_drag("yaw_crossflow_moment", "N", "v_r", scale=30.0),
+    crossed_drag("sway_drift_yaw", "Y", "v_r", "r", scale=30.0),
+    _force("crossflow_drag", {"X": "w_r**2 + v_r**2"}, "kg/m", 40.0, "drag due to lift"),
+    deflection_drag("stern_drag", "ds", scale=6.0),
+    deflection_drag("rudder_drag", "dr", scale=6.0),
+    linear_damping("surge_linear_drag", "X", "u_r", scale=1.0),
+    coupling("roll_by_sway", "K", "v_r", scale=3.0),
+    coupling("roll_by_yaw", "K", "r", scale=0.5),
+    thrust_speed_loss(scale=0.06),
+    added_mass_error("heave_added_mass_error", "Z", "w", scale=8.0, bound=50.0),
+    added_mass_error("pitch_added_inertia_error", "M", "q", scale=1.5, bound=6.0),
+    added_mass_error("yaw_added_inertia_error", "N", "r", scale=1.5, bound=6.0),
+    added_mass_error("roll_added_inertia_error", "K", "p", scale=0.2, bound=0.8),
+    actuator_offset("stern_offset", "ds", scale=0.02),
+    actuator_offset("rudder_offset", "dr", scale=0.02),
+    RUDDER_ZERO,
+    actuator_lag("stern_lag", "ds", scale=0.2),
+    actuator_lag("rudder_lag", "dr", scale=0.2),
+    rate_limit("stern_rate_limit", "ds", scale=3.0),
+    backlash("stern_backlash", "ds", scale=0.02),
+    deadband("rudder_deadband", "dr", scale=0.02),
+    stall("stern_stall", "ds", scale=2.0),
+    sensor_lag("depth_lag", "z", scale=0.3),
+    sensor_bias("bias_q", "q", "rad/s", scale=0.008),
+    sensor_bias("bias_theta", "theta", "rad", scale=0.02),
+    sensor_bias("bias_w", "w", "m/s", scale=0.03),
+    sensor_scale("scale_u", "u", scale=0.04),
+    sensor_scale("scale_r", "r", scale=0.04),
+    LEVER_ARM,
+)
+
+NOMINAL = Nominal(
+    build,
+    CANDIDATES,
+    {"roll_damping": ROLL_DAMPING},
+    {
+        "current": {"current_north": "E_current_north", "current_east": "E_current_east"},
+        "excess_weight": {"excess_weight": "E_excess_weight"},
+        "cg_offset_x": {"cg_ahead": "E_cg_offset_x"},
+        "heave_crossflow": {"Z_absww": "E_heave_crossflow"},
+        "sway_crossflow": {"Y_absvv": "E_sway_crossflow"},
+        "pitch_quadratic_damping": {"M_absqq": "E_pitch_quadratic_damping"},
+        "yaw_quadratic_damping": {"N_absrr": "E_yaw_quadratic_damping"},
+        "crossflow_drag": {"X_ww": "E_crossflow_drag"},
+        "roll_by_sway": {"K_uv": "E_roll_by_sway"},
+        "thrust_speed_loss": {"speed_loss": "E_thrust_speed_loss"},
+        "pitch_added_inertia_error": {"pitch_inertia": "E_pitch_added_inertia_error"},
+        "stern_offset": {"offset:stern": "E_stern_offset"},
+        "stern_lag": {"lag:stern": "E_stern_lag"},
+        "stern_backlash": {"backlash:stern": "E_stern_backlash"},
+        "rudder_zero": {"zero:rudder": "E_rudder_zero"},
+        "depth_lag": {"sensor_lag:z": "E_depth_lag"},
+        "bias_q": {"bias:q": "E_bias_q"},
+        "log_lever_arm": {"lever_arm": "E_log_lever_arm"},
+        "roll_damping": {"K_p": "K_p"},
+    },
+)

@@ -1,0 +1,193 @@
+"""Nominal model of the 50 m coaster: linear hull and rudder, heading and position measured."""
+
+from __future__ import annotations
+
+import math
+
+from benchmarks.other_vehicles.models.base import Nominal
+from oed_sysid import Actuator, Force, Input, Model, Output, Parameter, State
+from oed_sysid.effects import (
+    actuator_lag,
+    added_mass_error,
+    amplitude,
+    backlash,
+    coupling,
+    crossed_drag,
+    cubic_damping,
+    current_horizontal_plane,
+    deadband,
+    deflection_drag,
+    linear_damping,
+    quadratic_drag,
+    rate_limit,
+    rudder_neutral_angle,
+    rudder_stall,
+    sensor_bias,
+    sensor_lag,
+    speed_loss_in_turn,
+    thrust_speed_loss,
+)
+
+LENGTH, DENSITY = 50.0, 1025.0
+MASS = 0.0130 * 0.5 * DENSITY * LENGTH**3
+SPIN = 0.0010 * 0.5 * DENSITY * LENGTH**5
+RELATIVE_PRIOR = 0.3
+
+
+def _known(name: str, value: float, unit: str, description: str) -> Parameter:
+    return Parameter(name, value, unit, fixed=True, description=description)
+
+
+def _guess(name: str, value: float, description: str) -> Parameter:
+    spread = RELATIVE_PRIOR * abs(value)
+    return Parameter(name, value, "1", prior_mean=value, prior_std=spread, description=description)
+
+
+CONSTANTS = (
+    _known("L", LENGTH, "m", "length between perpendiculars"),
+    _known("Q", 0.5 * DENSITY * LENGTH**2, "kg/m", "rho L^2/2"),
+    _known("m", MASS, "kg", "mass"),
+    _known("X_udot", -0.0007 * 0.5 * DENSITY * LENGTH**3, "kg", "surge added mass"),
+    _known("Y_vdot", -0.0100 * 0.5 * DENSITY * LENGTH**3, "kg", "sway added mass"),
+    _known("I_zz", 0.00081 * 0.5 * DENSITY * LENGTH**5, "kg m^2", "yaw inertia"),
+    _known("N_rdot", -0.00050 * 0.5 * DENSITY * LENGTH**5, "kg m^2", "yaw added inertia"),
+    _known("T_nn", 2400.0, "kg m", "thrust per n^2"),
+)
+HULL = Force(
+    "hull",
+    {
+        "X": "m*v*r + Q*X_uu*u_r*abs(u_r)",
+        "Y": "-m*u*r + Q*(Y_v*u_r*v_r + L*Y_r*u_r*r)",
+        "N": "Q*L*N_v*u_r*v_r",
+    },
+    (
+        _guess("X_uu", -0.0012, "resistance"),
+        _guess("Y_v", -0.018, "side force of drift"),
+        _known("Y_r", 0.0035, "1", "side force of yaw rate"),
+        _guess("N_v", -0.005, "moment of drift"),
+    ),
+    description="linear hull",
+)
+YAW_DAMPING = Force(
+    "yaw_damping",
+    {"N": "Q*L**2*N_r*u_r*r"},
+    (Parameter("N_r", -0.0040, "1", -0.05, 0.05, scale=0.002, description="yaw damping"),),
+    description="moment of the hull against yaw rate",
+)
+RUDDER = Force(
+    "rudder_force",
+    {"Y": "Q*Y_d*u_r**2*delta", "N": "Q*L*N_d*u_r**2*delta"},
+    (_guess("Y_d", 0.0045, "rudder force"), _guess("N_d", -0.0022, "rudder moment")),
+    description="rudder",
+)
+PROPELLER = Force("propeller", {"X": "T"}, description="thrust")
+WIND = Force(
+    "wind_force",
+    {
+        "X": "E_wind_north*cos(psi) + E_wind_east*sin(psi)",
+        "Y": "E_wind_east*cos(psi) - E_wind_north*sin(psi)",
+    },
+    (amplitude("wind_north", "N", scale=5e3), amplitude("wind_east", "N", scale=5e3)),
+    description="constant force from a fixed direction",
+    needs="several headings",
+)
+RUDDER_ZERO = Actuator(
+    "rudder_zero",
+    {"delta": "delta + E_rudder_zero"},
+    (amplitude("rudder_zero", "rad", scale=0.02, bound=0.2, per_record=True),),
+    description="rudder zero set anew before each run",
+)
+
+
+def build(declared: bool, lacking: str | None) -> Model:
+    """The nominal model."""
+    noise = (math.radians(0.2), 0.5, 0.5) if declared else (None, None, None)
+    parts = (HULL, YAW_DAMPING, RUDDER, PROPELLER)
+    return Model(
+        name="50 m coaster",
+        states=(
+            State("u", "m/s", "surge speed"),
+            State("v", "m/s", "sway speed", scale=0.3),
+            State("r", "rad/s", "yaw rate", scale=0.02),
+            State("psi", "rad", "heading"),
+            State("x", "m", "north", scale=100.0),
+            State("y", "m", "east", scale=100.0),
+        ),
+        inputs=(Input("n", "1/s", "propeller"), Input("rudder", "rad", "rudder angle")),
+        outputs=(
+            Output("psi", "rad", "heading", noise_std=noise[0]),
+            Output("x", "m", "north", noise_std=noise[1]),
+            Output("y", "m", "east", noise_std=noise[2]),
+        ),
+        axes={"X": "u", "Y": "v", "N": "r"},
+        inertia={
+            ("X", "u"): "m - X_udot",
+            ("Y", "v"): "m - Y_vdot",
+            ("N", "r"): "I_zz - N_rdot",
+        },
+        kinematics={
+            "psi": "r",
+            "x": "u*cos(psi) - v*sin(psi)",
+            "y": "u*sin(psi) + v*cos(psi)",
+        },
+        actuators={"delta": "rudder", "T": "T_nn*n*abs(n)"},
+        signals={"u_r": "u", "v_r": "v"},
+        effects=tuple(part for part in parts if part.name != lacking),
+        parameters=CONSTANTS,
+        step=0.25,
+    )
+
+
+CANDIDATES = (
+    current_horizontal_plane(scale=0.25),
+    WIND,
+    cubic_damping("yaw_cubic_damping", "N", "r", scale=1.5e10),
+    quadratic_drag("sway_crossflow", "Y", "v_r", scale=6e4),
+    quadratic_drag("yaw_crossflow", "N", "r", scale=5e8),
+    crossed_drag("yaw_drift_yaw", "N", "v_r", "r", scale=3e7),
+    crossed_drag("sway_drift_yaw", "Y", "v_r", "r", scale=1e6),
+    speed_loss_in_turn(scales={"X_vr": 3e5, "X_vv": 2e4}),
+    linear_damping("surge_linear_drag", "X", "u_r", scale=3e3),
+    linear_damping("sway_linear_damping", "Y", "v_r", scale=2e4),
+    coupling("sway_yaw_coupling", "Y", "r", scale=1e5),
+    deflection_drag("rudder_drag", "delta", scale=3e3),
+    rudder_stall("yaw_rudder_stall", "N", scale=1e5),
+    thrust_speed_loss(scale=0.05),
+    rudder_neutral_angle(scale=0.02),
+    RUDDER_ZERO,
+    actuator_lag("rudder_lag", "delta", scale=2.0),
+    rate_limit("rudder_rate_limit", "delta", scale=20.0),
+    deadband("rudder_deadband", "delta", scale=0.02),
+    backlash("rudder_backlash", "delta", scale=0.02),
+    added_mass_error("surge_added_mass_error", "X", "u", scale=0.1 * MASS, bound=0.9 * MASS),
+    added_mass_error("sway_added_mass_error", "Y", "v", scale=0.3 * MASS, bound=1.5 * MASS),
+    added_mass_error("yaw_added_inertia_error", "N", "r", scale=0.3 * SPIN, bound=1.1 * SPIN),
+    sensor_bias("bias_psi", "psi", "rad", scale=0.02),
+    sensor_lag("heading_lag", "psi", scale=1.0),
+    sensor_lag("position_lag", ("x", "y"), scale=1.0),
+)
+
+NOMINAL = Nominal(
+    build,
+    CANDIDATES,
+    {"yaw_damping": YAW_DAMPING},
+    {
+        "current": {"current_north": "E_current_north", "current_east": "E_current_east"},
+        "wind_force": {"wind_north": "E_wind_north", "wind_east": "E_wind_east"},
+        "yaw_cubic_damping": {"N_rrr": "E_yaw_cubic_damping"},
+        "sway_crossflow": {"Y_absvv": "E_sway_crossflow"},
+        "rudder_neutral_angle": {"offset:rudder": "E_rudder_neutral_angle"},
+        "rudder_lag": {"lag:rudder": "E_rudder_lag"},
+        "heading_lag": {"sensor_lag:psi": "E_heading_lag"},
+        "bias_psi": {"bias:psi": "E_bias_psi"},
+        "speed_loss_in_turn": {
+            "X_vr": "E_speed_loss_in_turn_X_vr",
+            "X_vv": "E_speed_loss_in_turn_X_vv",
+        },
+        "yaw_drift_yaw": {"N_absvr": "E_yaw_drift_yaw"},
+        "rudder_backlash": {"backlash:rudder": "E_rudder_backlash"},
+        "rudder_zero": {"zero:rudder": "E_rudder_zero"},
+        "yaw_added_inertia_error": {"yaw_inertia": "E_yaw_added_inertia_error"},
+        "yaw_damping": {"N_r": "N_r"},
+    },
+)

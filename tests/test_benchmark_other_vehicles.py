@@ -1,0 +1,176 @@
+"""Vehicles that nobody tuned for: cases, their limits, and what is counted."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.other_vehicles import run as runner  # noqa: E402
+from benchmarks.other_vehicles.cases import PATTERN, draw_case, draws, single_effect  # noqa: E402
+from benchmarks.other_vehicles.judge import (  # noqa: E402
+    _at_most,
+    nominal,
+    nominal_model,
+    true_model,
+)
+from benchmarks.other_vehicles.measures import as_markdown, measures  # noqa: E402
+from benchmarks.other_vehicles.truth import VEHICLES  # noqa: E402
+
+
+def test_cases_follow_from_their_names() -> None:
+    """Drawn twice a case is the same; values are wrong by 10 to 30 per cent; logs are noisy."""
+    draw = next(d for d in draws(["coaster"], 20) if d.condition == "input_noise")
+    first, second = draw_case(draw), draw_case(draw)
+    np.testing.assert_array_equal(first.runs.outputs, second.runs.outputs)
+    assert first.start == second.start
+    wrong = [abs(first.start[k] / first.parameters[k] - 1) for k in first.start]
+    assert min(wrong) >= 0.0999
+    assert max(wrong) <= 0.3001
+    channel = first.vehicle.inputs.index("rudder")
+    error = (first.runs.logged - first.runs.commands)[:, :, channel]
+    assert np.std(error) == pytest.approx(first.vehicle.logged[1], rel=0.1)
+    assert draw_case(replace(draw, number=draw.number + 20)).start != first.start
+    with pytest.raises(ValueError, match="Unknown vehicle"):
+        draws(["submarine"], 1)
+
+
+def test_every_vehicle_has_enough_to_hide_and_to_confuse_it_with() -> None:
+    """At least ten hidden effects, 15 to 40 candidates, each effect among them, each its turn."""
+    for name, vehicle in VEHICLES.items():
+        own = nominal(name)
+        assert len(vehicle.hidden) >= 10
+        assert 15 <= len(own.candidates) <= 40
+        for effect, kind in vehicle.hidden.items():
+            assert own.effect(effect).name == effect
+            assert set(own.amplitudes[effect]) <= set(kind.sizes)
+        turns = {single_effect(d) for d in draws([name], 40) if d.hidden == "single"}
+        assert turns == set(vehicle.hidden)
+    assert len(PATTERN) == 20
+
+
+def test_a_case_that_lacks_a_part_gets_it_as_a_candidate() -> None:
+    """The nominal model is without the damping, the candidate starts absent, the truth has it."""
+    draw = next(
+        d
+        for d in draws(["motor"], 40)
+        if d.hidden == "single" and single_effect(d) == "viscous_damping"
+    )
+    case = draw_case(draw)
+    assert "viscous_damping" not in nominal_model(case).effect_names
+    (candidate,) = [
+        e for e in nominal("motor").effects(case.lacking) if e.name == "viscous_damping"
+    ]
+    assert candidate.parameters[0].value == 0.0
+    assert true_model(case).values["b"] == pytest.approx(case.parameters["b"])
+    assert case.gain("viscous_damping").train > 1000
+
+
+def entry(key: str, hidden: list[str], added: list[str], **changes: Any) -> dict[str, Any]:
+    """A finished case."""
+    vehicle, _, kind, condition, declared = key.split("/")
+    return {
+        "key": key,
+        "vehicle": vehicle,
+        "hidden": kind,
+        "condition": condition,
+        "declared": declared == "declared",
+        "effects": hidden,
+        "detectable": True,
+        "true_gains": dict.fromkeys(hidden, 100.0),
+        "steps": [{"added": name, "group": [name], "test_error": 1.0} for name in added],
+        "base_error": {"train": 3.0, "test": 3.0},
+        "final_error": {"train": 1.0, "test": 1.0},
+        "true_validation": 1.0,
+        "found_validation": 1.1,
+        "processor_seconds": 2.0,
+        **changes,
+    }
+
+
+def test_measures_count_what_they_say() -> None:
+    """Rates from cases whose outcome is known by construction."""
+    entries = [
+        entry("motor/0/none/white/declared", [], []),
+        entry("motor/1/none/waves/declared", [], ["a"]),
+        entry("motor/2/single/white/declared", ["a"], ["a"]),
+        entry("motor/3/single/white/declared", ["a"], ["b", "a"]),
+        entry("motor/4/single/white/declared", ["a"], ["c"], same_as={"a": ["c"]}),
+        entry(
+            "motor/5/single/white/declared",
+            ["a"],
+            ["b"],
+            steps=[{"added": "b", "group": ["b"], "test_error": "inf"}],
+        ),
+        entry("motor/6/single/white/declared", ["a"], [], detectable=False),
+        entry("motor/7/pair/white/declared", ["a", "b"], ["a"]),
+    ]
+    broken = entry("motor/8/single/waves/undeclared", ["a"], [], error="ValueError: no")
+    for key in ("steps", "final_error", "base_error"):
+        del broken[key]
+    found = measures([*entries, broken])
+    rates = {rate["name"]: rate for rate in found["rates"]}
+    assert rates["motor: right effect accepted"]["value"] == pytest.approx(3 / 5)
+    assert rates["motor: right effect accepted"]["count"] == 5
+    assert rates["motor: right effect first"]["value"] == pytest.approx(2 / 5)
+    assert rates["all: no abort"]["value"] == pytest.approx(8 / 9)
+    assert rates["all: nothing hidden: false claims"]["value"] == 0.5
+    assert rates["waves, nothing hidden: false claims"]["value"] == 1.0
+    assert rates["two hidden: both found"]["value"] == 0.0
+    contradiction = rates["claim beside a validation error that rises"]
+    assert contradiction["value"] == pytest.approx(1 / 9)
+    faults = {row["case"].split("/")[1]: row["faults"][0] for row in found["failures"]}
+    assert faults == {
+        "1": "false claim",
+        "3": "wrong effect first",
+        "5": "wrong effect",
+        "7": "one of two missed",
+        "8": "aborted: ValueError: no",
+    }
+    assert "motor/5/single/white/declared" in as_markdown(found)
+
+
+def test_a_run_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Finished cases are not computed again, and a line cut short is computed once more."""
+    asked: list[str] = []
+
+    def judged(draw: Any, *, limit: float) -> dict[str, Any]:
+        asked.append(draw.key)
+        hidden = [] if draw.hidden == "none" else ["a"]
+        return entry(draw.key, hidden, hidden)
+
+    monkeypatch.setattr(runner, "judge", judged)
+    store = tmp_path / "out.jsonl"
+    quiet = {"store": store, "tell": lambda text: None}
+    runner.run(["motor"], cases=2, **quiet)
+    lines = store.read_text().splitlines()
+    store.write_text(lines[0] + "\n" + lines[1][:20])
+    found = runner.run(["motor"], cases=3, **quiet)
+    assert len(asked) == 2 + 2
+    assert found["n_cases"] == 3
+    assert all(json.loads(line) for line in [lines[0]])
+
+
+def test_an_improvement_that_takes_too_long_is_an_abort() -> None:
+    """Processor time is limited, and the clock is stopped afterwards."""
+
+    def for_ever() -> None:
+        while True:
+            sum(range(1000))
+
+    with pytest.raises(TimeoutError, match=r"0\.2 s of processor time"), _at_most(0.2):
+        for_ever()
+    with _at_most(0.2):
+        pass
+    began = time.process_time()
+    while time.process_time() - began < 0.3:
+        sum(range(1000))
