@@ -11,7 +11,7 @@ import numpy as np
 
 from oed_sysid.batch.threads import one_thread
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.estimators.losses import loss_by_name
 from oed_sysid.estimators.nonlinear_program import NonlinearProgram
 from oed_sysid.fitting.beginning import (
@@ -254,10 +254,12 @@ class MultipleShooting:
             own = [begin.initial_state(unknowns, i) for i in range(len(begin.records))]
             starts = [Start(model.values, own, [{}] * len(own))]
         quiet = replace(setting, white=np.maximum(fit.sigma, white))
-        test = score_test(
-            model.with_values(dict(starts[0].values)), dataset, quiet, starts[0].initial,
-            starts[0].local,
-        )  # fmt: skip
+        first = starts[0]
+        at = model.with_values(dict(first.values))
+        try:
+            test = score_test(at, dataset, quiet, first.initial, first.local)
+        except SimulationError:  # the model itself leaves the numbers: the status says so
+            return fit
         if self.disturbances == "auto" and test.gain < CLEAR:
             return replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
         solution = fit_disturbed(
