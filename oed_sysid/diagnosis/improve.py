@@ -76,6 +76,7 @@ class _State:
     added: tuple[_Added, ...]
     fit: FilteredSolution
     path: tuple[FilteredSolution, ...]
+    replaced: tuple[str, ...] = ()
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -357,7 +358,9 @@ def _with_term(
     option = replace(option, added=(*option.added[:-1], last), fit=option.study.settle(found))
     if len(option.added) > max_effects + 1:
         return state, None, tied
-    return _rebuilt(option), proposals, ()
+    present = {one.effect.name for one in option.added}
+    gone = tuple(one.effect.name for one in state.added if one.effect.name not in present)
+    return _rebuilt(replace(option, replaced=gone)), proposals, ()
 
 
 def _without_imitations(
@@ -453,7 +456,7 @@ def _result(
     }
     term = None
     if proposals is not None and proposals.best is not None:
-        term = Term.of(proposals, steps[-1], state, base)
+        term = Term.of(proposals, steps[-1], state.replaced)
     return Improvement(
         model=fits[-1].model,
         base=base_fit.model,

@@ -112,12 +112,10 @@ class Term:
     content: Mapping[str, Any]
 
     @classmethod
-    def of(cls, proposals: Proposals, step: Step, state: Any, base: Any) -> Term:
-        """The term of the last step."""
+    def of(cls, proposals: Proposals, step: Step, replaces: Sequence[str]) -> Term:
+        """The term of the last step, and the known effects whose place it takes."""
         best = proposals[0]
         parameter = step.effect.parameters[0]
-        present = {one.effect.name for one in state.added}
-        before = {e.name for e in state.path[-2].problem.model.effects} if state.path[1:] else set()
         return cls(
             {
                 "term": best.text,
@@ -130,7 +128,7 @@ class Term:
                 "evidence": step.evidence,
                 "test_gain": None if np.isnan(step.test_gain) else step.test_gain,
                 "group": list(proposals.group),
-                "replaces": sorted(before - present),
+                "replaces": list(replaces),
             }
         )
 

@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from oed_sysid.batch.threads import one_thread
+from oed_sysid.compiled.filtering import filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.estimators.losses import loss_by_name
@@ -25,6 +26,7 @@ from oed_sysid.fitting.beginning import (
     warm_point,
     wide_start,
 )
+from oed_sysid.fitting.filtered import disturbed_model
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import Progress, Solution, solve
 from oed_sysid.fitting.noise_levels import (
@@ -46,6 +48,7 @@ from oed_sysid.fitting.step_error import with_step_advice
 from oed_sysid.fitting.summary import summarise, summarise_filtered
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import chosen_places
+from oed_sysid.noise.disturbances import places as every_place
 
 # Most alternations between noise levels and parameters; three or four suffice as a rule.
 NOISE_ROUNDS = 12
@@ -238,6 +241,7 @@ class MultipleShooting:
     ) -> Fit:
         """Go on from a white fit with random forces and coloured sensors, where they act."""
         asked = "all" if self.disturbances == "auto" else self.disturbances
+        chosen = self.disturbances not in ("auto", "all")
         try:
             places = chosen_places(model, asked)
         except ModelError:
@@ -246,7 +250,9 @@ class MultipleShooting:
             raise
         floor, _ = credible_levels(dataset)
         white = np.where(estimated, np.minimum(fit.sigma, floor), fit.sigma)
-        setting = Setting.of(dataset, places, white, estimated)
+        inputs = [place for place in every_place(model) if place.stage == "actuator"]
+        setting = Setting.of(dataset, places, white, estimated, inputs=() if chosen else inputs)
+        kernel = filter_kernel(disturbed_model(model, setting.disturbances))
         starts = [Start(fit.model.values, fit.initial_states, fit.local_values)]
         if not np.isfinite(fit.cost):
             begin = Shooting(model, dataset, white)
@@ -257,13 +263,19 @@ class MultipleShooting:
         first = starts[0]
         at = model.with_values(dict(first.values))
         try:
-            test = score_test(at, dataset, quiet, first.initial, first.local)
+            test = score_test(at, dataset, quiet, first.initial, first.local, kernel)
         except SimulationError:  # the model itself leaves the numbers: the status says so
             return fit
         if self.disturbances == "auto" and test.gain < CLEAR:
             return replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
         solution = fit_disturbed(
-            model, dataset, setting, starts, test, max_iterations=self.max_iterations,
+            model,
+            dataset,
+            setting,
+            starts,
+            test,
+            kernel=kernel,
+            max_iterations=self.max_iterations,
             progress=self.progress,
         )  # fmt: skip
         if solution is None:

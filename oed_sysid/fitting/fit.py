@@ -84,7 +84,8 @@ class Fit:
     local_values : tuple of mapping
         Values of per-record parameters, per record.
     cost : float
-        Half the weighted sum of squares, priors included.
+        Half the sum of squares of the one-step errors in units of their standard
+        deviation, priors included.
     status : Status
         How the estimation ended.
     iterations : int
