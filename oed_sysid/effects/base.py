@@ -62,6 +62,31 @@ class Memory:
 
 
 @dataclass(frozen=True)
+class RandomProcess:
+    """First-order Gauss-Markov process that drives an effect.
+
+    Parameters
+    ----------
+    place : str
+        Where it acts, ``"force Z"``, ``"actuator ds"`` or ``"sensor q"``.
+    parameter : str
+        Parameter of the effect that is random; its value is the mean, zero.
+    level : float
+        Standard deviation.
+    time : float
+        Correlation time, s; zero is white from sample to sample.
+    known : bool
+        Whether level and time are known rather than estimated.
+    """
+
+    place: str
+    parameter: str
+    level: float
+    time: float
+    known: bool = False
+
+
+@dataclass(frozen=True)
 class Effect:
     """Base of the five kinds of effect; never used directly.
 
@@ -88,6 +113,9 @@ class Effect:
         Words and citation.
     needs : str
         What a manoeuvre must contain for the effect to show.
+    noise : RandomProcess or None
+        Level and time of what is random about the effect; see
+        :mod:`oed_sysid.effects.random`.
     """
 
     name: str
@@ -101,6 +129,7 @@ class Effect:
     description: str = ""
     source: str = ""
     needs: str = ""
+    noise: RandomProcess | None = None
 
     stage: ClassVar[str] = ""
 

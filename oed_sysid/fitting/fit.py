@@ -14,6 +14,7 @@ from scipy.special import ndtri
 from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
+from oed_sysid.effects.base import RandomProcess
 from oed_sysid.errors import DataError
 from oed_sysid.fitting.archive import decode, encode
 from oed_sysid.fitting.prediction import Initial, Prediction, predict
@@ -459,4 +460,5 @@ def align(rows: Sequence[Sequence[str]]) -> list[str]:
 ARCHIVED: tuple[type, ...] = (
     *(Fit, Status, Information, NoiseModel, Model, Parameter, Dataset, Record, Channels),
     *(State, Input, Output, Actuator, Environment, Force, Inertia, Sensor, ExtraState, Memory),
+    RandomProcess,
 )

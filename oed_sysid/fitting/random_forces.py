@@ -77,6 +77,8 @@ class Setting:
         Whether sensors may have coloured noise.
     inputs : tuple of Place
         Logged inputs, which may be noisy: white from sample to sample, let in where it pays.
+    known : tuple of str
+        Places whose level and time are known.
     """
 
     places: tuple[Place, ...]
@@ -85,6 +87,7 @@ class Setting:
     least_white: np.ndarray
     colour: bool = True
     inputs: tuple[Place, ...] = ()
+    known: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -96,11 +99,12 @@ class Setting:
         *,
         colour: bool = True,
         inputs: Sequence[Place] = (),
+        known: Sequence[str] = (),
     ) -> Setting:
         """Setting of some records."""
         floor, seen = credible_levels(dataset)
         least = np.where(seen, LEAST_SEEN * np.minimum(floor, white), 0.0)
-        return cls(tuple(places), white, estimated, least, colour, tuple(inputs))
+        return cls(tuple(places), white, estimated, least, colour, tuple(inputs), tuple(known))
 
     @property
     def disturbances(self) -> tuple[str, ...]:
@@ -148,7 +152,7 @@ class Setting:
             # Where colour is let in, the white level has to make room for it.
             white=self.estimated | colour,
             colour=colour,
-            force=np.ones(len(noise.places), dtype=bool),
+            force=np.array([place not in self.known for place in noise.places], dtype=bool),
             own_times=own_times,
             least_white=self.least_white,
             times=self.times(dataset),
@@ -329,7 +333,11 @@ def fit_disturbed(
     begin = replace(
         test.noise,
         colour=np.zeros_like(test.noise.colour),
-        force=np.maximum(test.noise.force, LEAST_START * unit.force),
+        force=np.where(
+            [place in setting.known for place in test.noise.places],
+            test.noise.force,
+            np.maximum(test.noise.force, LEAST_START * unit.force),
+        ),
     )
     nowhere = np.zeros(len(setting.white), dtype=bool)
     tried: list[FilteredSolution] = []
