@@ -38,7 +38,7 @@ def _strips(factor: str, moment: bool) -> str:
     places, weights = np.polynomial.legendre.leggauss(5)
     terms = []
     for place, weight in zip(0.5 * places, 0.5 * weights, strict=True):
-        flow = f"(v + {factor}*r*L*({place:.9f}))"
+        flow = f"(v_r + {factor}*r*L*({place:.9f}))"
         arm = f"*({place:.9f})" if moment else ""
         terms.append(f"{weight:.9f}*{flow}*sqrt({flow}**2 + 1e-8){arm}")
     return "(" + " + ".join(terms) + ")"
@@ -46,9 +46,12 @@ def _strips(factor: str, moment: bool) -> str:
 
 SIGNALS = {
     "Q": "0.5*rho*L*d",
+    # Velocity through the water; a current changes these two.
+    "u_r": "u",
+    "v_r": "v",
     "n_ahead": "max(n, 0)",
     "n_astern": "max(-n, 0)",
-    "u_P": "u*(1 - w_P)",
+    "u_P": "u_r*(1 - w_P)",
     "thrust": "rho*D_P**3*n_ahead*(k_0*D_P*n_ahead + k_1*u_P)",
     # Slipstream far behind the propeller, from momentum theory, squared.
     "jet": f"max(u_P**2 + {8 / math.pi:.9f}*thrust/(rho*D_P**2), 0)",
@@ -56,7 +59,8 @@ SIGNALS = {
     "u_J": "epsilon*(u_P + kappa*(sqrt(jet + 1e-6) - sqrt(u_P**2 + 1e-6)))",
     # The race reaches the rudder when the propeller turns ahead and the ship moves ahead.
     "u_R": "u_W*(n_ahead <= 0) + sqrt(eta*u_J**2 + (1 - eta)*u_W**2 + 1e-6)*(n_ahead > 0)",
-    "v_R": "-gamma_R*(v + l_R_prime*L*r)",
+    "across": "v_r + l_R_prime*L*r",
+    "v_R": "-gamma_R*across*(1 - gamma_side*tanh(across/0.02))",
     "V_R": "sqrt(u_R**2 + v_R**2)",
     "F_N": "0.5*rho*A_R*f_alpha*V_R*(u_R*sin(delta) - v_R*cos(delta))",
 }
@@ -74,9 +78,9 @@ RIGID_BODY = Force(
 HULL_FORCE = Force(
     "hull",
     {
-        "X": "Q*(-R_0_prime*max(u, 0)**2 + R_A_prime*min(u, 0)**2 + X_vr_prime*L*v*r)",
-        "Y": "Q*(Y_v_prime*abs(u)*v + Y_r_prime*L*u*r - C_D*" + _strips("C_rY", False) + ")",
-        "N": "Q*L*(N_v_prime*u*v + N_r_prime*L*abs(u)*r - C_D*" + _strips("C_rN", True) + ")",
+        "X": "Q*(-R_0_prime*max(u_r, 0)**2 + R_A_prime*min(u_r, 0)**2 + X_vr_prime*L*v_r*r)",
+        "Y": "Q*(Y_v_prime*abs(u_r)*v_r + Y_r_prime*L*u_r*r - C_D*" + _strips("C_rY", False) + ")",
+        "N": "Q*L*(N_v_prime*u_r*v_r + N_r_prime*L*abs(u_r)*r - C_D*" + _strips("C_rN", True) + ")",
     },
     HULL,
     amplitudes=(),
@@ -86,9 +90,9 @@ HULL_FORCE = Force(
 PROPELLER_FORCE = Force(
     "propeller",
     {
-        "X": "(1 - t_P)*thrust - rho*D_P**3*n_astern*(k_A*D_P*n_astern + k_AJ*u)",
-        "Y": "Y_T*thrust + rho*D_P**3*n_astern*(Y_A*D_P*n_astern + Y_AJ*u)",
-        "N": "0.5*L*(N_T*thrust + rho*D_P**3*n_astern*(N_A*D_P*n_astern + N_AJ*u))",
+        "X": "(1 - t_P)*thrust - rho*D_P**3*n_astern*(k_A*D_P*n_astern + k_AJ*u_r)",
+        "Y": "Y_T*thrust + rho*D_P**3*n_astern*(Y_A*D_P*n_astern + Y_AJ*u_r)",
+        "N": "0.5*L*(N_T*thrust + rho*D_P**3*n_astern*(N_A*D_P*n_astern + N_AJ*u_r))",
     },
     PROPELLER,
     amplitudes=(),

@@ -4,12 +4,14 @@ The wind's velocity relative to the ship, :math:`a_x, a_y` in body axes, is made
 measured wind and the ship's own motion; with :math:`V_A = \sqrt{a_x^2 + a_y^2}`
 
 .. math::
-    X = \tfrac{\rho_A}{2} A_T C_X a_x V_A,\quad
-    Y = \tfrac{\rho_A}{2} A_L C_Y a_y V_A,\quad
-    N = \tfrac{\rho_A}{2} A_L L (C_{N1} a_y V_A + C_{N2} a_x a_y),
+    X &= \tfrac{\rho_A}{2} A_T C_X a_x V_A,\\
+    Y &= \tfrac{\rho_A}{2} A_L (C_{Y1} \sin\gamma + C_{Y3} \sin 3\gamma) V_A^2,\\
+    N &= \tfrac{\rho_A}{2} A_L L
+         (C_{N1} \sin\gamma + \tfrac12 C_{N2} \sin 2\gamma + C_{N3} \sin 3\gamma) V_A^2,
 
-the leading terms of Fujiwara's series in the angle of attack. By the projected areas of this
-tanker :math:`C_X` is about 0.7 and :math:`C_Y` about 0.8 (Fujiwara, Ueno & Nimura 1998).
+with :math:`\sin\gamma = a_y/V_A`: the terms of Fujiwara's series (Fujiwara, Ueno & Nimura
+1998) that these records can tell apart. The plain projected-area formula, a drag coefficient
+of one on the area that the wind meets, is :math:`C_X = C_{Y1} = 1` and nothing else.
 """
 
 from __future__ import annotations
@@ -18,8 +20,10 @@ from oed_sysid import Actuator, Force, Parameter
 from oed_sysid.effects import (
     Effect,
     actuator_lag,
+    added_mass_coupling,
     amplitude,
     crossed_drag,
+    current_horizontal_plane,
     quadratic_drag,
     rudder_neutral_angle,
     sensor_bias,
@@ -62,21 +66,23 @@ WIND = Force(
     "wind",
     {
         "X": f"{_FRONT:.9f}*E_wind_X*a_x*V_A",
-        "Y": f"{_SIDE:.9f}*E_wind_Y*a_y*V_A",
-        "N": f"{_SIDE * LENGTH:.9f}*(E_wind_N1*a_y*V_A + E_wind_N2*a_x*a_y)",
+        "Y": f"{_SIDE:.9f}*(E_wind_Y1*a_y*V_A + E_wind_Y3*third)",
+        "N": f"{_SIDE * LENGTH:.9f}*(E_wind_N1*a_y*V_A + E_wind_N2*a_x*a_y + E_wind_N3*third)",
     },
     (
         _coefficient("E_wind_X", "along the ship"),
-        _coefficient("E_wind_Y", "across the ship"),
+        _coefficient("E_wind_Y1", "across the ship"),
+        _coefficient("E_wind_Y3", "across the ship, third harmonic of the angle", 0.1),
         _coefficient("E_wind_N1", "moment of a wind from abeam", 0.1),
         _coefficient("E_wind_N2", "moment of a wind from the bow or the quarter", 0.1),
+        _coefficient("E_wind_N3", "moment, third harmonic of the angle", 0.1),
     ),
-    definitions=AIR,
+    definitions={**AIR, "third": "(3*a_y*V_A**2 - 4*a_y**3)/V_A"},
     description="force of the measured wind on hull and superstructure",
     source=FUJIWARA,
     needs="wind that is not small beside the ship's speed, on several headings",
 )
-CURRENT_PUSH = Force(
+STEADY_PUSH = Force(
     "steady_push",
     {
         "X": "E_steady_push_north*cos(psi) + E_steady_push_east*sin(psi)",
@@ -97,7 +103,7 @@ WAKE_BY_DRIFT = Force(
     description="drift moves the propeller out of the hull's wake",
     needs="large drift with the propeller ahead",
 )
-RACE_ASTERN = Actuator(
+RUDDER_SCALE = Actuator(
     "rudder_scale",
     {"delta": "delta*(1 + E_rudder_scale)"},
     (amplitude("rudder_scale", "1", scale=0.1),),
@@ -110,13 +116,17 @@ def effects() -> tuple[Effect, ...]:
     """Candidates, the wind first."""
     return (
         WIND,
-        CURRENT_PUSH,
+        STEADY_PUSH,
+        current_horizontal_plane(scale=0.02),
         WAKE_BY_DRIFT,
         quadratic_drag("yaw_crossflow", "N", "r", scale=0.01 * FORCE * LENGTH**3),
         crossed_drag("sway_drift_yaw", "Y", "v", "r", scale=0.1 * FORCE * LENGTH),
         crossed_drag("yaw_drift_yaw", "N", "v", "r", scale=0.1 * FORCE * LENGTH**2),
+        added_mass_coupling(
+            "sway_yaw_inertia", ("Y", "r"), ("N", "v"), scale=0.01 * FORCE * LENGTH**2
+        ),
         rudder_neutral_angle(scale=0.01),
-        RACE_ASTERN,
+        RUDDER_SCALE,
         actuator_lag("rudder_lag", "delta", scale=0.5),
         PROPELLER_LAG,
         sensor_bias("bias_v", "v", "m/s", scale=0.005),
