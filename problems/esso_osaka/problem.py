@@ -10,8 +10,8 @@ from oed_sysid.manoeuvres import TurningCircle, ZigZag
 
 from .manoeuvring import MMG
 from .missing import WIND, effects
-from .records import records
 from .particulars import SOURCE
+from .records import records
 
 RATE = math.radians(20.0)  # per second, of the logged rudder
 LIMITS = Limits(

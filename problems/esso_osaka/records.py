@@ -110,6 +110,8 @@ def windows(dataset: Dataset, duration: float = 100.0, *, skip: float = 0.0) -> 
         for k in range(int(rest.duration // duration)):
             begin = rest.times[0] + k * duration
             parts.append(
-                rest.window(begin, begin + duration).rename(f"{record.name}_{skip + k * duration:g}")
+                rest.window(begin, begin + duration).rename(
+                    f"{record.name}_{skip + k * duration:g}"
+                )
             )
     return Dataset(tuple(parts))

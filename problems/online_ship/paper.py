@@ -19,6 +19,7 @@ from oed_sysid import Dataset, load_problem
 from oed_sysid.errors import DataError, PrecisionWarning
 from oed_sysid.estimators import LeastSquaresSVM
 from oed_sysid.estimators.online import EquationStream, IncrementalLSSVM, RecursiveLSSVM
+from oed_sysid.report import new_figure
 from oed_sysid.simulate import simulate, simulate_inputs
 
 WEIGHT = 3e5  # as published
@@ -104,10 +105,8 @@ def measured(average: np.ndarray, weight: float, unit: float) -> dict[str, np.nd
 
 def figures(folder: Path, found: dict) -> None:
     """Derivatives as they settle; the zigzag 10/10 predicted by those after the 5/5."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7, 4), layout="constrained")
-    axes = figure.subplots()
+    figure, grid = new_figure(1, 1, size=(7, 4))
+    axes = grid[0, 0]
     for name, track, line in zip(NAMES, found["errors"].T, 3 * ("-", "--"), strict=True):
         axes.plot(found["samples"], track, line, label=name)
     axes.axhline(0.0, color="black", linewidth=0.8)
@@ -118,8 +117,8 @@ def figures(folder: Path, found: dict) -> None:
 
     unseen = simulate(problem.model, problem.experiment("zigzag_10_10"), noise=False)
     run = simulate_inputs(found["model"], unseen.times, inputs=unseen.inputs)
-    figure = Figure(figsize=(7, 6), layout="constrained")
-    panels = figure.subplots(3, 1, sharex=True)
+    figure, grid = new_figure(3, 1, size=(7, 6), sharex=True)
+    panels = grid[:, 0]
     labels = ("sway velocity v [m/s]", "yaw rate r [deg/s]", "heading psi [deg]")
     for k, (axes, label) in enumerate(zip(panels, labels, strict=True)):
         factor = np.degrees(1.0) if k else 1.0
