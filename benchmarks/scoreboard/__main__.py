@@ -1,0 +1,63 @@
+"""Score public benchmarks and write the table."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks.scoreboard import boehm, circles, esso_osaka, glider, roll_decay, silverbox, tanks
+from benchmarks.scoreboard.row import Row
+from oed_sysid.errors import DataError
+
+BOARDS: dict[str, Callable[[], list[Row]]] = {
+    "silverbox": silverbox.score,
+    "tanks": tanks.score,
+    "circles": circles.score,
+    "esso_osaka": esso_osaka.score,
+    "roll_decay": roll_decay.score,
+    "glider": glider.score,
+    "boehm": boehm.score,
+}
+TARGET = Path(__file__).resolve().parent.parent.parent / "docs" / "scoreboard.md"
+HEAD = """# Scoreboard
+
+Public benchmarks with their official splits, beside the published figures. Written by
+`python -m benchmarks.scoreboard`; what says *missing* is scored as soon as its file lies in the
+data folder (`OED_SYSID_DATA`). No structure or parameter was chosen with a record that is
+scored as a test.
+
+| benchmark | ours | published | note |
+|---|---|---|---|
+"""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the boards that are named, or all."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="name", help=", ".join(BOARDS))
+    parser.add_argument("--output", type=Path, help="Markdown file; docs/scoreboard.md for all")
+    given = parser.parse_args(arguments)
+    if unknown := [name for name in given.names if name not in BOARDS]:
+        parser.error(f"there is no board {unknown[0]}; choose from {', '.join(BOARDS)}")
+    rows: list[Row] = []
+    for name in given.names or BOARDS:
+        began = time.perf_counter()
+        print(f"{name}:", flush=True)
+        try:
+            found = BOARDS[name]()
+        except DataError as error:
+            found = [Row(name, None, "-", note=str(error).splitlines()[0][:200])]
+        for row in found:
+            print("  " + " | ".join(row.cells()), flush=True)
+        print(f"  ({time.perf_counter() - began:.0f} s)", flush=True)
+        rows += found
+    output = given.output or (None if given.names else TARGET)
+    if output:
+        lines = ["| " + " | ".join(row.cells()) + " |" for row in rows]
+        output.write_text(HEAD + "\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
