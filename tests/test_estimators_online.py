@@ -201,7 +201,7 @@ def test_machines_must_learn_before_they_tell() -> None:
 
 
 def test_published_recursion_warns_when_its_digits_are_lost() -> None:
-    """With a weight beyond its digits the inverse warns, and is wrong; Cholesky is silent and right."""
+    """With a weight beyond its digits the inverse warns and errs; Cholesky is silent and right."""
     first, second = (IncrementalLSSVM(C=1e14, method=way) for way in ("inverse", "cholesky"))
     batch = train(FEATURES, TARGETS, C=1e14)
     for machine in (first, second):

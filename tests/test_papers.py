@@ -61,7 +61,7 @@ def test_how_accelerations_are_taken_decides_which_coefficients_fail(dive: tuple
 
 
 def test_failures_are_the_least_sensitive_for_some_rules_only(dive: tuple) -> None:
-    """Trapezoid and central differences fail where sensitivity is least; Simpson and Euler do not."""
+    """Trapezoid and central differences fail where sensitivity is least; others elsewhere."""
     script, values, order = dive
     explained = {
         label
@@ -110,7 +110,7 @@ def test_derivatives_settle_and_every_recursion_is_the_batch(tanker: tuple) -> N
 
 @MEASURED
 def test_published_recursion_loses_its_digits_on_measured_data(tanker: tuple) -> None:
-    """At C = 1e8 the inverse's K of run 10/1 has gone astray, its residual says so, Cholesky holds."""
+    """At C = 1e8 the inverse has gone astray and its residual says so; Cholesky holds."""
     script, _ = tanker
     sound = script.measured(script.INSTANT, 3e5, 1.0)
     assert sound["inverse"].mean(axis=0) == pytest.approx([-0.1647, 10.04], abs=5e-3)
@@ -123,7 +123,7 @@ def test_published_recursion_loses_its_digits_on_measured_data(tanker: tuple) ->
 
 @MEASURED
 def test_mean_of_three_zigzags_is_not_the_published_pair(tanker: tuple) -> None:
-    """Neither form of the difference equation gives -0.2559 1/s and 15.68 s on the mean of three."""
+    """No form of the difference equation gives -0.2559 1/s and 15.68 s as mean of three."""
     script, _ = tanker
     averaged = script.measured(script.AVERAGE, 3e5, 1.0)["Cholesky"]
     assert averaged.mean(axis=0) == pytest.approx([-0.2245, 12.83], abs=5e-3)
@@ -169,7 +169,7 @@ def test_spiral_beats_the_spline_for_the_published_ship_only() -> None:
 
 @pytest.mark.slow
 def test_noise_takes_the_spiral_s_advantage() -> None:
-    """At 2 mrad the spiral errs twice as much as the spline for the slowest ship; shooting by 0.2 %."""
+    """At 2 mrad the spiral errs twice as much as the spline for the slowest ship."""
     script = paper("nomoto_sparse_heading")
     row = dict(zip(script.COLUMNS, script.errors("K 0.5, T 2", 0.002), strict=True))
     assert row["spiral"] == pytest.approx(13.47, abs=0.05)

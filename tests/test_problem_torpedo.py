@@ -97,7 +97,7 @@ def test_what_the_record_can_tell() -> None:
     """Wind axes and slow motion identify all twelve to about five per cent, body axes do not."""
     wind = expected_errors(PROBLEM.model)
     assert max(wind, key=wind.get) == "lambda_26"
-    assert wind["lambda_26"] == pytest.approx(4.69, abs=0.05)
+    assert wind["lambda_26"] == pytest.approx(4.85, abs=0.05)
     assert wind["C_x"] < 0.2
     body = expected_errors(PROBLEM.variant("body_axes").model)
     # Not all have a finite bound: the information is singular but for rounding.
@@ -137,7 +137,7 @@ def trajectory_misfit(values: dict[str, float], data: Dataset) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize(("level", "seed"), [(0.0, 0), (1.0, 0), (3.0, 1)])
 def test_published_experiment(level: float, seed: int) -> None:
-    """With 60 particles and 300 generations the swarm fits the record better than the truth does."""
+    """With 60 particles and 300 generations the swarm fits better than the truth does."""
     data = noisy(level, 100 + seed)
     fit = DifferentialSwarm(seed=seed, initial=START).fit(PROBLEM.model, data)
     found = errors(fit)

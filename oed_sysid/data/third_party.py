@@ -282,19 +282,28 @@ _ESSO_LICENCE = (
     "CC BY-NC 4.0 (its file LICENSE: CC BY-NC-SA 4.0), not for commercial use; cite Wakita et al. "
     "(2022) and Miyauchi et al. (2022), J. Mar. Sci. Technol. 27"
 )
+# By kind of run and day, then by time of day.
 _ESSO_FILES = {
-    "random_06-Aug-2020_16_24_25_4": "61dcab5b97f0a039ce59ff18a5b6d6a67f1d35e0b1cdff536ac9192b8c89cc52",
-    "random_06-Aug-2020_16_24_25_5": "402ce69616c48f99f086a491811efd59cf26cc0a1f154c7ceeec844312eabcd4",
-    "random_06-Aug-2020_16_24_25_6": "875dfed9570e83b50e4ecbfe52ef18f12b3cfb18f0f8f4f71f0332691d128eba",
-    "turn_14-Sep-2020_13_39_32": "aedb10b620e00008acb2332ec180ca17a355cb9e2acba72244ebbfb167a9c7df",
-    "turn_14-Sep-2020_14_16_04": "b7075a503a922d58ab0da91c3ee15b55bb9cede0d51ed5f4fb26277fac506775",
-    "turn_cut_14-Sep-2020_15_58_08": "7045db0012e33603955580c070522dc8a06d67e9a50972448acc3dbd86498ee7",
-    "turn_cut_14-Sep-2020_16_09_02": "c5620305b7f3e52f67e84cababff7c67f59ec2ca175b803b6dc2e17621b0c94a",
-    "zigzag_31-Jul-2020_13_22_52": "47d317d8405f88c524fc3e6646224ab4500c9b05184339dd35d14200a71cd8ff",
-    "zigzag_31-Jul-2020_13_29_19": "72523ffd6240cd441a9ab32c0a0ab8dfb52b120b7e7e9be365ff3e51cced022d",
-    "zigzag_31-Jul-2020_13_50_28": "e04f52593cc350281dc2d0b39750a48253fff9e35b3be11d28fc8fa157bbdffa",
-    "zigzag_31-Jul-2020_13_57_45": "6047e035a67745103aa56924e500c3eeb4486f82476e6933e563ca9589db4b68",
-    "zigzag_31-Jul-2020_14_03_39": "d6b7e81950d278c77b21f05f58c8b67a86a1e0f6d43ec57781bb8b9620e01480",
+    "random_06-Aug-2020": {
+        "16_24_25_4": "61dcab5b97f0a039ce59ff18a5b6d6a67f1d35e0b1cdff536ac9192b8c89cc52",
+        "16_24_25_5": "402ce69616c48f99f086a491811efd59cf26cc0a1f154c7ceeec844312eabcd4",
+        "16_24_25_6": "875dfed9570e83b50e4ecbfe52ef18f12b3cfb18f0f8f4f71f0332691d128eba",
+    },
+    "turn_14-Sep-2020": {
+        "13_39_32": "aedb10b620e00008acb2332ec180ca17a355cb9e2acba72244ebbfb167a9c7df",
+        "14_16_04": "b7075a503a922d58ab0da91c3ee15b55bb9cede0d51ed5f4fb26277fac506775",
+    },
+    "turn_cut_14-Sep-2020": {
+        "15_58_08": "7045db0012e33603955580c070522dc8a06d67e9a50972448acc3dbd86498ee7",
+        "16_09_02": "c5620305b7f3e52f67e84cababff7c67f59ec2ca175b803b6dc2e17621b0c94a",
+    },
+    "zigzag_31-Jul-2020": {
+        "13_22_52": "47d317d8405f88c524fc3e6646224ab4500c9b05184339dd35d14200a71cd8ff",
+        "13_29_19": "72523ffd6240cd441a9ab32c0a0ab8dfb52b120b7e7e9be365ff3e51cced022d",
+        "13_50_28": "e04f52593cc350281dc2d0b39750a48253fff9e35b3be11d28fc8fa157bbdffa",
+        "13_57_45": "6047e035a67745103aa56924e500c3eeb4486f82476e6933e563ca9589db4b68",
+        "14_03_39": "d6b7e81950d278c77b21f05f58c8b67a86a1e0f6d43ec57781bb8b9620e01480",
+    },
 }
 
 
@@ -365,13 +374,14 @@ _FILES = (
     ),
     *(
         _hosted(
-            f"esso_osaka/{run}.csv",
+            f"esso_osaka/{day}_{time}.csv",
             sha256,
             _ESSO,
-            f"data/{_kind_of_run(run)}/{run}.csv",
+            f"data/{_kind_of_run(day)}/{day}_{time}.csv",
             _ESSO_LICENCE,
         )
-        for run, sha256 in _ESSO_FILES.items()
+        for day, files in _ESSO_FILES.items()
+        for time, sha256 in files.items()
     ),
     _hosted(
         "cascaded_tanks/estimation.csv",

@@ -10,7 +10,6 @@ from scipy.linalg import solve_triangular
 from oed_sysid.errors import ModelError, PrecisionWarning
 from oed_sysid.estimators.baselines.ls_svm import KernelFunction, LinearKernel, check_weight
 
-
 # Relative residual of the dual system above which the solution is announced as lost. Rounding
 # leaves 1e-5 where three digits of the coefficients are right, and more than 1e-2 where none is.
 LOST = 1e-3
