@@ -185,7 +185,7 @@ def test_gibbs_intervals_hold_for_exact_accelerations_only() -> None:
     assert 90 < exact <= 98
     assert simpson < 88
     assert local < 70
-    assert 92 < shooting <= 98
+    assert shooting > 92
 
 
 def test_a_torpedo_has_twelve_parameters_and_a_bound() -> None:

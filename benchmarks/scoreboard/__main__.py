@@ -23,25 +23,35 @@ BOARDS: dict[str, Callable[[], list[Row]]] = {
 TARGET = Path(__file__).resolve().parent.parent.parent / "docs" / "scoreboard.md"
 HEAD = """# Scoreboard
 
-Public benchmarks with their official splits, beside the published figures. Written by
-`python -m benchmarks.scoreboard`; what says *missing* is scored as soon as its file lies in the
-data folder (`OED_SYSID_DATA`). No structure or parameter was chosen with a record that is
-scored as a test.
-
-| benchmark | ours | published | note |
-|---|---|---|---|
+Public benchmarks with their official splits, beside the published figures. Each section is written
+by `python -m benchmarks.scoreboard NAME`, all of them without a name. What says *missing* is
+scored as soon as its file lies in the data folder (`OED_SYSID_DATA`). No structure and no
+parameter was chosen with a record that is scored as a test.
 """
+TABLE = "| benchmark | ours | published | note |\n|---|---|---|---|\n"
+
+
+def written(rows: dict[str, list[Row]], page: str) -> str:
+    """The page with the sections of these boards written anew, the others as they are."""
+    sections = dict.fromkeys(BOARDS, "")
+    for part in page.split("\n## ")[1:]:
+        name, _, body = part.partition("\n")
+        sections[name] = body.strip()
+    for name, found in rows.items():
+        lines = ["| " + " | ".join(row.cells()) + " |" for row in found]
+        sections[name] = TABLE + "\n".join(lines)
+    body = (f"\n## {name}\n\n{text}\n" for name, text in sections.items() if text)
+    return HEAD + "".join(body)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the boards that are named, or all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", metavar="name", help=", ".join(BOARDS))
-    parser.add_argument("--output", type=Path, help="Markdown file; docs/scoreboard.md for all")
+    parser.add_argument("--output", type=Path, default=TARGET, help="docs/scoreboard.md")
     given = parser.parse_args(arguments)
     if unknown := [name for name in given.names if name not in BOARDS]:
         parser.error(f"there is no board {unknown[0]}; choose from {', '.join(BOARDS)}")
-    rows: list[Row] = []
     for name in given.names or BOARDS:
         began = time.perf_counter()
         print(f"{name}:", flush=True)
@@ -52,11 +62,8 @@ def main(arguments: list[str] | None = None) -> None:
         for row in found:
             print("  " + " | ".join(row.cells()), flush=True)
         print(f"  ({time.perf_counter() - began:.0f} s)", flush=True)
-        rows += found
-    output = given.output or (None if given.names else TARGET)
-    if output:
-        lines = ["| " + " | ".join(row.cells()) + " |" for row in rows]
-        output.write_text(HEAD + "\n".join(lines) + "\n", encoding="utf-8")
+        page = given.output.read_text(encoding="utf-8") if given.output.is_file() else ""
+        given.output.write_text(written({name: found}, page), encoding="utf-8")
 
 
 if __name__ == "__main__":

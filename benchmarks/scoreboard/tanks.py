@@ -137,6 +137,19 @@ def choose(record: Record, *, tell=print) -> tuple[Fit, tuple[str, ...], float]:
     return best, tuple(chosen), error
 
 
+def validation_error(found: Fit) -> float:
+    """Simulation error of the official validation record, V."""
+    whole = read_csv(place(VALIDATION), found.model.channels)[0]
+    run = simulate_inputs(
+        found.model,
+        whole.times,
+        inputs=whole.inputs,
+        initial=dict(zip(found.model.state_names, found.initial_states[0], strict=True)),
+    )
+    away = np.minimum(run.outputs[:, 0], FULL) - whole.output("level")
+    return float(np.sqrt(np.mean(away**2)))
+
+
 def score() -> list[Row]:
     """Estimation, masked blocks, and the official validation record if it is there."""
     fetch("cascaded_tanks/estimation.csv")
@@ -151,13 +164,5 @@ def score() -> list[Row]:
     if not place(VALIDATION).is_file():
         form = "the 1024 validation samples, in the form of estimation.csv (t_s,u_V,y_V)"
         return [*rows, missing("cascaded tanks, official validation", BEST, VALIDATION, form)]
-    whole = read_csv(place(VALIDATION), best.model.channels)[0]
-    run = simulate_inputs(
-        best.model,
-        whole.times,
-        inputs=whole.inputs,
-        initial=dict(zip(best.model.state_names, best.initial_states[0], strict=True)),
-    )
-    away = np.minimum(run.outputs[:, 0], FULL) - whole.output("level")
-    value = float(np.sqrt(np.mean(away**2)))
+    value = validation_error(best)
     return [*rows, Row("cascaded tanks, official validation", value, BEST, "V", note)]
