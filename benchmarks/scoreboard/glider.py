@@ -22,6 +22,8 @@ def score() -> list[Row]:
         model = problem.model + [problem.effect(name) for name in effects]
         error = MultipleShooting().fit(model, train).predict(test).rms["speed"]
         what = f"Slocum glider, speed on eight dives, {'steady' if not effects else 'with inertia'}"
-        note = "three dives fitted" + (f"; {', '.join(effects)}" if effects else "")
+        note = "three dives fitted" + (
+            f"; {', '.join(effects)}, confirmed on these dives" if effects else ""
+        )
         rows.append(Row(what, error, SOURCE, "m/s", note))
     return rows

@@ -82,7 +82,7 @@ def score() -> list[Row]:
             value,
             "-",
             "mV",
-            "fit: 1,500 samples",
+            "fitted to 1,500 samples; this part confirmed the effects",
         )
     ]
     if not place(WHOLE).is_file():
