@@ -29,3 +29,7 @@ class SimulationError(OedSysidError):
 
 class DesignError(OedSysidError):
     """An experiment cannot be designed within the limits that were given."""
+
+
+class PrecisionWarning(UserWarning):
+    """A calculation has lost so many digits to rounding that its result is not to be believed."""
