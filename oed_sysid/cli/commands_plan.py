@@ -242,8 +242,9 @@ def design(
 
 
 def _draw(figure: Any, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150, bbox_inches="tight")
+    from oed_sysid.report import save_figure
+
+    save_figure(figure, path, dpi=150, bbox_inches="tight")
     note(f"Written: {path}")
 
 

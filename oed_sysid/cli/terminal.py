@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oed_sysid.errors import OedSysidError
+from oed_sysid.files import write_text
 
 if TYPE_CHECKING:
     from oed_sysid.fitting.gauss_newton import Progress
@@ -106,13 +106,7 @@ def store(result: Mapping[str, Any], path: Path | None) -> None:
 
 def write(text: str, path: Path) -> None:
     """Write a text file and say so."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OedSysidError(
-            f"{str(path)!r} cannot be written: {error.strerror}. Give another place."
-        ) from error
+    write_text(path, text)
     note(f"Written: {path}")
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from oed_sysid import files
 from oed_sysid.errors import DataError
 
 _DELIMITERS = (";", "\t", ",")
@@ -97,7 +98,7 @@ def write_table(path: Path, headers: list[str], values: np.ndarray) -> None:
     ]
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow(headers)
-    path.write_text(text.getvalue() + "\n".join([*rows, ""]), encoding="utf-8", newline="\n")
+    files.write_text(path, text.getvalue() + "\n".join([*rows, ""]))
 
 
 def _text(path: Path) -> str:

@@ -227,7 +227,7 @@ def _files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     for entry in entries:
         path = Path(entry).expanduser()
         if path.is_dir():
-            found = sorted(path.glob("*.csv"))
+            found = sorted(p for p in path.glob("*.csv") if not p.name.startswith("."))
         elif path.exists():
             found = [path]
         else:

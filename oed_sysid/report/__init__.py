@@ -44,7 +44,7 @@ from oed_sysid.report.prediction_plots import (
 )
 from oed_sysid.report.ranking_page import ranking_page
 from oed_sysid.report.record_plots import figure_record
-from oed_sysid.report.style import model_style, new_figure
+from oed_sysid.report.style import model_style, new_figure, save_figure
 from oed_sysid.report.track_plots import plot_track, plot_zigzag
 
 __all__ = [
@@ -66,6 +66,7 @@ __all__ = [
     "improvement_page",
     "model_style",
     "new_figure",
+    "save_figure",
     "plot_accuracy",
     "plot_autocorrelation",
     "plot_bode",
