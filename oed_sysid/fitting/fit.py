@@ -15,6 +15,7 @@ from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.errors import DataError
+from oed_sysid.files import write_text
 from oed_sysid.fitting.archive import decode, encode
 from oed_sysid.fitting.prediction import Initial, Prediction, predict
 from oed_sysid.information import Information, Whiteness, whiteness
@@ -226,7 +227,7 @@ class Fit:
 
     def save(self, path: str | Path) -> None:
         """Write the fit, its model and its data to a JSON file; :meth:`load` reads it."""
-        Path(path).write_text(json.dumps({"format": 1, "fit": encode(self)}), encoding="utf-8")
+        write_text(path, json.dumps({"format": 1, "fit": encode(self)}))
 
     @staticmethod
     def load(path: str | Path) -> Fit:
