@@ -66,7 +66,7 @@ def room_for(n_bytes: int) -> Iterator[None]:
 def test_full_disk_leaves_the_older_file(
     tmp_path: Path, ending: str, write: Callable[[Path], object]
 ) -> None:
-    """When the disk is full in the middle of a file, the older one is intact and nothing is left."""
+    """A disk that is full in the middle of a file leaves the older one intact and no rest."""
     place = tmp_path / f"result.{ending}"
     place.write_text(SMALL)
     with room_for(600), pytest.raises(OedSysidError, match="cannot be written"):
@@ -149,7 +149,7 @@ def test_links_modes_and_devices_are_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("round_", range(3))
 def test_killed_writer_leaves_a_whole_file(tmp_path: Path, round_: int) -> None:
-    """kill -9 in the middle of writing leaves one of the versions, complete."""
+    """Kill -9 in the middle of writing leaves one of the versions, complete."""
     place = tmp_path / "result.txt"
     program = (
         "import sys; from oed_sysid.files import write_text\n"

@@ -7,6 +7,7 @@ converted to SI here; after this border nothing has another unit.
 from __future__ import annotations
 
 import glob
+import hashlib
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -99,6 +100,12 @@ class Dataset:
     def n_samples(self) -> int:
         """Number of times in all records together."""
         return sum(record.n_samples for record in self.records)
+
+    @property
+    def content_hash(self) -> str:
+        """Digest of the records' values, whatever their names and order."""
+        parts = sorted(record.content_hash for record in self.records)
+        return hashlib.sha256(" ".join(parts).encode()).hexdigest()
 
     def split(self, test: str | Iterable[str]) -> tuple[Dataset, Dataset]:
         """Divide into the records to learn from and those to judge with.
