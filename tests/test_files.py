@@ -21,7 +21,6 @@ from matplotlib.figure import Figure
 from oed_sysid import files
 from oed_sysid.batch.cell_store import CellStore
 from oed_sysid.cli.terminal import store
-from oed_sysid.compiled import compile as compiling
 from oed_sysid.data.dataset import write_csv
 from oed_sysid.errors import FileError, OedSysidError, ProblemError
 from oed_sysid.fitting.fit import Fit
@@ -209,11 +208,11 @@ PLANTED = "int answer(void) { return 666; }"
 OURS = "int answer(void) { return 1; }"
 
 
-def answer() -> int:
-    """Ask the library that the cache gives."""
-    library = compiling.load_source("answer", lambda: OURS, what="a number")
-    assert library is not None
-    return int(library.answer())
+ANSWER = f"""
+from oed_sysid.compiled.compile import load_source
+print(load_source("answer", lambda: "{OURS}", what="a number").answer())
+"""
+KEY = "from oed_sysid.files import secret_key; print(secret_key().hex())"
 
 
 def plant(folder: Path) -> None:
@@ -229,12 +228,11 @@ def plant(folder: Path) -> None:
     library.with_suffix(".sha256").write_text(hashlib.sha256(library.read_bytes()).hexdigest())
 
 
-def fresh(function: str, cache: Path) -> str:
-    """Result of a function of this module in another process, with its warnings."""
-    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+def fresh(program: str, cache: Path) -> str:
+    """What a program prints in a process of its own, with its warnings."""
     done = subprocess.run(
-        [sys.executable, "-c", f"import test_files as t; print(t.{function})"],
-        env=os.environ | {"OED_SYSID_CACHE": str(cache), "PYTHONPATH": path},
+        [sys.executable, "-c", program],
+        env=os.environ | {"OED_SYSID_CACHE": str(cache), "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         check=False,
@@ -245,12 +243,12 @@ def fresh(function: str, cache: Path) -> str:
 
 def test_planted_kernel_is_not_loaded(tmp_path: Path) -> None:
     """A library with a right digest in a folder that others can write to never runs."""
-    assert fresh("answer()", tmp_path).startswith("1")
+    assert fresh(ANSWER, tmp_path).startswith("1")
     plant(tmp_path)
     # In a private folder the user put it there; this shows that the plant would work.
-    assert fresh("answer()", tmp_path).startswith("666")
+    assert fresh(ANSWER, tmp_path).startswith("666")
     tmp_path.chmod(0o777)
-    said = fresh("answer()", tmp_path)
+    said = fresh(ANSWER, tmp_path)
     assert said.startswith("1")
     assert "Others can write to" in said
     assert "chmod go-w" in said
@@ -258,11 +256,11 @@ def test_planted_kernel_is_not_loaded(tmp_path: Path) -> None:
 
 def test_library_that_others_can_change_is_built_again(tmp_path: Path) -> None:
     """In a private folder, one library with loose permissions is replaced by our own."""
-    assert fresh("answer()", tmp_path).startswith("1")
+    assert fresh(ANSWER, tmp_path).startswith("1")
     plant(tmp_path)
     (library,) = tmp_path.glob("answer-*.so")
     library.chmod(0o777)
-    assert fresh("answer()", tmp_path).startswith("1")
+    assert fresh(ANSWER, tmp_path).startswith("1")
     assert library.stat().st_mode & 0o022 == 0
 
 
@@ -291,10 +289,10 @@ def test_foreign_cell_is_never_unpickled(tmp_path: Path) -> None:
 
 def test_key_is_secret_and_lasts(tmp_path: Path) -> None:
     """Two processes share one key, which only the user can read; a loose one is replaced."""
-    first = fresh("files.secret_key().hex()", tmp_path)
+    first = fresh(KEY, tmp_path)
     assert len(first) == 64
-    assert fresh("files.secret_key().hex()", tmp_path) == first
+    assert fresh(KEY, tmp_path) == first
     assert (tmp_path / "key").stat().st_mode & 0o777 == 0o600
     (tmp_path / "key").chmod(0o644)
-    assert fresh("files.secret_key().hex()", tmp_path) != first
+    assert fresh(KEY, tmp_path) != first
     assert (tmp_path / "key").stat().st_mode & 0o777 == 0o600

@@ -126,7 +126,7 @@ def store(
 def invocation() -> tuple[str, dict[str, Any]]:
     """Return the command line that is being worked on, and every option of it."""
     try:  # typer carries its own copy of click since 0.20
-        from typer._click import get_current_context
+        from typer._click.globals import get_current_context
     except ImportError:
         from click import get_current_context  # type: ignore[assignment]
 

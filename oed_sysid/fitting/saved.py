@@ -204,6 +204,8 @@ def read_json(path: str | Path) -> Any:
         If it cannot be read, or is not JSON.
     """
     place = Path(path)
+    if "\0" in str(path):
+        raise DataError(f"{str(path)!r} is no name of a file.")
     try:
         if place.is_dir():
             raise DataError(f"{path} is a folder. Give the file.")
@@ -212,8 +214,6 @@ def read_json(path: str | Path) -> Any:
         raw = place.read_bytes()
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror or error}.") from None
-    except ValueError:  # a NUL byte in the name
-        raise DataError(f"{str(path)!r} is no name of a file.") from None
     if not raw.strip():
         raise DataError(f"{path} is empty. Use a copy of it, or make it again.")
     try:
