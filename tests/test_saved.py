@@ -147,7 +147,10 @@ CONTENT: dict[str, tuple[Callable[[dict], None], str]] = {
         changed(F, "model", F, "kinematics", "mapping", 0, 1, to="__import__('os')"),
         "expected numbers",
     ),
-    "model without states": (changed(F, "model", F, "states", "tuple", to=[]), "at least one state"),
+    "model without states": (
+        changed(F, "model", F, "states", "tuple", to=[]),
+        "at least one state",
+    ),
     "parameter of no value": (
         changed(F, "model", F, "parameters", "tuple", 0, F, "value", to={"number": "nan"}),
         "NaN",

@@ -128,7 +128,7 @@ def invocation() -> tuple[str, dict[str, Any]]:
     try:  # typer carries its own copy of click since 0.20
         from typer._click.globals import get_current_context
     except ImportError:
-        from click import get_current_context  # type: ignore[assignment]
+        from click import get_current_context  # type: ignore[no-redef]
 
     context = get_current_context(silent=True)
     if context is None:
