@@ -198,7 +198,7 @@ def read_csv(
     ]
     records = []
     for file, default in zip(files, names, strict=True):
-        columns = Columns(read_table(file), units or {})
+        columns = Columns(read_table(file, columns_of_text=True), units or {})
         records.append(_read_record(columns, name or default, channels, time))
         for suspicion in columns.suspicions:
             warnings.warn(suspicion, UserWarning, stacklevel=2)
@@ -260,6 +260,10 @@ def _read_record(columns: Columns, name: str, channels: Channels, time: str | No
     ]
     if len(missing) == len(outputs):
         wanted = ", ".join(channel.column or channel.name for channel in channels.outputs)
+        if any(columns.has(channel) for channel in channels.outputs):
+            raise DataError(
+                f"{columns.path.name} holds no sample of any output: all cells of {wanted} are empty."
+            )
         raise DataError(
             f"{columns.path.name} has none of the outputs {wanted}. {columns.found} "
             "Rename a header, or set Output(column=...)."
