@@ -24,6 +24,7 @@ LAYERS = (
     "parameters",
     "data",
     "effects",
+    "model_parts",
     "model",
     "compiled",
     "manoeuvres",
@@ -51,6 +52,7 @@ USES_PUBLIC_API = ("testing", "demo", "app", "cli")
 CASADI_LAYERS = (
     "language",
     "effects",
+    "model_parts",
     "model",
     "compiled",
     "simulate",

@@ -189,10 +189,15 @@ def _check_headers(path: Path, headers: list[str]) -> None:
             )
         )
     for index, header in enumerate(headers):
+        if len(header) > 200:
+            raise DataError(
+                f"Header {header[:40]!r}... of {path.name} has {len(header)} characters. Write "
+                "name and unit only, as 'psi [deg]'."
+            )
         if header.count("[") != header.count("]") or header.count("(") != header.count(")"):
             raise DataError(
-                f"Header {header!r:.60} of {path.name} has a bracket that is not closed. Write units "
-                "as 'psi [deg]'."
+                f"Header {header!r:.60} of {path.name} has a bracket that is not closed. Write "
+                "units as 'psi [deg]'."
             )
         if not header:
             raise DataError(

@@ -262,7 +262,8 @@ def _read_record(columns: Columns, name: str, channels: Channels, time: str | No
         wanted = ", ".join(channel.column or channel.name for channel in channels.outputs)
         if any(columns.has(channel) for channel in channels.outputs):
             raise DataError(
-                f"{columns.path.name} holds no sample of any output: all cells of {wanted} are empty."
+                f"{columns.path.name} holds no sample of any output: all cells of {wanted} are "
+                "empty."
             )
         raise DataError(
             f"{columns.path.name} has none of the outputs {wanted}. {columns.found} "

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from oed_sysid.channels import check_kinds
 from oed_sysid.errors import ModelError
 from oed_sysid.language import expressions
 from oed_sysid.parameters import Parameter, check_unique
@@ -107,9 +108,15 @@ class Effect:
     def __post_init__(self) -> None:
         if type(self) is Effect:
             raise ModelError("Use one of Actuator, Environment, Force, Inertia or Sensor.")
-        object.__setattr__(self, "parameters", tuple(self.parameters))
-        object.__setattr__(self, "states", tuple(self.states))
-        object.__setattr__(self, "memory", tuple(self.memory))
+        where = f"Effect {self.name!r:.60}"
+        if not isinstance(self.name, str) or not isinstance(self.terms, Mapping):
+            raise ModelError(f"{where}: expected a name and a mapping of terms, {{'Z': 'E*w'}}.")
+        for what, kind in (("parameters", Parameter), ("states", ExtraState), ("memory", Memory)):
+            parts = getattr(self, what)
+            if isinstance(parts, kind):
+                raise ModelError(f"{where}: {what} is one {kind.__name__}; write it as (...,).")
+            object.__setattr__(self, what, tuple(parts))
+            check_kinds(where, what, getattr(self, what), kind)
         check_unique(self.parameters, owner=f"Effect {self.name!r}")
         if not self.terms and not self.states:
             raise ModelError(f"Effect {self.name!r} contributes nothing: give at least one term.")
@@ -123,8 +130,11 @@ class Effect:
                     f"Effect {self.name!r} names the amplitude {name!r}, which is not one of its "
                     f"parameters: {', '.join(p.name for p in self.parameters)}."
                 )
-        for text in (*self.terms.values(), *self.definitions.values()):
-            expressions.parse(text)
+        texts = [*self.terms.values(), *self.definitions.values()]
+        texts += [text for state in self.states for text in (state.rate, state.initial)]
+        texts += [text for memory in self.memory for text in (memory.update, memory.initial)]
+        for text in texts:
+            expressions.check_calls(text, where=where, tables=self.tables)
 
     @property
     def amplitude_names(self) -> tuple[str, ...]:
