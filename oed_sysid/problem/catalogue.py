@@ -139,7 +139,8 @@ def _load(file: Path) -> Problem:
     except SyntaxError as error:
         sys.modules.pop(name, None)
         raise ProblemError(
-            f"{error.filename}, line {error.lineno}: {error.msg}. Correct this line of the problem."
+            f"{error.filename or file}, line {error.lineno or '?'}: {error.msg}. Correct this line "
+            "of the problem."
         ) from None
     except KeyboardInterrupt:
         raise
