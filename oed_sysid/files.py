@@ -67,7 +67,9 @@ def whole_file(path: str | Path, *, ending: str | None = None) -> Iterator[Path]
         real = Path(os.path.realpath(target))
         if real.exists() and not real.is_file():
             if real.is_dir():
-                raise FileError(f"{str(target)!r} is a folder. Give the name of a file in it.")
+                raise FileError(
+                    f"{str(target)!r} cannot be written: it is a folder. Give a file in it."
+                )
             yield real
             return
         if real.exists() and not os.access(real, os.W_OK):
