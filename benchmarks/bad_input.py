@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
 from bad_input import csv_files, problem_files  # noqa: E402
 
+NOTED_AND_REFUSED = (*csv_files.REFUSED, *csv_files.NOTED)
 PAGE = ROOT / "docs" / "errors.md"
 BEGIN, END = "<!-- catalogue: {} -->\n", "<!-- end of catalogue -->\n"
 _LONGEST = 260
@@ -69,9 +70,8 @@ def table(rows: Iterable[tuple[str, str]]) -> str:
 
 def sections() -> dict[str, str]:
     """The tables by the name of their place in the page."""
-    csv_entries = (*csv_files.REFUSED, *csv_files.NOTED)
     return {
-        "CSV files": table((kind, csv_message(content)) for kind, content, _ in csv_entries),
+        "CSV files": table((kind, csv_message(content)) for kind, content, _ in NOTED_AND_REFUSED),
         "problem folders": table(
             (kind, problem_message(source)) for kind, source, _ in problem_files.REFUSED
         ),

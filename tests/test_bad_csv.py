@@ -80,3 +80,16 @@ def test_catalogue_is_large_enough() -> None:
     contents = [one[1] for one in (*REFUSED, *NOTED)]
     assert len(REFUSED) >= 100
     assert len({c if isinstance(c, bytes) else c.encode() for c in contents}) == len(contents)
+
+
+def test_page_of_errors_is_current() -> None:
+    """docs/errors.md holds every kind of the catalogues, and of files the very messages."""
+    from bad_input.problem_files import REFUSED as FOLDERS
+
+    from benchmarks.bad_input import NOTED_AND_REFUSED, PAGE, csv_message, table
+
+    page = PAGE.read_text(encoding="utf-8")
+    rows = table((kind, csv_message(content)) for kind, content, _ in NOTED_AND_REFUSED)
+    assert rows in page, "run: python -m benchmarks.bad_input --write"
+    for kind, _, _ in FOLDERS:
+        assert f"| {kind} |" in page

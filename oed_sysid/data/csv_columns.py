@@ -287,7 +287,9 @@ class Columns:
                 f"{self.table.headers[index]!r}: {values[row]:.3g} is no measurement. Leave the "
                 "cell empty for a missing sample, or check the unit."
             )
-        for mark in SENTINELS:
+        # Such a mark is the largest of all, so that no other has to be looked for.
+        largest = size.max() if size.size else 0.0
+        for mark in (mark for mark in SENTINELS if abs(mark) == largest):
             rows = np.flatnonzero(values == mark)
             others = values[np.isfinite(values) & (values != mark)]
             if rows.size and others.size and np.abs(others).max() * 5 < abs(mark):

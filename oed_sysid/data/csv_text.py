@@ -42,7 +42,7 @@ _MARKS = (
 )
 # Larger than any table that fits into memory as Python text.
 LARGEST = 4 * 1024**3
-_CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f]")
+_CONTROL = dict.fromkeys((*range(9), *range(14, 32), 127))
 
 
 def lines_of(path: Path) -> list[tuple[int, str]]:
@@ -59,9 +59,14 @@ def lines_of(path: Path) -> list[tuple[int, str]]:
     text = _text(path)
     return [
         (number, line)
-        for number, line in enumerate(re.split(r"\r\n|\n|\r", text), start=1)
+        for number, line in enumerate(_split(text), start=1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
+
+
+def _split(text: str) -> list[str]:
+    """Lines, whatever system they end on."""
+    return re.split(r"\r\n|\n|\r", text) if "\r" in text else text.split("\n")
 
 
 def _text(path: Path) -> str:
@@ -111,11 +116,11 @@ def _wide(path: Path, content: bytes) -> str:
 
 def _checked(path: Path, text: str) -> str:
     """Refuse bytes that no text has."""
-    found = _CONTROL.search(text)
-    if found is None:
+    if len(text.translate(_CONTROL)) == len(text):
         return text
-    row = len(re.split(r"\r\n|\n|\r", text[: found.start()]))
-    byte = ord(found.group())
+    at = next(index for index, letter in enumerate(text) if ord(letter) in _CONTROL)
+    row = len(_split(text[:at]))
+    byte = ord(text[at])
     what = "a zero byte" if byte == 0 else f"the control character {byte:#04x}"
     raise DataError(
         f"Row {row} of {path.name} holds {what}, so the file is damaged or no text. Copy it again, "
