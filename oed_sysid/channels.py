@@ -144,6 +144,8 @@ class Output:
 
     def __post_init__(self) -> None:
         check_signal("Output", self.name, self.unit)
+        if self.noise_std != 0.0:  # what zero means is said where residuals are divided by it
+            check_positive("Output", self.name, "noise_std", self.noise_std)
         _check_sign("Output", self.name, self.sign)
 
     @property

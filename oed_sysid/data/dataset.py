@@ -53,6 +53,10 @@ class Dataset:
         if not self.records:
             raise DataError("A dataset needs at least one record.")
         for index, record in enumerate(self.records):
+            if not isinstance(record, Record):
+                raise DataError(
+                    f"A dataset holds records, but one of these is a {type(record).__name__}."
+                )
             if record.name in self.names[:index]:
                 raise DataError(
                     f"Two records are called {record.name!r}. Give one another name with rename()."
@@ -185,6 +189,10 @@ def read_csv(
     2.5 0.1745
     >>> folder.cleanup()
     """
+    if not isinstance(channels, Channels):
+        raise DataError(
+            f"channels is a {type(channels).__name__}, expected problem.channels or model.channels."
+        )
     files = _files(paths)
     if name is not None and len(files) > 1:
         raise DataError(
@@ -229,7 +237,10 @@ def write_csv(record: Record, path: str | Path) -> None:
 
 def _files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     """Expand folders and patterns; the order is that of names within each."""
-    entries = [paths] if isinstance(paths, str | Path) else list(paths)
+    try:
+        entries = [paths] if isinstance(paths, str | Path) else [Path(one) for one in paths]
+    except TypeError:
+        raise DataError(f"{paths!r:.60} names no files. Give a path, or a list of paths.") from None
     files: list[Path] = []
     for entry in entries:
         path = Path(entry).expanduser()

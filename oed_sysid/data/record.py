@@ -76,7 +76,7 @@ class Record:
     ignored_columns: tuple[str, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
-        times = np.array(self.times, dtype=float)
+        times = self._numbers("times", self.times)
         if times.ndim != 1:
             raise DataError(
                 f"Record {self.name!r} has times of shape {times.shape}. Expected (n_samples,)."
@@ -90,11 +90,20 @@ class Record:
         self._check_times()
         self._check_values()
 
+    def _numbers(self, kind: str, values: ArrayLike) -> np.ndarray:
+        try:
+            return np.array(values, dtype=float)
+        except (TypeError, ValueError):
+            raise DataError(
+                f"Record {self.name!r} has {kind} that are no real numbers: {values!r:.60}. "
+                "Give an array of numbers, NaN where a sample is missing."
+            ) from None
+
     def _columns(
         self, kind: str, values: ArrayLike, n_samples: int, names: tuple[str, ...]
     ) -> np.ndarray:
         """Copy as ``(n_samples, n_signals)``; a single signal may come as a vector."""
-        array = np.array(values, dtype=float)
+        array = self._numbers(kind, values)
         if array.ndim == 1 and len(names) == 1:
             array = array[:, np.newaxis]
         if not names and array.size == 0:

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from oed_sysid.channels import check_kinds
+from oed_sysid.channels import check_kinds, check_signal
 from oed_sysid.errors import ModelError
 from oed_sysid.language import expressions
 from oed_sysid.parameters import Parameter, check_unique
@@ -41,6 +41,9 @@ class ExtraState:
     rate: str
     initial: str
     unit: str = ""
+
+    def __post_init__(self) -> None:
+        check_signal("State", self.name, self.unit)
 
 
 @dataclass(frozen=True)
@@ -130,6 +133,8 @@ class Effect:
                     f"Effect {self.name!r} names the amplitude {name!r}, which is not one of its "
                     f"parameters: {', '.join(p.name for p in self.parameters)}."
                 )
+        for name, table in self.tables.items():
+            _check_table(f"{where}, table {name!r}", table)
         texts = [*self.terms.values(), *self.definitions.values()]
         texts += [text for state in self.states for text in (state.rate, state.initial)]
         texts += [text for memory in self.memory for text in (memory.update, memory.initial)]
@@ -178,6 +183,21 @@ class Effect:
                 for name, (x, y) in self.tables.items()
             ),
             tuple(p.name for p in self.parameters),
+        )
+
+
+def _check_table(where: str, table: Any) -> None:
+    """Refuse a table that is not two rows of numbers over increasing abscissae."""
+    try:
+        abscissae, ordinates = (np.asarray(one, dtype=float) for one in table)
+        good = abscissae.ndim == 1 and abscissae.shape == ordinates.shape and abscissae.size > 1
+        good = good and bool(np.all(np.isfinite(ordinates)) and np.all(np.diff(abscissae) > 0))
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise ModelError(
+            f"{where} is {table!r:.80}. Expected (abscissae, ordinates), two or more numbers each, "
+            "finite, abscissae increasing."
         )
 
 

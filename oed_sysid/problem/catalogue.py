@@ -163,15 +163,15 @@ def _load(file: Path) -> Problem:
             os.chdir(here)
     problem = getattr(module, "problem", None)
     if isinstance(problem, Problem):
-        found = [
+        unsound = [
             fault
             for one in (problem, *problem.others.values())
             for fault in faults(one.name, one.models, one.effects)
         ]
-        if found:
+        if unsound:
             sys.modules.pop(name, None)
-            more = f" ({len(found) - 1} more of this kind.)" if len(found) > 1 else ""
-            raise ProblemError(f"{file}: {found[0]}{more}")
+            more = f" ({len(unsound) - 1} more of this kind.)" if len(unsound) > 1 else ""
+            raise ProblemError(f"{file}: {unsound[0]}{more}")
         return problem
     sys.modules.pop(name, None)
     others = [key for key, value in vars(module).items() if isinstance(value, Problem)]

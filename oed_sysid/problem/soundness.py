@@ -12,7 +12,7 @@ signal.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 
 import numpy as np
 
@@ -53,7 +53,8 @@ class _Units:
     def __init__(self, model: Model) -> None:
         self.model = model
         self.known: dict[str, Dimension | None] = {"t": _SECOND, "h": _SECOND}
-        self.known |= {i.name: dimension(i.unit) for i in (*model.states, *model.inputs)}
+        self.known |= {state.name: dimension(state.unit) for state in model.states}
+        self.known |= {channel.name: dimension(channel.unit) for channel in model.inputs}
         self.known |= {p.name: _stated(p.unit) for p in model.all_parameters}
         self.outputs = {output.name: dimension(output.unit) for output in model.outputs}
 
@@ -105,7 +106,7 @@ class _Units:
 
     def _derived(
         self, where: str, text: str, needed: Dimension | None = None
-    ) -> Iterator[str] | Dimension | None:
+    ) -> Generator[str, None, Dimension | None]:
         """Yield a fault if there is one, and return the dimension."""
         try:
             found = dimension_of(text, self.known)
