@@ -46,14 +46,17 @@ class Dimension:
 
     def __mul__(self, other: Dimension) -> Dimension:
         pairs = zip(self.exponents, other.exponents, strict=True)
-        return Dimension(tuple(a + b for a, b in pairs), self.radian + other.radian)
+        # Most exponents are zero, and sums of fractions take their time.
+        return Dimension(
+            tuple(a + b if a and b else a or b for a, b in pairs), self.radian + other.radian
+        )
 
     def __truediv__(self, other: Dimension) -> Dimension:
         return self * other**-1
 
     def __pow__(self, power: float | Fraction) -> Dimension:
         exact = Fraction(power).limit_denominator(1000)
-        return Dimension(tuple(a * exact for a in self.exponents), self.radian * exact)
+        return Dimension(tuple(a and a * exact for a in self.exponents), self.radian * exact)
 
     @property
     def is_dimensionless(self) -> bool:
@@ -284,8 +287,13 @@ def dimension(unit: str) -> Dimension:
     >>> str(dimension("V/s")), str(dimension("kn"))
     ('V/s', 'm/s')
     """
+    return _dimension_of(_parse(unit))
+
+
+@lru_cache(maxsize=1024)
+def _dimension_of(unit: _Unit) -> Dimension:
     total = Dimension()
-    for symbol, exponent in _parse(unit).symbols:
+    for symbol, exponent in unit.symbols:
         total = total * _DIMENSIONS[symbol] ** exponent
     return total
 
