@@ -15,6 +15,10 @@ class DataError(OedSysidError):
     """A measured record cannot be used as it is."""
 
 
+class FileError(OedSysidError):
+    """A file cannot be written, or not be trusted."""
+
+
 class ModelError(OedSysidError):
     """A model, effect or expression is inconsistent."""
 

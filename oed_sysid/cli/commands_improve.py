@@ -31,7 +31,7 @@ def diagnose(
     with progress("Looking"):
         result = look(chosen.model, records, candidates=chosen.effects, known_noise=known_noise)
     say(result.report())
-    store(result.to_dict(), json_file)
+    store(result.to_dict(), json_file, records=[records])
     if html_file is not None:
         from oed_sysid.report import diagnosis_page
 
@@ -85,7 +85,7 @@ def improve(
             progress=show.say,
         )
     say(result.report())
-    store(result.to_dict(), json_file)
+    store(result.to_dict(), json_file, records=[training, untouched])
     if save is not None:
         result.fit.save(save)
         note(f"Written: {save}")

@@ -7,8 +7,10 @@ missing is NaN; a fault is an error that says where.
 from __future__ import annotations
 
 import difflib
+import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -74,7 +76,7 @@ class Record:
     ignored_columns: tuple[str, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
-        times = np.array(self.times, dtype=float)
+        times = self._numbers("times", self.times)
         if times.ndim != 1:
             raise DataError(
                 f"Record {self.name!r} has times of shape {times.shape}. Expected (n_samples,)."
@@ -88,11 +90,20 @@ class Record:
         self._check_times()
         self._check_values()
 
+    def _numbers(self, kind: str, values: ArrayLike) -> np.ndarray:
+        try:
+            return np.array(values, dtype=float)
+        except (TypeError, ValueError):
+            raise DataError(
+                f"Record {self.name!r} has {kind} that are no real numbers: {values!r:.60}. "
+                "Give an array of numbers, NaN where a sample is missing."
+            ) from None
+
     def _columns(
         self, kind: str, values: ArrayLike, n_samples: int, names: tuple[str, ...]
     ) -> np.ndarray:
         """Copy as ``(n_samples, n_signals)``; a single signal may come as a vector."""
-        array = np.array(values, dtype=float)
+        array = self._numbers(kind, values)
         if array.ndim == 1 and len(names) == 1:
             array = array[:, np.newaxis]
         if not names and array.size == 0:
@@ -162,6 +173,24 @@ class Record:
             )
         if len(empty) == len(names):
             raise DataError(f"Record {self.name!r} has no measured output. At least one is needed.")
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Digest (SHA-256) of times, values, names and units; name and source excluded.
+
+        Equal for two records exactly if they hold the same numbers of the same
+        channels, on every machine.
+        """
+        digest = hashlib.sha256()
+        named = [(one.name, one.unit) for one in self.channels.inputs]
+        named += [(one.name, one.unit) for one in self.channels.outputs]
+        digest.update(repr(named).encode())
+        for array in (self.times, self.inputs, self.outputs):
+            # One kind of zero, one kind of NaN, one order of bytes.
+            plain = np.where(np.isnan(array), np.nan, array + 0.0).astype("<f8")
+            digest.update(repr(plain.shape).encode())
+            digest.update(plain.tobytes())
+        return digest.hexdigest()
 
     @property
     def n_samples(self) -> int:

@@ -34,6 +34,7 @@ from oed_sysid.report.force_plots import (
 from oed_sysid.report.improvement_page import improvement_page
 from oed_sysid.report.improvement_plots import plot_error_fall, plot_located, plot_ranking
 from oed_sysid.report.live_plots import LiveParameters, plot_history
+from oed_sysid.report.numbers_page import numbers_page
 from oed_sysid.report.page import Page, Picture, Section, Table, style_sheet
 from oed_sysid.report.polar_plots import plot_polar
 from oed_sysid.report.prediction_plots import (
@@ -44,7 +45,7 @@ from oed_sysid.report.prediction_plots import (
 )
 from oed_sysid.report.ranking_page import ranking_page
 from oed_sysid.report.record_plots import figure_record
-from oed_sysid.report.style import model_style, new_figure
+from oed_sysid.report.style import model_style, new_figure, save_figure
 from oed_sysid.report.track_plots import plot_track, plot_zigzag
 
 __all__ = [
@@ -66,6 +67,8 @@ __all__ = [
     "improvement_page",
     "model_style",
     "new_figure",
+    "numbers_page",
+    "save_figure",
     "plot_accuracy",
     "plot_autocorrelation",
     "plot_bode",

@@ -28,14 +28,18 @@ from oed_sysid.data.third_party import fetch
 from oed_sysid.effects import actuator_lag, sensor_lag
 
 FULL = 10.0  # V, reading of a full tank, and end of the sensor's range
-MIDDLE = 5.0  # V, level at which linear and square-root outflow are made equal
-LOWEST = 0.01  # V, keeps the slope of the square root finite
+LEVELS = (
+    Parameter("full", FULL, "V", fixed=True, description="reading of a full tank"),
+    Parameter("middle", 5.0, "V", fixed=True, description="linear and square-root outflow agree"),
+    Parameter("lowest", 0.01, "V", fixed=True, description="keeps the root's slope finite"),
+    Parameter("lowest_square", 0.01, "V^2", fixed=True, description="the same below a square"),
+)
 MIDDLE_OF_RECORD = 2048.0  # s
 SHORTEST = 0.5  # s, below it the delay of an outflow fades out, so that zero means absent
 
 
-def _root(level: str) -> str:
-    return f"sqrt(max({level}, {LOWEST}))"
+def _root(level: str, lowest: str = "lowest") -> str:
+    return f"sqrt(max({level}, {lowest}))"
 
 
 STATES = (
@@ -64,6 +68,7 @@ torricelli = Model(
     outputs=OUTPUTS,
     kinematics=_balance(ROOTS),
     parameters=(
+        *LEVELS,
         INFLOW,
         Parameter("drain_upper", 0.045, "V^0.5/s", lower=0.0, description="upper outlet"),
         Parameter("drain_lower", 0.05, "V^0.5/s", lower=0.0, description="lower outlet"),
@@ -78,6 +83,7 @@ model = Model(
     outputs=OUTPUTS,
     kinematics=_balance(LINEAR),
     parameters=(
+        *LEVELS,
         INFLOW,
         Parameter("drain_upper", 0.01, "1/s", lower=0.0, description="upper outlet"),
         Parameter("drain_lower", 0.01, "1/s", lower=0.0, description="lower outlet"),
@@ -112,7 +118,7 @@ def _outflow_inertia(outflow: dict[str, str]) -> Force:
 
 def _gravity(level: str) -> str:
     """Torricelli's outflow less the linear one."""
-    return f"({_root(f'{MIDDLE}*{level}')} - {level})"
+    return f"({_root(f'middle*{level}', 'lowest_square')} - {level})"
 
 
 effects = (
@@ -163,7 +169,7 @@ effects = (
     ),
     Force(
         "lower_overflow",
-        {"lower": f"-E_lower_overflow*max(lower - {FULL}, 0)"},
+        {"lower": "-E_lower_overflow*max(lower - full, 0)"},
         (Parameter("E_lower_overflow", 0.0, "1/s", lower=0.0, upper=1.0, scale=0.1),),
         description="the lower tank overflows",
         source="Schoukens & Noel (2017)",
