@@ -1,0 +1,379 @@
+r"""Faults of a log that have a size: bias, scale, delay, lever arm, misalignment, drift.
+
+With the residuals of all equations whitened (:mod:`~oed_sysid.compatibility.colour`) and free
+constants projected out, the faults :math:`\varphi` enter linearly,
+
+.. math:: e = Z \varphi + \varepsilon, \qquad \varepsilon \sim N(0, I),
+
+and are selected one after the other by what they gain, :math:`2 \ln \Lambda = b^T G^{-1} b` with
+:math:`G = Z^T Z` and :math:`b = Z^T e`; each that was taken may be exchanged or dropped. They are
+then undone in the log and everything is linearised again, until nothing changes.
+
+The noise of a signal stands in the residual and in its own regressor, which biases a scale error
+by the ratio of noise to signal (the attenuation of regressions with errors in variables, Fuller
+1987); its expected value, known from the noise levels, is subtracted from :math:`b`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.compatibility.blocks import Candidate, Stretch, stretches
+from oed_sysid.compatibility.colour import Colour, estimate
+from oed_sysid.compatibility.corrections import undo
+from oed_sysid.compatibility.discrete import positions_of, velocities_of
+from oed_sysid.compatibility.relations import Relation
+from oed_sysid.compatibility.result import Correction
+from oed_sysid.compatibility.traces import Trace
+
+ACCEPTED = 16.0
+ACCEPTED_COLOURED = 26.0
+# Noise is coloured where blocks correlate, or where rates wander more than their fast noise.
+COLOURED = 0.35
+WANDERING = 4.0
+MOST_FAULTS = 5
+ROUNDS = 6
+CLOSE = 9.0
+# A rival has to be of a size that such faults have.
+LARGEST = 4.0
+# Intervals are wider than the linear theory says: noise levels are estimated, faults selected.
+WIDER = 1.15
+NUMERICAL = 3e-5
+
+
+@dataclass(frozen=True)
+class Continuous:
+    """A continuous fault that was accepted."""
+
+    candidate: Candidate
+    size: float
+    std: float
+    gain: float
+    rivals: tuple[tuple[Candidate, float], ...]
+
+    @property
+    def correction(self) -> Correction:
+        """How to undo it."""
+        one = self.candidate
+        return Correction(one.kind, one.signals, self.size, one.other)
+
+
+@dataclass(frozen=True)
+class System:
+    """Normal equations of all faults, whitened.
+
+    ``gram`` is ``(n, n)``, ``right`` ``(n,)``, ``limits`` the gain that each needs.
+    """
+
+    gram: np.ndarray
+    right: np.ndarray
+    limits: np.ndarray
+    parts: tuple[Stretch, ...]
+    colours: dict[int, Colour]
+
+
+def candidates(
+    traces: list[Trace], relations: tuple[Relation, ...]
+) -> tuple[Candidate, ...]:
+    """Continuous faults that these signals may have, with usual sizes."""
+    units = {n: u for trace in traces for n, u in trace.units.items()}
+    inner = list(dict.fromkeys(n for r in relations for n in r.signals))
+    values = [r.target for r in relations if not r.is_rate]
+    names = list(dict.fromkeys([r.target for r in relations] + inner))
+    size = {n: _rms(traces, n) for n in names}
+    noise = {n: float(np.median([t.noise[n] for t in traces if n in t.noise])) for n in names}
+    step = float(np.median([trace.step for trace in traces]))
+    positions, velocities = positions_of(relations, units), velocities_of(relations, units)
+    rates = [n for n in inner if units[n] == "rad/s"]
+    result = []
+    for name in dict.fromkeys([*inner, *values]):
+        material = max(0.15 * noise[name], 1e-3 * size[name])
+        result.append(Candidate("bias", (name,), units[name], 0.3 * size[name], material))
+    result += [Candidate("scale", (n,), "1", 0.2, 0.01) for n in names]
+    late = max(1.0, 5.0 * step)
+    result += [Candidate("delay", (n,), "s", late, 0.3 * step) for n in names]
+    if len(positions) > 1:
+        result.append(Candidate("delay", positions, "s", late, 0.3 * step))
+    if len(velocities) > 1:
+        result.append(Candidate("delay", velocities, "s", late, 0.3 * step))
+    for velocity in velocities:
+        for rate in rates:
+            if (velocity, rate) in (("u", "p"), ("v", "q"), ("w", "r")):
+                continue
+            arm = 0.5 * max(size[v] for v in velocities) / max(size[rate], 1e-12)
+            least = min(0.05, 0.02 * arm)
+            result.append(Candidate("lever", (velocity,), "m", arm, least, (rate,)))
+    for i, first in enumerate(velocities):
+        for second in velocities[i + 1 :]:
+            result.append(Candidate("misalignment", (first, second), "rad", 0.1, 0.004))
+    if len(positions) > 1:
+        speed = max((size[v] for v in velocities), default=1.0)
+        level = [p for p in positions if p != "z"]
+        result += [Candidate("drift", (p,), "m/s", 0.3 * speed, 2e-3 * speed) for p in level]
+    return tuple(result)
+
+
+def _rms(traces: list[Trace], name: str) -> float:
+    parts = [t.values[name] for t in traces if name in t.values]
+    whole = np.concatenate(parts) if parts else np.zeros(1)
+    whole = whole[np.isfinite(whole)]
+    return float(np.sqrt(np.mean(whole**2))) + 1e-12 if whole.size else 1e-12
+
+
+def search(
+    traces: list[Trace],
+    relations: tuple[Relation, ...],
+    *,
+    start: Sequence[Correction] = (),
+) -> tuple[list[Continuous], System | None]:
+    """Find continuous faults.
+
+    Parameters
+    ----------
+    traces : list of Trace
+        Records, discrete faults undone.
+    relations : tuple of Relation
+        Equations between their signals.
+    start : sequence of Correction
+        Delays to start from, where they are long against the motion.
+
+    Returns
+    -------
+    found : list of Continuous
+        The faults, the largest gain first.
+    system : System or None
+        The last normal equations; None where nothing could be worked out.
+    """
+    faults = candidates(traces, relations)
+    sizes = np.zeros(len(faults))
+    active: list[int] = []
+    for one in start:
+        for k, fault in enumerate(faults):
+            if (fault.kind, fault.signals) == (one.kind, one.signals):
+                active.append(k)
+                sizes[k] = one.value
+    system, right = None, np.zeros(len(faults))
+    colours: dict[int, Colour] | None = None
+    for turn in range(ROUNDS):
+        undone = _undone(traces, faults, sizes, active, relations)
+        factors = {
+            faults[k].signals[0]: 1.0 + float(sizes[k]) for k in active if faults[k].kind == "scale"
+        }
+        parts = [p for trace in undone for p in stretches(trace, relations, faults, factors)]
+        if not parts:
+            return [], None
+        # The noise is settled after the first correction of what is large.
+        system = assemble(parts, relations, faults, colours if turn > 1 else None)
+        colours = system.colours
+        right = system.right + system.gram[:, active] @ sizes[active]
+        chosen = _select(system.gram, right, faults, system.limits, active)
+        new = np.zeros(len(faults))
+        if chosen:
+            new[chosen], std = _solve(system.gram, right, faults, chosen)
+        same = set(chosen) == set(active)
+        settled = same and (
+            not chosen or bool(np.all(np.abs(new - sizes)[chosen] < 0.1 * std + 1e-9))
+        )
+        active, sizes = chosen, new
+        if settled:
+            break
+    if system is None or not active:
+        return [], system
+    return _described(system, right, faults, active, sizes), system
+
+
+def _undone(
+    traces: list[Trace],
+    faults: tuple[Candidate, ...],
+    sizes: np.ndarray,
+    active: list[int],
+    relations: tuple[Relation, ...],
+) -> list[Trace]:
+    fixes = [
+        Correction(faults[k].kind, faults[k].signals, float(sizes[k]), faults[k].other)
+        for k in active
+    ]
+    return [undo(trace, fixes, relations) for trace in traces] if fixes else traces
+
+
+def assemble(
+    parts: list[Stretch],
+    relations: tuple[Relation, ...],
+    faults: tuple[Candidate, ...],
+    colours: dict[int, Colour] | None,
+) -> System:
+    """Whiten all equations and sum their normal equations."""
+    n = len(faults)
+    gram, right = np.zeros((n, n)), np.zeros(n)
+    limits, weights = np.zeros(n), np.zeros(n) + 1e-300
+    known: dict[int, Colour] = {}
+    for index in sorted({part.relation for part in parts}):
+        mine = [part for part in parts if part.relation == index]
+        used = np.flatnonzero(np.any([np.any(p.columns != 0.0, axis=0) for p in mine], axis=0))
+        blocks = [np.column_stack([p.residual, p.columns[:, used]]) for p in mine]
+        walk = float(np.mean([p.walk for p in mine]))
+        spread = float(np.mean([np.std(p.residual) for p in mine]))
+        level = max(0.7 * float(np.mean([p.level for p in mine])), NUMERICAL * spread)
+        if colours is not None:
+            colour = colours[index]
+        else:
+            colour = estimate(blocks, walk, level)
+        known[index] = colour
+        is_coloured = colour.correlation > COLOURED or (
+            walk > 0.0 and colour.walk_variance > WANDERING * walk
+        )
+        limit = ACCEPTED_COLOURED if is_coloured else ACCEPTED
+        for part, block in zip(mine, blocks, strict=True):
+            white = colour.whiten(np.column_stack([block, np.ones(len(block))]))
+            constant = white[:, -1]
+            along = constant @ white[:, :-1] / (constant @ constant)
+            white = white[:, :-1] - np.outer(constant, along)
+            own = white[:, 1:].T @ white[:, 1:]
+            gram[np.ix_(used, used)] += own
+            right[used] += white[:, 1:].T @ white[:, 0]
+            right[used] -= _attenuation(part, relations[index].target, colour, faults, used, own)
+            limits[used] += limit * own.diagonal()
+            weights[used] += own.diagonal()
+    return System(gram, right, limits / weights, tuple(parts), known)
+
+
+def _attenuation(
+    part: Stretch,
+    target: str,
+    colour: Colour,
+    faults: tuple[Candidate, ...],
+    used: np.ndarray,
+    own: np.ndarray,
+) -> np.ndarray:
+    """Expected product of a regressor's noise with the residual's, for scales; ``(n_used,)``."""
+    n = part.residual.size
+    # Share of the whitened residual's power that the walk makes.
+    impulse = np.zeros((200, 1))
+    impulse[:, 0] = 1.0
+    step = colour.whiten(impulse)[:, 0]
+    walk = min(float(step @ step) * colour.walk_variance, 1.0)
+    result = np.zeros(used.size)
+    for i, k in enumerate(used):
+        one = faults[k]
+        if one.kind == "scale":
+            share = -1.0 if one.signals[0] == target else part.shares.get(one.signals[0], 0.0)
+            # Noise cannot be more than the regressor's own power.
+            most = 0.5 * float(own[i, i])
+            result[i] = min(max(n * walk * share, -most), most)
+    return result
+
+
+def _ridge(faults: tuple[Candidate, ...], chosen: Sequence[int]) -> np.ndarray:
+    return np.diag([faults[k].plausible ** -2.0 for k in chosen])
+
+
+def _solve(
+    gram: np.ndarray, right: np.ndarray, faults: tuple[Candidate, ...], chosen: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes of chosen faults and their standard deviations."""
+    inner = gram[np.ix_(chosen, chosen)] + _ridge(faults, chosen)
+    inverse = np.linalg.inv(inner)
+    return inverse @ right[list(chosen)], np.sqrt(inverse.diagonal())
+
+
+def _gain(
+    gram: np.ndarray, right: np.ndarray, faults: tuple[Candidate, ...], chosen: Sequence[int]
+) -> float:
+    if not chosen:
+        return 0.0
+    inner = gram[np.ix_(chosen, chosen)] + _ridge(faults, chosen)
+    return float(right[list(chosen)] @ np.linalg.solve(inner, right[list(chosen)]))
+
+
+def _select(
+    gram: np.ndarray,
+    right: np.ndarray,
+    faults: tuple[Candidate, ...],
+    limits: np.ndarray,
+    start: list[int],
+) -> list[int]:
+    """Forward selection with exchange and drop."""
+    chosen = list(start)
+    able = [k for k in range(len(faults)) if gram[k, k] > 0.0]
+    chosen = [k for k in chosen if k in able]
+    while True:
+        before = list(chosen)
+        gain = _gain(gram, right, faults, chosen)
+        if len(chosen) < MOST_FAULTS:
+            trials = [
+                (_gain(gram, right, faults, [*chosen, k]) - gain - limits[k], k)
+                for k in able
+                if k not in chosen and _is_material(gram, right, faults, [*chosen, k])
+            ]
+            if trials and max(trials)[0] > 0.0:
+                chosen.append(max(trials)[1])
+        for position in range(len(chosen)):
+            gain = _gain(gram, right, faults, chosen)
+            rest = chosen[:position] + chosen[position + 1 :]
+            swaps = [
+                (_gain(gram, right, faults, [*rest, k]), k)
+                for k in able
+                if k not in chosen and _is_material(gram, right, faults, [*rest, k])
+            ]
+            if swaps and max(swaps)[0] > gain + 1.0:
+                chosen = [*rest, max(swaps)[1]]
+        dropped = True
+        while dropped and chosen:
+            gain = _gain(gram, right, faults, chosen)
+            losses = [
+                (gain - _gain(gram, right, faults, [j for j in chosen if j != k]) - limits[k], k)
+                for k in chosen
+            ]
+            sizes, _ = _solve(gram, right, faults, chosen)
+            small = [k for k, s in zip(chosen, sizes, strict=True) if abs(s) < faults[k].material]
+            worst = min(losses)
+            dropped = worst[0] < 0.0 or bool(small)
+            if worst[0] < 0.0:
+                chosen.remove(worst[1])
+            elif small:
+                chosen.remove(small[0])
+        if set(chosen) == set(before) or len(chosen) >= MOST_FAULTS:
+            return chosen
+
+
+def _is_material(
+    gram: np.ndarray, right: np.ndarray, faults: tuple[Candidate, ...], chosen: list[int]
+) -> bool:
+    """Whether the last of the chosen faults is large enough to matter, and not absurd."""
+    size = abs(float(_solve(gram, right, faults, chosen)[0][-1]))
+    last = faults[chosen[-1]]
+    return last.material <= size <= LARGEST * last.plausible
+
+
+def _described(
+    system: System,
+    right: np.ndarray,
+    faults: tuple[Candidate, ...],
+    active: list[int],
+    sizes: np.ndarray,
+) -> list[Continuous]:
+    """Accepted faults with errors, gains and rivals."""
+    gram = system.gram
+    _, std = _solve(gram, right, faults, active)
+    gain = _gain(gram, right, faults, active)
+    result = []
+    for position, k in enumerate(active):
+        rest = [j for j in active if j != k]
+        own = gain - _gain(gram, right, faults, rest)
+        rivals = []
+        for j in range(len(faults)):
+            if j in active or gram[j, j] <= 0.0:
+                continue
+            trial = [*rest, j]
+            if _gain(gram, right, faults, trial) < gain - CLOSE:
+                continue
+            size = float(_solve(gram, right, faults, trial)[0][-1])
+            if abs(size) <= LARGEST * faults[j].plausible:
+                rivals.append((faults[j], size))
+        result.append(
+            Continuous(faults[k], float(sizes[k]), WIDER * float(std[position]), own, tuple(rivals))
+        )
+    return sorted(result, key=lambda one: -one.gain)
