@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -13,9 +12,9 @@ from oed_sysid.compatibility.corrections import undo
 from oed_sysid.compatibility.inputs import input_findings
 from oed_sysid.compatibility.limits import unchecked
 from oed_sysid.compatibility.relations import Relation, relations
-from oed_sysid.compatibility.result import Balance, Correction, Finding, LogCheck
+from oed_sysid.compatibility.result import Balance, Finding, LogCheck
 from oed_sysid.compatibility.screen_words import screen_findings
-from oed_sysid.compatibility.screens import Fault, screen
+from oed_sysid.compatibility.screens import screen
 from oed_sysid.compatibility.spare import spare_signals
 from oed_sysid.compatibility.traces import Trace
 from oed_sysid.compatibility.words import continuous_finding, discrete_finding
@@ -70,7 +69,7 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     began = perf_counter()
     model = problem.model if isinstance(problem, Problem) else problem
     check_channels(model, dataset)
-    traces, faults, equations, findings = _screened(dataset, model, spare=True)
+    traces, equations, findings = _screened(dataset, model, spare=True)
     balances: tuple[Balance, ...] = ()
     if equations:
         names = dataset.names
@@ -91,16 +90,19 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
         after = [undo(t, [one.correction for one in sizes], equations) for t in mended]
         balances = _balances(traces, after, equations)
         findings += clock_findings(after, equations)
+    open_points = unchecked(model, equations, traces)
     if inputs:
         fixes = [f.correction for f in findings if f.correction is not None]
-        findings += input_findings(dataset, model, fixes, faults)
-    ordered = sorted(findings, key=lambda one: (not one.suspect, -(one.gain or 0.0)))
+        judged, reason = input_findings(dataset, model, fixes)
+        findings += judged
+        open_points += (reason,) * bool(reason)
+    ordered = _ordered(findings)
     return LogCheck(
         tuple(ordered),
         dataset.names,
         tuple(str(one) for one in equations),
         balances,
-        unchecked(model, equations, traces),
+        open_points,
         perf_counter() - began,
     )
 
@@ -121,7 +123,7 @@ def quick_check(dataset: Dataset, model: Model) -> LogCheck:
         As :func:`check`, without faults that have a size and without inputs.
     """
     began = perf_counter()
-    traces, _, equations, findings = _screened(dataset, model, spare=False)
+    traces, equations, findings = _screened(dataset, model, spare=False)
     if equations:
         now = discrete.ratios([t.thinned(600) for t in traces], equations)
         # Only equations that leave much unexplained can hide a discrete fault.
@@ -132,7 +134,7 @@ def quick_check(dataset: Dataset, model: Model) -> LogCheck:
                 for one in found
                 if one.correction.kind != "delay"
             ]
-    ordered = sorted(findings, key=lambda one: (not one.suspect, -(one.gain or 0.0)))
+    ordered = _ordered(findings)
     return LogCheck(
         tuple(ordered),
         dataset.names,
@@ -143,7 +145,7 @@ def quick_check(dataset: Dataset, model: Model) -> LogCheck:
 
 def _screened(
     dataset: Dataset, model: Model, *, spare: bool
-) -> tuple[list[Trace], list[Fault], tuple[Relation, ...], list[Finding]]:
+) -> tuple[list[Trace], tuple[Relation, ...], list[Finding]]:
     """Traces with bad samples left out, what was found, and the equations that remain."""
     traces = [Trace.of(r, spare_signals(r) if spare else {}) for r in dataset]
     faults = [fault for trace in traces for fault in screen(trace)]
@@ -161,7 +163,14 @@ def _screened(
     standard = everywhere - set(model.output_names)
     missing = set.intersection(*(set(record.missing_outputs) for record in dataset)) | dead
     equations = relations(model, standard, missing)
-    return clean, faults, equations, findings
+    return clean, equations, findings
+
+
+def _ordered(findings: list[Finding]) -> list[Finding]:
+    """Suspect ones first, the largest gain first; a wrong unit explains a wrong noise level."""
+    rescaled = {n for f in findings if f.kind in ("unit", "swap", "scale") for n in f.signals}
+    kept = [f for f in findings if f.kind != "noise" or not rescaled & set(f.signals)]
+    return sorted(kept, key=lambda one: (not one.suspect, -(one.gain or 0.0)))
 
 
 def _allowed(model: Model, fault: continuous.Candidate) -> bool:
@@ -207,7 +216,3 @@ def _balances(
         for i, one in enumerate(equations)
     )
 
-
-def with_inputs_only(found: LogCheck, corrections: tuple[Correction, ...]) -> LogCheck:
-    """Return a check without findings that the given corrections undo."""
-    return replace(found, findings=tuple(f for f in found.findings if f.correction not in corrections))

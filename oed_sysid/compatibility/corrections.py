@@ -26,11 +26,25 @@ def undo(
     trace: Trace, corrections: Iterable[Correction], relations: tuple[Relation, ...] = ()
 ) -> Trace:
     """Return a trace without the faults; ``relations`` are needed to turn frames only."""
-    values = dict(trace.values)
+    values, noise = dict(trace.values), dict(trace.noise)
     for one in sorted(corrections, key=lambda c: ORDER.index(c.kind)):
         if all(name in values for name in (*one.signals, *one.other)):
-            values |= _undone(trace.times, values, trace.units, one, relations)
-    return replace(trace, values=values)
+            values |= _undone(trace.name, trace.times, values, trace.units, one, relations)
+            noise |= _noise(noise, one)
+    return replace(trace, values=values, noise=noise)
+
+
+def _noise(noise: dict[str, float], one: Correction) -> dict[str, float]:
+    """Noise levels that a correction changes."""
+    if one.kind == "unit":
+        return {name: abs(one.value) * noise[name] for name in one.signals}
+    if one.kind == "swap":
+        first, second = one.signals
+        return {first: noise[second], second: noise[first]}
+    if one.kind == "frame":
+        usual = float(np.mean([noise[name] for name in one.signals]))
+        return dict.fromkeys(one.signals, usual)
+    return {}
 
 
 def corrected(
@@ -76,6 +90,7 @@ def shifted(times: np.ndarray, series: np.ndarray, delay: float) -> np.ndarray:
 
 
 def _undone(
+    record: str,
     times: np.ndarray,
     values: dict[str, np.ndarray],
     units: dict[str, str],
@@ -110,6 +125,12 @@ def _undone(
         }
     if one.kind == "lever":
         return {name: series - one.value * values[one.other[0]] for name, series in here.items()}
+    if one.kind == "blank":
+        result = {}
+        for name, series in here.items():
+            result[name] = series.copy()
+            result[name][list(one.rows.get(record, ()))] = np.nan
+        return result
     if one.kind == "drift":
         return {name: series - one.value * (times - times[0]) for name, series in here.items()}
     if one.kind == "frame":

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -121,6 +121,8 @@ def search(
         if best is None:
             break
         hypothesis, gain = best
+        if hypothesis.correction.kind == "delay":
+            hypothesis, gain = _refined(hypothesis, coarse, relations, now)
         found.append(Discrete(hypothesis.correction, gain, hypothesis.meaning, rivals))
         coarse = [undo(trace, (hypothesis.correction,), relations) for trace in coarse]
         traces = [undo(trace, (hypothesis.correction,), relations) for trace in traces]
@@ -154,6 +156,23 @@ def _best(
     value, gain, best = scored[0]
     rivals = tuple(h for v, _, h in scored[1:] if v > value - CLOSE)
     return (best, gain), rivals
+
+
+def _refined(
+    one: Hypothesis, traces: list[Trace], relations: tuple[Relation, ...], now: Ratios
+) -> tuple[Hypothesis, float]:
+    """The delay near the one given that gains most."""
+    delay, gain = one.correction.value, -math.inf
+    width = 0.5 * abs(delay)
+    for _ in range(5):
+        trials = []
+        for trial in (delay - width, delay, delay + width):
+            fix = replace(one.correction, value=trial)
+            then = ratios([undo(t, (fix,), relations) for t in traces], relations, otherwise=now)
+            trials.append((then.gain_over(now), trial))
+        gain, delay = max(trials)
+        width /= 2.0
+    return Hypothesis(replace(one.correction, value=delay), one.meaning), gain
 
 
 def ratios(
