@@ -105,7 +105,8 @@ def _faults(trace: Trace, name: str, noisy: bool) -> Iterator[Fault]:
         at_end = np.isin(runs.value, (series.max(), series.min()))
         flat = np.flatnonzero((runs.length >= 3) & at_end & ~taken[runs.first])
         clipped = flat if _is_clipped(runs, flat) else np.empty(0, dtype=int)
-        frozen = np.array([k for k in long if k not in clipped and not taken[runs.first[k]]], int)
+        left = [k for k in long if k not in clipped and not taken[runs.first[k]]]
+        frozen = np.array([k for k in left if _is_sudden(series, runs, k)], dtype=int)
         if clipped.size:
             rows = runs.rows(clipped)
             taken[rows] = True
@@ -127,6 +128,18 @@ def _is_clipped(runs: Runs, flat: np.ndarray) -> bool:
         return False
     _, counts = np.unique(runs.value[flat], return_counts=True)
     return bool(counts.max() >= 2)
+
+
+def _is_sudden(series: np.ndarray, runs: Runs, k: int) -> bool:
+    """Whether a signal stops and starts at once, not by coming to rest at a turning point."""
+    usual = float(np.median(np.abs(np.diff(series))))
+    first, last = int(runs.first[k]), int(runs.first[k] + runs.length[k])
+    entry = abs(series[first] - series[first - 1]) if first else None
+    leave = abs(series[last] - series[last - 1]) if last < series.size else None
+    edges = [edge for edge in (entry, leave) if edge is not None]
+    if len(edges) < 2:
+        return bool(edges) and edges[0] > 4.0 * usual
+    return min(edges) > 0.02 * usual and max(edges) > 0.3 * usual
 
 
 def _dropouts(series: np.ndarray, runs: Runs, coarse: bool) -> np.ndarray:
