@@ -74,10 +74,10 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     if equations:
         names = dataset.names
         found, mended = discrete.search(traces, equations)
-        starts = [one.correction for one in found if one.correction.kind == "delay"]
-        fixed = [one for one in found if one.correction.kind != "delay"]
+        starts = [one.correction for one in found if one.correction.kind in discrete.SIZED]
+        fixed = [one for one in found if one.correction.kind not in discrete.SIZED]
         if starts:
-            # Delays are estimated, not guessed: only what is there or not stays undone.
+            # Sizes are estimated, not guessed: only what is there or not stays undone.
             mended = [undo(t, [one.correction for one in fixed], equations) for t in traces]
         findings += [discrete_finding(one, dataset.channels, equations, names) for one in fixed]
         sizes, _ = continuous.search(mended, equations, start=starts)
@@ -132,7 +132,7 @@ def quick_check(dataset: Dataset, model: Model) -> LogCheck:
             findings += [
                 discrete_finding(one, dataset.channels, equations, dataset.names)
                 for one in found
-                if one.correction.kind != "delay"
+                if one.correction.kind not in discrete.SIZED
             ]
     ordered = _ordered(findings)
     return LogCheck(

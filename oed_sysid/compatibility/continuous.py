@@ -24,7 +24,7 @@ import numpy as np
 from oed_sysid.compatibility.blocks import Candidate, Stretch, stretches
 from oed_sysid.compatibility.colour import Colour, estimate
 from oed_sysid.compatibility.corrections import undo
-from oed_sysid.compatibility.discrete import positions_of, velocities_of
+from oed_sysid.compatibility.discrete import levers, positions_of, velocities_of
 from oed_sysid.compatibility.relations import Relation
 from oed_sysid.compatibility.result import Correction
 from oed_sysid.compatibility.traces import Trace
@@ -87,7 +87,6 @@ def candidates(
     noise = {n: float(np.median([t.noise[n] for t in traces if n in t.noise])) for n in names}
     step = float(np.median([trace.step for trace in traces]))
     positions, velocities = positions_of(relations, units), velocities_of(relations, units)
-    rates = [n for n in inner if units[n] == "rad/s"]
     result = []
     for name in dict.fromkeys([*inner, *values]):
         material = max(0.15 * noise[name], 1e-3 * size[name])
@@ -99,13 +98,10 @@ def candidates(
         result.append(Candidate("delay", positions, "s", late, 0.3 * step))
     if len(velocities) > 1:
         result.append(Candidate("delay", velocities, "s", late, 0.3 * step))
-    for velocity in velocities:
-        for rate in rates:
-            if (velocity, rate) in (("u", "p"), ("v", "q"), ("w", "r")):
-                continue
-            arm = 0.5 * max(size[v] for v in velocities) / max(size[rate], 1e-12)
-            least = min(0.05, 0.02 * arm)
-            result.append(Candidate("lever", (velocity,), "m", arm, least, (rate,)))
+    for velocity, rate in levers(relations, units):
+        arm = 0.5 * max(size[v] for v in velocities) / max(size[rate], 1e-12)
+        least = min(0.05, 0.02 * arm)
+        result.append(Candidate("lever", (velocity,), "m", arm, least, (rate,)))
     for i, first in enumerate(velocities):
         for second in velocities[i + 1 :]:
             result.append(Candidate("misalignment", (first, second), "rad", 0.1, 0.004))
@@ -152,7 +148,7 @@ def search(
     active: list[int] = []
     for one in start:
         for k, fault in enumerate(faults):
-            if (fault.kind, fault.signals) == (one.kind, one.signals):
+            if (fault.kind, fault.signals, fault.other) == (one.kind, one.signals, one.other):
                 active.append(k)
                 sizes[k] = one.value
     system, right = None, np.zeros(len(faults))
@@ -250,11 +246,7 @@ def _attenuation(
 ) -> np.ndarray:
     """Expected product of a regressor's noise with the residual's, for scales; ``(n_used,)``."""
     n = part.residual.size
-    # Share of the whitened residual's power that the walk makes.
-    impulse = np.zeros((200, 1))
-    impulse[:, 0] = 1.0
-    step = colour.whiten(impulse)[:, 0]
-    walk = min(float(step @ step) * colour.walk_variance, 1.0)
+    walk = colour.walk_share
     result = np.zeros(used.size)
     for i, k in enumerate(used):
         one = faults[k]

@@ -59,7 +59,9 @@ CLOSE = 12.0
 # A ratio below this is numerical.
 FLOOR = 1e-8
 # A rarer fault needs more evidence.
-PENALTY = {"sign": 0.0, "unit": 2.0, "frame": 2.0, "swap": 4.0, "offset": 4.0, "delay": 6.0}
+PENALTY = {"sign": 0.0, "unit": 2.0, "frame": 2.0, "swap": 4.0, "offset": 4.0, "delay": 6.0, "lever": 6.0}
+# Faults with a size: here they only compete, and start the search for sizes.
+SIZED = ("delay", "lever")
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,8 @@ def _best(
         ]
         if not concerned:
             continue
+        if hypothesis.correction.kind == "lever":
+            hypothesis = _fitted(hypothesis, traces, relations, concerned)
         changed = [undo(trace, (hypothesis.correction,), relations) for trace in traces]
         then = ratios(changed, relations, only=concerned, otherwise=now)
         gain = then.gain_over(now)
@@ -156,6 +160,31 @@ def _best(
     value, gain, best = scored[0]
     rivals = tuple(h for v, _, h in scored[1:] if v > value - CLOSE)
     return (best, gain), rivals
+
+
+def _fitted(
+    one: Hypothesis, traces: list[Trace], relations: tuple[Relation, ...], concerned: list[int]
+) -> Hypothesis:
+    """A lever arm of least squares, each equation weighed by what it leaves."""
+    above, below = 0.0, 1e-300
+    unit = replace(one.correction, value=1.0)
+    for index in concerned:
+        products = np.zeros(3)
+        for trace in traces:
+            moved = undo(trace, (unit,), relations)
+            pairs = zip(
+                _increments(trace, relations[index]),
+                _increments(moved, relations[index]),
+                strict=False,
+            )
+            for (_, rest), (_, other) in pairs:
+                change = other - rest
+                products += (rest @ change, change @ change, rest @ rest)
+        if products[1] > 0.0:
+            left = max(products[2] - products[0] ** 2 / products[1], 1e-9 * products[2])
+            above -= products[0] / left
+            below += products[1] / left
+    return Hypothesis(replace(one.correction, value=above / below), one.meaning)
 
 
 def _refined(
@@ -260,6 +289,8 @@ def hypotheses(traces: list[Trace], relations: tuple[Relation, ...]) -> Iterator
         for second in names[i + 1 :]:
             yield Hypothesis(Correction("swap", (first, second)), "")
     yield from _geometry(traces, relations, units)
+    # Faults with a size that would else be taken for one of these; only their start values.
+    yield from (Hypothesis(Correction("lever", (v,), 0.0, (r,)), "") for v, r in levers(relations, units))
     step = float(np.median([trace.step for trace in traces]))
     groups = [(name,) for name in names]
     positions = positions_of(relations, units)
@@ -289,6 +320,17 @@ def _geometry(
             for quarter in (1, 2, 3):
                 offset = quarter * math.pi / 2.0
                 yield Hypothesis(Correction("offset", (angle,), offset), f"{90 * quarter} deg")
+
+
+def levers(
+    relations: tuple[Relation, ...], units: dict[str, str]
+) -> tuple[tuple[str, str], ...]:
+    """Velocities and the rates that a lever arm mixes into them."""
+    inner = dict.fromkeys(n for r in relations for n in r.signals)
+    rates = [n for n in inner if units[n] == "rad/s"]
+    along = (("u", "p"), ("v", "q"), ("w", "r"))
+    pairs = ((v, r) for v in velocities_of(relations, units) for r in rates)
+    return tuple(pair for pair in pairs if pair not in along)
 
 
 def positions_of(relations: tuple[Relation, ...], units: dict[str, str]) -> tuple[str, ...]:

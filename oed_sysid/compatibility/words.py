@@ -7,7 +7,7 @@ import math
 from oed_sysid.channels import Channels, Input, Output
 from oed_sysid.compatibility.blocks import Candidate
 from oed_sysid.compatibility.continuous import Continuous
-from oed_sysid.compatibility.discrete import Discrete, Hypothesis
+from oed_sysid.compatibility.discrete import SIZED, Discrete, Hypothesis
 from oed_sysid.compatibility.relations import Relation
 from oed_sysid.compatibility.result import Correction, Finding, interval
 
@@ -119,7 +119,7 @@ def discrete_finding(
         line = f"add {one.meaning} to {first}: {COPY}"
     else:
         raise ValueError(fix.kind)
-    rivals = tuple(say_hypothesis(r) for r in one.rivals if r.correction.kind != "delay")
+    rivals = tuple(say_hypothesis(r) for r in one.rivals if r.correction.kind not in SIZED)
     return Finding(
         fix.kind, names, records, says, changes, line, gain=one.gain, alternatives=rivals,
         correction=fix,
