@@ -33,6 +33,7 @@ LAYERS = (
     "projection",
     "noise",
     "fitting",
+    "compatibility",
     "estimators",
     "predictions",
     "sensitivity",

@@ -92,7 +92,7 @@ def candidates(
         material = max(0.15 * noise[name], 1e-3 * size[name])
         result.append(Candidate("bias", (name,), units[name], 0.3 * size[name], material))
     result += [Candidate("scale", (n,), "1", 0.2, 0.01) for n in names]
-    late = max(1.0, 5.0 * step)
+    late = max(0.7, 3.0 * step)
     result += [Candidate("delay", (n,), "s", late, 0.3 * step) for n in names]
     if len(positions) > 1:
         result.append(Candidate("delay", positions, "s", late, 0.3 * step))

@@ -167,15 +167,17 @@ def _fitted(
 ) -> Hypothesis:
     """A lever arm of least squares, each equation weighed by what it leaves."""
     above, below = 0.0, 1e-300
-    unit = replace(one.correction, value=1.0)
+    # The base, too, lacks the samples that the rate lacks.
+    none, unit = (replace(one.correction, value=arm) for arm in (0.0, 1.0))
+    bases = [undo(trace, (none,), relations) for trace in traces]
+    moved = [undo(trace, (unit,), relations) for trace in traces]
     for index in concerned:
         products = np.zeros(3)
-        for trace in traces:
-            moved = undo(trace, (unit,), relations)
+        for before, after in zip(bases, moved, strict=True):
             pairs = zip(
-                _increments(trace, relations[index]),
-                _increments(moved, relations[index]),
-                strict=False,
+                _increments(before, relations[index]),
+                _increments(after, relations[index]),
+                strict=True,
             )
             for (_, rest), (_, other) in pairs:
                 change = other - rest
@@ -294,8 +296,7 @@ def hypotheses(traces: list[Trace], relations: tuple[Relation, ...]) -> Iterator
     step = float(np.median([trace.step for trace in traces]))
     groups = [(name,) for name in names]
     positions = positions_of(relations, units)
-    if len(positions) > 1:
-        groups.append(positions)
+    groups += [g for g in (positions, velocities_of(relations, units)) if len(g) > 1]
     for group in groups:
         for delay in DELAYS:
             if abs(delay) > 0.5 * step:

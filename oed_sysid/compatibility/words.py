@@ -174,6 +174,27 @@ def say_candidate(one: Candidate, size: float) -> str:
     return f"{one.kind} of {names} ({number})"
 
 
+def _others(names: tuple[str, ...], relations: tuple[Relation, ...]) -> tuple[str, ...]:
+    """Signals that are related to some, directly or through each other."""
+    found: dict[str, None] = {}
+    fresh = set(names)
+    while fresh:
+        here = {
+            n
+            for r in relations
+            if fresh & {r.target, *r.signals}
+            for n in (r.target, *r.signals)
+            if n not in names and n not in found
+        }
+        found |= dict.fromkeys(sorted(here))
+        fresh = here
+    return tuple(found)
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else names[0]
+
+
 def continuous_finding(
     one: Continuous,
     channels: Channels,
@@ -190,20 +211,13 @@ def continuous_finding(
     shown = amount(size, bounds, fault.unit)
     if kind == "delay" and size < 0.0:
         # Nothing is measured before it happens: the others lag.
-        others = tuple(
-            dict.fromkeys(
-                n
-                for r in relations
-                if set(names) & {r.target, *r.signals}
-                for n in (r.target, *r.signals)
-                if n not in names
-            )
-        )
+        others = _others(names, relations)
         shown = amount(-size, (-bounds[1], -bounds[0]), fault.unit)
-        says = f"{' and '.join(others)} come {shown} after {both}."
+        says = f"{_listed(others)} come {shown} after {both}."
         changes = "lags of actuators and damping are wrong by as much"
         line = f"shift {', '.join(others)} back by {-size:.3g} s: {COPY}"
         names, size, bounds = others, -size, (-bounds[1], -bounds[0])
+        correction = Correction("delay", names, size)
     elif kind == "delay":
         says = f"{both} {'comes' if len(names) == 1 else 'come'} {shown} late."
         changes = "lags of actuators and damping are wrong by as much"
