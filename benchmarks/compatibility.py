@@ -164,9 +164,7 @@ def log(
         rows = slice(round(3.0 / vehicle.step), None)
         matrix = np.column_stack(columns)[rows]
         inputs = np.zeros((matrix.shape[0], 1))
-        records.append(
-            Record(f"run_{number}", times[rows], inputs, matrix, vehicle.model.channels)
-        )
+        records.append(Record(f"run_{number}", times[rows], inputs, matrix, vehicle.model.channels))
     return Dataset(tuple(records))
 
 
@@ -176,7 +174,9 @@ def draw(vehicle: Vehicle, rng: np.random.Generator) -> Fault:
     sign = rng.choice([-1.0, 1.0])
     kind = rng.choice(["bias", "scale", "delay", "lever"])
     if kind == "bias":
-        names = {"q": 0.004, "w": 0.03, "u": 0.08} if diving else {"r": 0.0015, "v": 0.05, "u": 0.05}
+        names = (
+            {"q": 0.004, "w": 0.03, "u": 0.08} if diving else {"r": 0.0015, "v": 0.05, "u": 0.05}
+        )
         name = str(rng.choice(list(names)))
         return Fault("bias", (name,), sign * names[name] * rng.uniform(1.0, 3.0))
     if kind == "scale":
@@ -329,7 +329,9 @@ def main() -> None:
     """Run the parts that are asked for."""
     parts = {"spoilt": spoilt, "measured": measured, "speed": speed}
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", default=["spoilt", "measured", "clean", "faults", "speed"])
+    parser.add_argument(
+        "parts", nargs="*", default=["spoilt", "measured", "clean", "faults", "speed"]
+    )
     parser.add_argument("--logs", type=int, default=100, help="simulated logs of each kind")
     options = parser.parse_args()
     for name in options.parts:

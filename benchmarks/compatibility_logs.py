@@ -168,5 +168,3 @@ def read_filled(path: Path, model: Model) -> Dataset:
         copy = Path(folder) / path.name
         copy.write_text("\n".join([*kept, ""]), encoding="utf-8")
         return read_csv(copy, model.channels)
-
-

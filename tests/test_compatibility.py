@@ -280,7 +280,12 @@ def test_relations_come_from_the_model_in_its_own_names() -> None:
     """States, outputs and signals with unusual names are related through the model's text."""
     model = Model(
         "glider",
-        states=(State("depth", "m"), State("nose", "rad"), State("turn", "rad/s"), State("V", "m/s")),
+        states=(
+            State("depth", "m"),
+            State("nose", "rad"),
+            State("turn", "rad/s"),
+            State("V", "m/s"),
+        ),
         inputs=(),
         outputs=(
             Output("gauge", "m", expression="depth"),
@@ -399,7 +404,9 @@ def test_log_without_equations_says_so() -> None:
     )
     t = np.arange(300) * 0.1
     rng = np.random.default_rng(0)
-    record = Record("decay", t, [], np.exp(-0.1 * t) + 0.01 * rng.standard_normal(300), model.channels)
+    record = Record(
+        "decay", t, [], np.exp(-0.1 * t) + 0.01 * rng.standard_normal(300), model.channels
+    )
     found = check(Dataset((record,)), model)
     assert found.ok
     assert "no equation" in found.verdict
@@ -463,7 +470,9 @@ def test_result_is_plain_data_and_words(dives) -> None:  # type: ignore[no-untyp
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("vehicle", "colour"), [(DIVER, 0.0), (SHIP, 0.0), (DIVER, 0.8), (SHIP, 0.8)])
+@pytest.mark.parametrize(
+    ("vehicle", "colour"), [(DIVER, 0.0), (SHIP, 0.0), (DIVER, 0.8), (SHIP, 0.8)]
+)
 def test_clean_logs_raise_no_alarm(vehicle, colour: float) -> None:  # type: ignore[no-untyped-def]
     """At most one of forty clean logs is called suspect."""
     alarms = 0

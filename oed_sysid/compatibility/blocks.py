@@ -125,9 +125,7 @@ def stretches(
         if not series:
             continue
         more, _ = trace.filled(n for n in needed if n in trace.values and n not in series)
-        found = _of_relation(
-            trace, index, relation, {**more, **series}, usable, candidates, slopes
-        )
+        found = _of_relation(trace, index, relation, {**more, **series}, usable, candidates, slopes)
         factor = (factors or {}).get(relation.target, 1.0)
         result += [part.times_factor(factor) if factor != 1.0 else part for part in found]
     return result

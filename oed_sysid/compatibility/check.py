@@ -215,4 +215,3 @@ def _balances(
         )
         for i, one in enumerate(equations)
     )
-

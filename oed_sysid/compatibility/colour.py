@@ -101,9 +101,7 @@ def estimate(stretches: list[np.ndarray], least_walk: float, least_level: float)
             known[key] = _cost(parts, correlation, 1.0 - rest, least_walk, least_level)
         return known[key]
 
-    best = min(
-        ((r, m) for r in CORRELATIONS for m in AVERAGES), key=lambda point: cost(*point)[0]
-    )
+    best = min(((r, m) for r in CORRELATIONS for m in AVERAGES), key=lambda point: cost(*point)[0])
     for k in range(REFINEMENTS):
         width, factor = 0.1 / 2**k, 1.6 ** (0.5**k)
         around = [

@@ -75,9 +75,7 @@ class System:
     colours: dict[int, Colour]
 
 
-def candidates(
-    traces: list[Trace], relations: tuple[Relation, ...]
-) -> tuple[Candidate, ...]:
+def candidates(traces: list[Trace], relations: tuple[Relation, ...]) -> tuple[Candidate, ...]:
     """Continuous faults that these signals may have, with usual sizes."""
     units = {n: u for trace in traces for n, u in trace.units.items()}
     inner = list(dict.fromkeys(n for r in relations for n in r.signals))
@@ -134,7 +132,8 @@ def search(
     relations : tuple of Relation
         Equations between their signals.
     start : sequence of Correction
-        Delays to start from, where they are long against the motion.
+        Delays and lever arms to start from, where they are large. The search also begins without
+        them, and the more likely end is returned.
 
     Returns
     -------
@@ -143,6 +142,15 @@ def search(
     system : System or None
         The last normal equations; None where nothing could be worked out.
     """
+    ends = [_search(traces, relations, begin) for begin in ((start, ()) if start else ((),))]
+    found, system, _ = min(ends, key=lambda end: end[2])
+    return found, system
+
+
+def _search(
+    traces: list[Trace], relations: tuple[Relation, ...], start: Sequence[Correction]
+) -> tuple[list[Continuous], System | None, float]:
+    """Search from one start; also minus twice the log-likelihood, with a price for each fault."""
     faults = candidates(traces, relations)
     sizes = np.zeros(len(faults))
     active: list[int] = []
@@ -160,7 +168,7 @@ def search(
         }
         parts = [p for trace in undone for p in stretches(trace, relations, faults, factors)]
         if not parts:
-            return [], None
+            return [], None, np.inf
         # The noise is settled after the first correction of what is large.
         system = assemble(parts, relations, faults, colours if turn > 1 else None)
         colours = system.colours
@@ -176,9 +184,16 @@ def search(
         active, sizes = chosen, new
         if settled:
             break
-    if system is None or not active:
-        return [], system
-    return _described(system, right, faults, active, sizes), system
+    if system is None:
+        return [], None, np.inf
+    counts = {part.relation: 0 for part in system.parts}
+    for part in system.parts:
+        counts[part.relation] += part.residual.size
+    cost = sum(2.0 * n * np.log(system.colours[i].level) for i, n in counts.items())
+    cost += ACCEPTED * len(active)
+    if not active:
+        return [], system, float(cost)
+    return _described(system, right, faults, active, sizes), system, float(cost)
 
 
 def _undone(

@@ -83,9 +83,7 @@ def pivot(series: np.ndarray, unit: str) -> float:
 def shifted(times: np.ndarray, series: np.ndarray, delay: float) -> np.ndarray:
     """Series that was logged ``delay`` seconds late, at the times of the others; NaN outside."""
     present = np.isfinite(series)
-    moved = np.interp(
-        times + delay, times[present], series[present], left=np.nan, right=np.nan
-    )
+    moved = np.interp(times + delay, times[present], series[present], left=np.nan, right=np.nan)
     return np.where(present, moved, np.nan)
 
 
@@ -206,4 +204,6 @@ def _partial(
     here = {n: values[n] for n in relation.signals}
     zero = {n: np.zeros(times.size) for n in relation.signals if n not in here}
     up, down = here[name] + 0.5, here[name] - 0.5
-    return relation({**zero, **here, name: up}, times) - relation({**zero, **here, name: down}, times)
+    return relation({**zero, **here, name: up}, times) - relation(
+        {**zero, **here, name: down}, times
+    )

@@ -59,7 +59,15 @@ CLOSE = 12.0
 # A ratio below this is numerical.
 FLOOR = 1e-8
 # A rarer fault needs more evidence.
-PENALTY = {"sign": 0.0, "unit": 2.0, "frame": 2.0, "swap": 4.0, "offset": 4.0, "delay": 6.0, "lever": 6.0}
+PENALTY = {
+    "sign": 0.0,
+    "unit": 2.0,
+    "frame": 2.0,
+    "swap": 4.0,
+    "offset": 4.0,
+    "delay": 6.0,
+    "lever": 6.0,
+}
 # Faults with a size: here they only compete, and start the search for sizes.
 SIZED = ("delay", "lever")
 
@@ -292,7 +300,9 @@ def hypotheses(traces: list[Trace], relations: tuple[Relation, ...]) -> Iterator
             yield Hypothesis(Correction("swap", (first, second)), "")
     yield from _geometry(traces, relations, units)
     # Faults with a size that would else be taken for one of these; only their start values.
-    yield from (Hypothesis(Correction("lever", (v,), 0.0, (r,)), "") for v, r in levers(relations, units))
+    yield from (
+        Hypothesis(Correction("lever", (v,), 0.0, (r,)), "") for v, r in levers(relations, units)
+    )
     step = float(np.median([trace.step for trace in traces]))
     groups = [(name,) for name in names]
     positions = positions_of(relations, units)
@@ -323,9 +333,7 @@ def _geometry(
                 yield Hypothesis(Correction("offset", (angle,), offset), f"{90 * quarter} deg")
 
 
-def levers(
-    relations: tuple[Relation, ...], units: dict[str, str]
-) -> tuple[tuple[str, str], ...]:
+def levers(relations: tuple[Relation, ...], units: dict[str, str]) -> tuple[tuple[str, str], ...]:
     """Velocities and the rates that a lever arm mixes into them."""
     inner = dict.fromkeys(n for r in relations for n in r.signals)
     rates = [n for n in inner if units[n] == "rad/s"]

@@ -228,9 +228,7 @@ def _evidence(
             for p in free
         ]
     )
-    shift = np.array(
-        [(p.prior_mean - p.value) if p.prior_mean is not None else 0.0 for p in free]
-    )
+    shift = np.array([(p.prior_mean - p.value) if p.prior_mean is not None else 0.0 for p in free])
     rest, jacobian = [], []
     for piece in pieces:
         record = piece.record
@@ -273,6 +271,4 @@ def _evidence(
         left = e - a @ eta
         variances = np.maximum(np.mean(left**2, axis=0), 1e-300)
     n = len(e)
-    return float(
-        -n * np.sum(np.log(variances)) - eta @ eta - np.linalg.slogdet(matrix)[1]
-    )
+    return float(-n * np.sum(np.log(variances)) - eta @ eta - np.linalg.slogdet(matrix)[1])

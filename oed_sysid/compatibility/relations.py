@@ -164,11 +164,22 @@ def _declared(
             return None
     if called - set(expressions.FUNCTIONS):
         return None
+    if is_rate and not _is_kinematic(model, target, {measured[s] for s in used}):
+        return None
     aliases = [(s, measured[s]) for s in dict.fromkeys(used) if measured[s] != s]
     ordered = [(name, inner[name]) for name in model.signals if name in inner]
     signals = tuple(dict.fromkeys(measured[s] for s in used))
     steps = (*aliases, *ordered, (f"{target}_prime_", text))
     return Relation(target, signals, text, is_rate, True, steps, constants)
+
+
+def _is_kinematic(model: Model, target: str, signals: set[str]) -> bool:
+    """Whether a rate follows from motion alone, not from forces whose constants are known."""
+    units = {o.name: o.unit for o in model.outputs}
+    if units[target] in ("m/s", "rad/s"):
+        accelerations = {name for name in signals if units[name] in ("m/s^2", "rad/s^2")}
+        return bool(accelerations)
+    return target not in signals or units[target] == "rad"
 
 
 def _standard(

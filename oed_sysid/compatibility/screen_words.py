@@ -61,9 +61,7 @@ SENTENCES = {
 }
 
 
-def screen_findings(
-    dataset: Dataset, traces: list[Trace], faults: list[Fault]
-) -> list[Finding]:
+def screen_findings(dataset: Dataset, traces: list[Trace], faults: list[Fault]) -> list[Finding]:
     """Findings of all screens, one for each kind and signal."""
     units = {n: u for trace in traces for n, u in trace.units.items()}
     series = {trace.name: trace for trace in traces}

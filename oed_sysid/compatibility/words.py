@@ -69,8 +69,10 @@ def say_hypothesis(one: Hypothesis) -> str:
     if fix.kind == "sign":
         return f"{names} with the other sign"
     if fix.kind == "unit":
-        return f"{names} in {one.meaning}" if "twice" not in one.meaning else (
-            f"{names} {one.meaning}"
+        return (
+            f"{names} in {one.meaning}"
+            if "twice" not in one.meaning
+            else (f"{names} {one.meaning}")
         )
     if fix.kind == "swap":
         return f"{names} in each other's column"
@@ -107,7 +109,7 @@ def discrete_finding(
         a, b = names
         says = f"{a} and {b} are in each other's column."
         changes = "both signals are fitted to the other one's physics"
-        line = f'{_line(channels, a, f"column={_quoted(_column(channels, b))}")} and '
+        line = f"{_line(channels, a, f'column={_quoted(_column(channels, b))}')} and "
         line += _line(channels, b, f"column={_quoted(_column(channels, a))}")
     elif fix.kind == "frame":
         says = f"{both} are along the axes of the positions (earth-fixed), not of the body."
@@ -231,7 +233,9 @@ def continuous_finding(
         changes = f"coefficients of terms with {both} are wrong by about as much"
         line = "effect " + SENSOR[kind].format(names[0])
     elif kind == "lever":
-        says = f"{both} is measured {shown} away from the reference point, against {fault.other[0]}."
+        says = (
+            f"{both} is measured {shown} away from the reference point, against {fault.other[0]}."
+        )
         changes = "damping and lift due to rotation take its place"
         line = "effect " + SENSOR[kind].format(names[0], rate=fault.other[0])
     elif kind == "misalignment":
