@@ -14,8 +14,8 @@ misalignment         :math:`s_1 - \varphi s_2`,             :math:`-\int (f_2 s_
                      :math:`s_2 + \varphi s_1`
 ===================  =====================================  ==========================
 
-and by :math:`\int f` (scale), :math:`-\dot y` (delay) or :math:`t` (drift) where the signal stands on
-the left. Integrals are those of cubic Hermite splines.
+and by :math:`\int f` (scale), :math:`-\dot y` (delay) or :math:`t` (drift) where the signal
+stands on the left. Integrals are those of cubic Hermite splines.
 """
 
 from __future__ import annotations

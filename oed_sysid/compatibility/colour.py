@@ -39,14 +39,14 @@ REFINEMENTS = 3
 
 @dataclass(frozen=True)
 class Colour:
-    """Noise of one equation.
+    r"""Noise of one equation.
 
     Parameters
     ----------
     level : float
         Standard deviation of an innovation.
     correlation, average : float
-        Coefficients of the filter, :math:`\\rho` and :math:`\\vartheta`.
+        Coefficients of the filter, :math:`\rho` and :math:`\vartheta`.
     """
 
     level: float
@@ -77,7 +77,12 @@ def _filtered(columns: np.ndarray, correlation: float, average: float) -> np.nda
     return lfilter([1.0, -correlation], [1.0, -average], steps, axis=0)
 
 
-def estimate(stretches: list[np.ndarray], least_walk: float, least_level: float) -> Colour:
+def estimate(
+    stretches: list[np.ndarray],
+    least_walk: float,
+    least_level: float,
+    start: Colour | None = None,
+) -> Colour:
     r"""Noise of largest restricted likelihood.
 
     Parameters
@@ -90,6 +95,8 @@ def estimate(stretches: list[np.ndarray], least_walk: float, least_level: float)
         walk is not taken below it.
     least_level : float
         Least ``level``.
+    start : Colour, optional
+        Where to look first, instead of everywhere.
     """
     scale = np.sqrt(sum(np.sum(np.diff(part, axis=0) ** 2, axis=0) for part in stretches)) + 1e-300
     parts = [part / np.where(np.arange(part.shape[1]) == 0, 1.0, scale) for part in stretches]
@@ -101,7 +108,11 @@ def estimate(stretches: list[np.ndarray], least_walk: float, least_level: float)
             known[key] = _cost(parts, correlation, 1.0 - rest, least_walk, least_level)
         return known[key]
 
-    best = min(((r, m) for r in CORRELATIONS for m in AVERAGES), key=lambda point: cost(*point)[0])
+    if start is None:
+        grid = ((r, m) for r in CORRELATIONS for m in AVERAGES)
+        best = min(grid, key=lambda point: cost(*point)[0])
+    else:
+        best = (start.correlation, 1.0 - start.average)
     for k in range(REFINEMENTS):
         width, factor = 0.1 / 2**k, 1.6 ** (0.5**k)
         around = [

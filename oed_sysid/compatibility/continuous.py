@@ -11,7 +11,9 @@ then undone in the log and everything is linearised again, until nothing changes
 
 The noise of a signal stands in the residual and in its own regressor, which biases a scale error
 by the ratio of noise to signal (the attenuation of regressions with errors in variables, Fuller
-1987); its expected value, known from the noise levels, is subtracted from :math:`b`.
+1987). Its expected value in :math:`b` lies between zero and what it would be if all of the
+residual's walk came from that signal: half of it is subtracted, and what remains uncertain counts
+against the fault and widens its interval.
 """
 
 from __future__ import annotations
@@ -42,6 +44,10 @@ LARGEST = 4.0
 # Intervals are wider than the linear theory says: noise levels are estimated, faults selected.
 WIDER = 1.15
 NUMERICAL = 3e-5
+# A size has to exceed this multiple of what noise in its regressor may have made.
+DOUBT = 1.5
+# The noise of the equations is estimated anew in so many rounds, and kept from then on.
+SETTLING = 3
 
 
 @dataclass(frozen=True)
@@ -65,12 +71,14 @@ class Continuous:
 class System:
     """Normal equations of all faults, whitened.
 
-    ``gram`` is ``(n, n)``, ``right`` ``(n,)``, ``limits`` the gain that each needs.
+    ``gram`` is ``(n, n)``, ``right`` ``(n,)``, ``limits`` the gain that each needs, ``doubt`` the
+    half-width of what noise in a regressor may have added to ``right``.
     """
 
     gram: np.ndarray
     right: np.ndarray
     limits: np.ndarray
+    doubt: np.ndarray
     parts: tuple[Stretch, ...]
     colours: dict[int, Colour]
 
@@ -169,11 +177,10 @@ def _search(
         parts = [p for trace in undone for p in stretches(trace, relations, faults, factors)]
         if not parts:
             return [], None, np.inf
-        # The noise is settled after the first correction of what is large.
-        system = assemble(parts, relations, faults, colours if turn > 1 else None)
+        system = assemble(parts, relations, faults, colours, settled=turn > SETTLING)
         colours = system.colours
         right = system.right + system.gram[:, active] @ sizes[active]
-        chosen = _select(system.gram, right, faults, system.limits, active)
+        chosen = _select(system.gram, right, faults, system.limits, system.doubt, active)
         new = np.zeros(len(faults))
         if chosen:
             new[chosen], std = _solve(system.gram, right, faults, chosen)
@@ -215,10 +222,12 @@ def assemble(
     relations: tuple[Relation, ...],
     faults: tuple[Candidate, ...],
     colours: dict[int, Colour] | None,
+    *,
+    settled: bool = False,
 ) -> System:
     """Whiten all equations and sum their normal equations."""
     n = len(faults)
-    gram, right = np.zeros((n, n)), np.zeros(n)
+    gram, right, doubt = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     limits, weights = np.zeros(n), np.zeros(n) + 1e-300
     known: dict[int, Colour] = {}
     for index in sorted({part.relation for part in parts}):
@@ -228,10 +237,9 @@ def assemble(
         walk = float(np.mean([p.walk for p in mine]))
         spread = float(np.mean([np.std(p.residual) for p in mine]))
         level = max(0.7 * float(np.mean([p.level for p in mine])), NUMERICAL * spread)
-        if colours is not None:
-            colour = colours[index]
-        else:
-            colour = estimate(blocks, walk, level)
+        before = colours.get(index) if colours is not None else None
+        kept = before if settled else None
+        colour = kept or estimate(blocks, walk, level, before)
         known[index] = colour
         is_coloured = colour.correlation > COLOURED or (
             walk > 0.0 and colour.walk_variance > WANDERING * walk
@@ -245,10 +253,12 @@ def assemble(
             own = white[:, 1:].T @ white[:, 1:]
             gram[np.ix_(used, used)] += own
             right[used] += white[:, 1:].T @ white[:, 0]
-            right[used] -= _attenuation(part, relations[index].target, colour, faults, used, own)
+            most = _attenuation(part, relations[index].target, colour, faults, used, own)
+            right[used] -= 0.5 * most
+            doubt[used] += 0.5 * np.abs(most)
             limits[used] += limit * own.diagonal()
             weights[used] += own.diagonal()
-    return System(gram, right, limits / weights, tuple(parts), known)
+    return System(gram, right, limits / weights, doubt, tuple(parts), known)
 
 
 def _attenuation(
@@ -300,6 +310,7 @@ def _select(
     right: np.ndarray,
     faults: tuple[Candidate, ...],
     limits: np.ndarray,
+    doubt: np.ndarray,
     start: list[int],
 ) -> list[int]:
     """Forward selection with exchange and drop."""
@@ -313,7 +324,7 @@ def _select(
             trials = [
                 (_gain(gram, right, faults, [*chosen, k]) - gain - limits[k], k)
                 for k in able
-                if k not in chosen and _is_material(gram, right, faults, [*chosen, k])
+                if k not in chosen and _is_material(gram, right, doubt, faults, [*chosen, k])
             ]
             if trials and max(trials)[0] > 0.0:
                 chosen.append(max(trials)[1])
@@ -323,7 +334,7 @@ def _select(
             swaps = [
                 (_gain(gram, right, faults, [*rest, k]), k)
                 for k in able
-                if k not in chosen and _is_material(gram, right, faults, [*rest, k])
+                if k not in chosen and _is_material(gram, right, doubt, faults, [*rest, k])
             ]
             if swaps and max(swaps)[0] > gain + 1.0:
                 chosen = [*rest, max(swaps)[1]]
@@ -334,8 +345,11 @@ def _select(
                 (gain - _gain(gram, right, faults, [j for j in chosen if j != k]) - limits[k], k)
                 for k in chosen
             ]
-            sizes, _ = _solve(gram, right, faults, chosen)
-            small = [k for k, s in zip(chosen, sizes, strict=True) if abs(s) < faults[k].material]
+            small = [
+                k
+                for k in chosen
+                if not _is_material(gram, right, doubt, faults, [*(j for j in chosen if j != k), k])
+            ]
             worst = min(losses)
             dropped = worst[0] < 0.0 or bool(small)
             if worst[0] < 0.0:
@@ -347,12 +361,17 @@ def _select(
 
 
 def _is_material(
-    gram: np.ndarray, right: np.ndarray, faults: tuple[Candidate, ...], chosen: list[int]
+    gram: np.ndarray,
+    right: np.ndarray,
+    doubt: np.ndarray,
+    faults: tuple[Candidate, ...],
+    chosen: list[int],
 ) -> bool:
     """Whether the last of the chosen faults is large enough to matter, and not absurd."""
-    size = abs(float(_solve(gram, right, faults, chosen)[0][-1]))
+    sizes, std = _solve(gram, right, faults, chosen)
     last = faults[chosen[-1]]
-    return last.material <= size <= LARGEST * last.plausible
+    least = last.material + DOUBT * float(std[-1]) ** 2 * doubt[chosen[-1]]
+    return least <= abs(float(sizes[-1])) <= LARGEST * last.plausible
 
 
 def _described(
@@ -364,7 +383,10 @@ def _described(
 ) -> list[Continuous]:
     """Accepted faults with errors, gains and rivals."""
     gram = system.gram
-    _, std = _solve(gram, right, faults, active)
+    inverse = np.linalg.inv(gram[np.ix_(active, active)] + _ridge(faults, active))
+    # A doubt is uniform, with the variance of a third of its half-width squared.
+    unsure = (inverse * system.doubt[active]) ** 2 / 3.0
+    std = np.sqrt(inverse.diagonal() + unsure.sum(axis=1))
     gain = _gain(gram, right, faults, active)
     result = []
     for position, k in enumerate(active):

@@ -304,7 +304,7 @@ def hypotheses(traces: list[Trace], relations: tuple[Relation, ...]) -> Iterator
         Hypothesis(Correction("lever", (v,), 0.0, (r,)), "") for v, r in levers(relations, units)
     )
     step = float(np.median([trace.step for trace in traces]))
-    groups = [(name,) for name in names]
+    groups: list[tuple[str, ...]] = [(name,) for name in names]
     positions = positions_of(relations, units)
     groups += [g for g in (positions, velocities_of(relations, units)) if len(g) > 1]
     for group in groups:

@@ -254,7 +254,7 @@ def _evidence(
             starts=piece.starts - first,
             sensitivities=True,
         )
-        ends, slopes = done.ends[:-1], done.end_sensitivities[:-1]
+        ends, slopes = done.ends[:-1], np.asarray(done.end_sensitivities)[:-1]
         seen = piece.states[piece.starts[1:]]
         rest.append(seen[:, columns] - ends[:, columns])
         jacobian.append(slopes[:, columns, run.n_full :])

@@ -229,9 +229,9 @@ class LogCheck:
                 lines += [f"     {text}" for text in rest]
         if self.balances:
             lines += ["", "Equations between signals, and what is left of the left side's changes"]
-            for one in self.balances:
-                after = f", {_share(one.after)} with the findings undone" * (self.suspect)
-                lines.append(f"     {one.relation}: {_share(one.before)}{after}")
+            for row in self.balances:
+                after = f", {_share(row.after)} with the findings undone" * self.suspect
+                lines.append(f"     {row.relation}: {_share(row.before)}{after}")
         if self.unchecked:
             lines += ["", "What this check cannot tell"]
             lines += [f"     {text}" for text in self.unchecked]

@@ -106,7 +106,8 @@ def _faults(trace: Trace, name: str, noisy: bool) -> Iterator[Fault]:
         flat = np.flatnonzero((runs.length >= 3) & at_end & ~taken[runs.first])
         clipped = flat if _is_clipped(runs, flat) else np.empty(0, dtype=int)
         left = [k for k in long if k not in clipped and not taken[runs.first[k]]]
-        frozen = np.array([k for k in left if _is_sudden(series, runs, k)], dtype=int)
+        sudden = [int(k) for k in left if _is_sudden(series, runs, int(k))]
+        frozen = np.array(sudden, dtype=int)
         if clipped.size:
             rows = runs.rows(clipped)
             taken[rows] = True

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from oed_sysid.channels import Channels, Input, Output
 from oed_sysid.compatibility.blocks import Candidate
 from oed_sysid.compatibility.continuous import Continuous
@@ -37,10 +39,8 @@ def amount(size: float, bounds: tuple[float, float], unit: str) -> str:
 
 
 def _channel(channels: Channels, name: str) -> Input | Output | None:
-    for channel in (*channels.outputs, *channels.inputs):
-        if channel.name == name:
-            return channel
-    return None
+    every: list[Input | Output] = [*channels.outputs, *channels.inputs]
+    return next((channel for channel in every if channel.name == name), None)
 
 
 def _line(channels: Channels, name: str, change: str) -> str:
@@ -143,8 +143,6 @@ def _frame_lines(
             level = dict.fromkeys(relation.signals, 0.0)
             if relation.target in names or not relation.is_rate or name not in relation.signals:
                 continue
-            import numpy as np
-
             at = {n: np.zeros(2) for n in level} | {name: np.ones(2)}
             if abs(float(relation(at, np.zeros(2))[0]) - 1.0) < 1e-6:
                 text = f'Output("{name}", "m/s", expression="{relation.text}")'
