@@ -9,6 +9,7 @@ import typer
 
 from oed_sysid.cli.options import HtmlFile, JsonFile, ProblemName, Variant
 from oed_sysid.cli.terminal import note, progress, say, store
+from oed_sysid.errors import DataError
 
 
 def check(
@@ -57,9 +58,14 @@ def check(
         note(f"Written: {check_page(result, records, title=chosen.title).write(html_file)}")
     if fix is not None:
         copies, done = corrected_copies(records, chosen, result)
+        targets = [fix / f"{record.name.replace('/', '_')}.csv" for record in copies]
+        if {target.resolve() for target in targets} & {Path(r.source).resolve() for r in records}:
+            raise DataError(
+                f"The corrected copies would overwrite the records in {str(fix)!r}. Give another "
+                "folder to --fix."
+            )
         fix.mkdir(parents=True, exist_ok=True)
-        for record in copies:
-            target = fix / f"{Path(record.name).name}.csv"
+        for record, target in zip(copies, targets, strict=True):
             write_csv(record, target)
             note(f"Written: {target}")
         for line in done:

@@ -277,10 +277,7 @@ def _increments(trace: Trace, relation: Relation) -> Iterator[tuple[np.ndarray, 
         spacing = float(np.median(np.diff(trace.times[rows])))
         group = max(1, min(round(1.0 / spacing), rows.size // LEAST_BLOCKS))
         n = rows.size // group
-        if relation.is_rate:
-            inside = integral(times, rate[piece][:, None])[:, 0]
-        else:
-            inside = rate[piece]
+        inside = integral(times, rate[piece][:, None])[:, 0] if relation.is_rate else rate[piece]
         rows = rows[: n * group]
         left = target[rows].reshape(n, group).mean(axis=1)
         right = inside[rows - piece.start].reshape(n, group).mean(axis=1)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -122,10 +123,8 @@ class Trace:
         steps = np.diff(self.times)
         broken = np.flatnonzero((steps > BRIDGED * self.step) | ~usable[1:] | ~usable[:-1]) + 1
         edges = [0, *broken.tolist(), self.times.size]
-        return [
-            slice(a, b) for a, b in zip(edges, edges[1:], strict=False)
-            if b - a >= least and usable[a:b].all()
-        ]  # fmt: skip
+        whole = (slice(a, b) for a, b in pairwise(edges) if b - a >= least)
+        return [piece for piece in whole if usable[piece].all()]
 
 
 def fast_noise(values: np.ndarray) -> float:

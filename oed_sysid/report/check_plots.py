@@ -93,7 +93,7 @@ def plot_balance(balance: Balance, record: str, ax: Axes | None = None) -> Axes:
         ax.set_ylim(-_TALL * reach, _TALL * reach)
         ax.text(
             0.99, 0.97, f"as logged up to {most:.3g} {unit}", transform=ax.transAxes, ha="right",
-            va="top", fontsize=8, color="0.3",
+            va="top", fontsize=8, color="0.3", bbox={"fc": "white", "ec": "none", "pad": 1.0},
         )  # fmt: skip
     else:
         ax.set_ylim(*span([-most, most]))
