@@ -74,6 +74,11 @@ class Colour:
 
 def _filtered(columns: np.ndarray, correlation: float, average: float) -> np.ndarray:
     steps = np.diff(columns, axis=0, prepend=np.zeros((1, columns.shape[1])))
+    return _recursion(steps, correlation, average)
+
+
+def _recursion(steps: np.ndarray, correlation: float, average: float) -> np.ndarray:
+    """Filter first differences, shape ``(n_blocks, n_columns)``."""
     return lfilter([1.0, -correlation], [1.0, -average], steps, axis=0)
 
 
@@ -99,7 +104,11 @@ def estimate(
         Where to look first, instead of everywhere.
     """
     scale = np.sqrt(sum(np.sum(np.diff(part, axis=0) ** 2, axis=0) for part in stretches)) + 1e-300
-    parts = [part / np.where(np.arange(part.shape[1]) == 0, 1.0, scale) for part in stretches]
+    scale[0] = 1.0
+    parts = [
+        np.diff(np.column_stack([part / scale, np.ones(len(part))]), axis=0, prepend=0.0)
+        for part in stretches
+    ]
     known: dict[tuple[float, float], tuple[float, float]] = {}
 
     def cost(correlation: float, rest: float) -> tuple[float, float]:
@@ -131,12 +140,15 @@ def _cost(
     least_walk: float,
     least_level: float,
 ) -> tuple[float, float]:
-    """Minus twice the restricted log-likelihood, and the level that it is taken at."""
-    n_columns = parts[0].shape[1]
+    """Minus twice the restricted log-likelihood, and the level that it is taken at.
+
+    ``parts`` are first differences: residual, regressors, and the constant.
+    """
+    n_columns = parts[0].shape[1] - 1
     gram = np.zeros((n_columns, n_columns))
     n, n_constants, logarithms = 0, 0, 0.0
     for part in parts:
-        white = _filtered(np.column_stack([part, np.ones(len(part))]), correlation, average)
+        white = _recursion(part, correlation, average)
         constant = white[:, -1]
         power = float(constant @ constant)
         rest = white[:, :-1] - np.outer(constant, constant @ white[:, :-1] / power)

@@ -317,8 +317,10 @@ def _select(
     chosen = list(start)
     able = [k for k in range(len(faults)) if gram[k, k] > 0.0]
     chosen = [k for k in chosen if k in able]
-    while True:
-        before = list(chosen)
+    seen: set[frozenset[int]] = set()
+    while frozenset(chosen) not in seen:
+        # A set that comes back means that adding and dropping take turns.
+        seen.add(frozenset(chosen))
         gain = _gain(gram, right, faults, chosen)
         if len(chosen) < MOST_FAULTS:
             trials = [
@@ -356,8 +358,7 @@ def _select(
                 chosen.remove(worst[1])
             elif small:
                 chosen.remove(small[0])
-        if set(chosen) == set(before) or len(chosen) >= MOST_FAULTS:
-            return chosen
+    return chosen
 
 
 def _is_material(

@@ -274,7 +274,7 @@ def _increments(trace: Trace, relation: Relation) -> Iterator[tuple[np.ndarray, 
         if rows.size < LEAST_BLOCKS:
             continue
         times = trace.times[piece]
-        spacing = float(np.median(np.diff(trace.times[rows])))
+        spacing = trace.step * (piece.stop - piece.start) / rows.size
         group = max(1, min(round(1.0 / spacing), rows.size // LEAST_BLOCKS))
         n = rows.size // group
         inside = integral(times, rate[piece][:, None])[:, 0] if relation.is_rate else rate[piece]

@@ -42,6 +42,8 @@ class Trace:
         Signal to SI unit.
     noise : mapping
         Signal to the standard deviation of its fast noise.
+    step : float
+        Median time step, s; found from the times if not given.
     """
 
     name: str
@@ -49,6 +51,11 @@ class Trace:
     values: dict[str, np.ndarray]
     units: dict[str, str]
     noise: dict[str, float] = field(default_factory=dict)
+    step: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.step:
+            object.__setattr__(self, "step", float(np.median(np.diff(self.times))))
 
     @classmethod
     def of(cls, record: Record, spare: Mapping[str, np.ndarray]) -> Trace:
@@ -60,11 +67,6 @@ class Trace:
         units |= {name: STANDARD_UNITS[name] for name in spare}
         noise = {name: fast_noise(series) for name, series in values.items()}
         return cls(record.name, record.times, values, units, noise)
-
-    @property
-    def step(self) -> float:
-        """Median time step, s."""
-        return float(np.median(np.diff(self.times)))
 
     def blank(self, rows: Mapping[str, np.ndarray]) -> Trace:
         """Return the trace without some samples; ``rows`` by signal."""
@@ -88,7 +90,7 @@ class Trace:
             }
         times = self.times[:n].reshape(-1, group).mean(axis=1)
         noise = {name: std / np.sqrt(group) for name, std in self.noise.items()}
-        return replace(self, times=times, values=values, noise=noise)
+        return replace(self, times=times, values=values, noise=noise, step=0.0)
 
     def filled(self, names: Iterable[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Series joined by straight lines, and where all of them can be relied on.
@@ -121,6 +123,8 @@ class Trace:
     def pieces(self, usable: np.ndarray, least: int) -> list[slice]:
         """Stretches of usable samples between gaps in time, of at least ``least`` samples."""
         steps = np.diff(self.times)
+        if usable.all() and steps.max() <= BRIDGED * self.step:
+            return [slice(0, self.times.size)] if self.times.size >= least else []
         broken = np.flatnonzero((steps > BRIDGED * self.step) | ~usable[1:] | ~usable[:-1]) + 1
         edges = [0, *broken.tolist(), self.times.size]
         whole = (slice(a, b) for a, b in pairwise(edges) if b - a >= least)
