@@ -29,6 +29,7 @@ from oed_sysid.compatibility.corrections import undo
 from oed_sysid.compatibility.discrete import levers, positions_of, velocities_of
 from oed_sysid.compatibility.relations import Relation
 from oed_sysid.compatibility.result import Correction
+from oed_sysid.compatibility.selection import LARGEST, gain_of, ridge, select, solve
 from oed_sysid.compatibility.traces import Trace
 
 ACCEPTED = 16.0
@@ -36,16 +37,11 @@ ACCEPTED_COLOURED = 26.0
 # Noise is coloured where blocks correlate, or where rates wander more than their fast noise.
 COLOURED = 0.35
 WANDERING = 4.0
-MOST_FAULTS = 5
 ROUNDS = 6
 CLOSE = 9.0
-# A rival has to be of a size that such faults have.
-LARGEST = 4.0
 # Intervals are wider than the linear theory says: noise levels are estimated, faults selected.
 WIDER = 1.15
 NUMERICAL = 3e-5
-# A size has to exceed this multiple of what noise in its regressor may have made.
-DOUBT = 1.5
 # The noise of the equations is estimated anew in so many rounds, and kept from then on.
 SETTLING = 3
 
@@ -180,10 +176,10 @@ def _search(
         system = assemble(parts, relations, faults, colours, settled=turn > SETTLING)
         colours = system.colours
         right = system.right + system.gram[:, active] @ sizes[active]
-        chosen = _select(system.gram, right, faults, system.limits, system.doubt, active)
+        chosen = select(system.gram, right, faults, system.limits, system.doubt, active)
         new = np.zeros(len(faults))
         if chosen:
-            new[chosen], std = _solve(system.gram, right, faults, chosen)
+            new[chosen], std = solve(system.gram, right, faults, chosen)
         same = set(chosen) == set(active)
         settled = same and (
             not chosen or bool(np.all(np.abs(new - sizes)[chosen] < 0.1 * std + 1e-9))
@@ -283,98 +279,6 @@ def _attenuation(
     return result
 
 
-def _ridge(faults: tuple[Candidate, ...], chosen: Sequence[int]) -> np.ndarray:
-    return np.diag([faults[k].plausible ** -2.0 for k in chosen])
-
-
-def _solve(
-    gram: np.ndarray, right: np.ndarray, faults: tuple[Candidate, ...], chosen: Sequence[int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Sizes of chosen faults and their standard deviations."""
-    inner = gram[np.ix_(chosen, chosen)] + _ridge(faults, chosen)
-    inverse = np.linalg.inv(inner)
-    return inverse @ right[list(chosen)], np.sqrt(inverse.diagonal())
-
-
-def _gain(
-    gram: np.ndarray, right: np.ndarray, faults: tuple[Candidate, ...], chosen: Sequence[int]
-) -> float:
-    if not chosen:
-        return 0.0
-    inner = gram[np.ix_(chosen, chosen)] + _ridge(faults, chosen)
-    return float(right[list(chosen)] @ np.linalg.solve(inner, right[list(chosen)]))
-
-
-def _select(
-    gram: np.ndarray,
-    right: np.ndarray,
-    faults: tuple[Candidate, ...],
-    limits: np.ndarray,
-    doubt: np.ndarray,
-    start: list[int],
-) -> list[int]:
-    """Forward selection with exchange and drop."""
-    chosen = list(start)
-    able = [k for k in range(len(faults)) if gram[k, k] > 0.0]
-    chosen = [k for k in chosen if k in able]
-    seen: set[frozenset[int]] = set()
-    while frozenset(chosen) not in seen:
-        # A set that comes back means that adding and dropping take turns.
-        seen.add(frozenset(chosen))
-        gain = _gain(gram, right, faults, chosen)
-        if len(chosen) < MOST_FAULTS:
-            trials = [
-                (_gain(gram, right, faults, [*chosen, k]) - gain - limits[k], k)
-                for k in able
-                if k not in chosen and _is_material(gram, right, doubt, faults, [*chosen, k])
-            ]
-            if trials and max(trials)[0] > 0.0:
-                chosen.append(max(trials)[1])
-        for position in range(len(chosen)):
-            gain = _gain(gram, right, faults, chosen)
-            rest = chosen[:position] + chosen[position + 1 :]
-            swaps = [
-                (_gain(gram, right, faults, [*rest, k]), k)
-                for k in able
-                if k not in chosen and _is_material(gram, right, doubt, faults, [*rest, k])
-            ]
-            if swaps and max(swaps)[0] > gain + 1.0:
-                chosen = [*rest, max(swaps)[1]]
-        dropped = True
-        while dropped and chosen:
-            gain = _gain(gram, right, faults, chosen)
-            losses = [
-                (gain - _gain(gram, right, faults, [j for j in chosen if j != k]) - limits[k], k)
-                for k in chosen
-            ]
-            small = [
-                k
-                for k in chosen
-                if not _is_material(gram, right, doubt, faults, [*(j for j in chosen if j != k), k])
-            ]
-            worst = min(losses)
-            dropped = worst[0] < 0.0 or bool(small)
-            if worst[0] < 0.0:
-                chosen.remove(worst[1])
-            elif small:
-                chosen.remove(small[0])
-    return chosen
-
-
-def _is_material(
-    gram: np.ndarray,
-    right: np.ndarray,
-    doubt: np.ndarray,
-    faults: tuple[Candidate, ...],
-    chosen: list[int],
-) -> bool:
-    """Whether the last of the chosen faults is large enough to matter, and not absurd."""
-    sizes, std = _solve(gram, right, faults, chosen)
-    last = faults[chosen[-1]]
-    least = last.material + DOUBT * float(std[-1]) ** 2 * doubt[chosen[-1]]
-    return least <= abs(float(sizes[-1])) <= LARGEST * last.plausible
-
-
 def _described(
     system: System,
     right: np.ndarray,
@@ -384,23 +288,23 @@ def _described(
 ) -> list[Continuous]:
     """Accepted faults with errors, gains and rivals."""
     gram = system.gram
-    inverse = np.linalg.inv(gram[np.ix_(active, active)] + _ridge(faults, active))
+    inverse = np.linalg.inv(gram[np.ix_(active, active)] + ridge(faults, active))
     # A doubt is uniform, with the variance of a third of its half-width squared.
     unsure = (inverse * system.doubt[active]) ** 2 / 3.0
     std = np.sqrt(inverse.diagonal() + unsure.sum(axis=1))
-    gain = _gain(gram, right, faults, active)
+    gain = gain_of(gram, right, faults, active)
     result = []
     for position, k in enumerate(active):
         rest = [j for j in active if j != k]
-        own = gain - _gain(gram, right, faults, rest)
+        own = gain - gain_of(gram, right, faults, rest)
         rivals = []
         for j in range(len(faults)):
             if j in active or gram[j, j] <= 0.0:
                 continue
             trial = [*rest, j]
-            if _gain(gram, right, faults, trial) < gain - CLOSE:
+            if gain_of(gram, right, faults, trial) < gain - CLOSE:
                 continue
-            size = float(_solve(gram, right, faults, trial)[0][-1])
+            size = float(solve(gram, right, faults, trial)[0][-1])
             if abs(size) <= LARGEST * faults[j].plausible:
                 rivals.append((faults[j], size))
         result.append(
