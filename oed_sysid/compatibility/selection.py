@@ -21,6 +21,7 @@ DOUBT = 1.5
 
 
 def ridge(faults: tuple[Candidate, ...], chosen: Sequence[int]) -> np.ndarray:
+    """What plausible sizes add to the normal equations, ``(n_chosen, n_chosen)``."""
     return np.diag([faults[k].plausible ** -2.0 for k in chosen])
 
 
@@ -36,6 +37,7 @@ def solve(
 def gain_of(
     gram: np.ndarray, right: np.ndarray, faults: tuple[Candidate, ...], chosen: Sequence[int]
 ) -> float:
+    """Log-likelihood gain of a set of faults."""
     if not chosen:
         return 0.0
     inner = gram[np.ix_(chosen, chosen)] + ridge(faults, chosen)
