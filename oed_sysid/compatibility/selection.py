@@ -18,6 +18,8 @@ MOST_FAULTS = 5
 LARGEST = 4.0
 # A size has to exceed this multiple of what noise in its regressor may have made.
 DOUBT = 1.5
+# What linearisation leaves of a large fault: a further one has to gain this share of it.
+SHARE = 1e-3
 
 
 def ridge(faults: tuple[Candidate, ...], chosen: Sequence[int]) -> np.ndarray:
@@ -63,7 +65,12 @@ def select(
         gain = gain_of(gram, right, faults, chosen)
         if len(chosen) < MOST_FAULTS:
             trials = [
-                (gain_of(gram, right, faults, [*chosen, k]) - gain - limits[k], k)
+                (
+                    gain_of(gram, right, faults, [*chosen, k])
+                    - gain
+                    - max(limits[k], SHARE * gain),
+                    k,
+                )
                 for k in able
                 if k not in chosen and is_material(gram, right, doubt, faults, [*chosen, k])
             ]
@@ -83,7 +90,12 @@ def select(
         while dropped and chosen:
             gain = gain_of(gram, right, faults, chosen)
             losses = [
-                (gain - gain_of(gram, right, faults, [j for j in chosen if j != k]) - limits[k], k)
+                (
+                    gain
+                    - gain_of(gram, right, faults, [j for j in chosen if j != k])
+                    - max(limits[k], SHARE * gain),
+                    k,
+                )
                 for k in chosen
             ]
             small = [
