@@ -51,6 +51,8 @@ _HOME = {
     "GOptimal": "design",
     "ModifiedE": "design",
     "VOptimal": "design",
+    "check": "compatibility",
+    "quick_check": "compatibility",
     "compare": "diagnosis.compare",
     "diagnose": "diagnosis.diagnose",
     "improve": "diagnosis.improve",
@@ -79,6 +81,7 @@ def __dir__() -> list[str]:
 
 if TYPE_CHECKING:
     from oed_sysid.channels import Channels, Input, Output, State
+    from oed_sysid.compatibility import check, quick_check
     from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
     from oed_sysid.design import (
         AOptimal,

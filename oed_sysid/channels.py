@@ -132,6 +132,14 @@ class Output:
         ``None`` means unknown, to be estimated.
     column, sign
         Column of the log and its sign, where they differ.
+    wrap : bool
+        Whether the log holds an angle within one turn, such as a compass that goes from 359 to
+        0 degrees; it is made continuous when a record is made.
+
+    Raises
+    ------
+    ModelError
+        If something that is not an angle in rad is said to wrap.
     """
 
     name: str
@@ -141,6 +149,14 @@ class Output:
     noise_std: float | None = None
     column: str | None = None
     sign: float = 1.0
+    wrap: bool = False
+
+    def __post_init__(self) -> None:
+        if self.wrap and self.unit != "rad":
+            raise ModelError(
+                f"Output {self.name!r} in [{self.unit}] cannot wrap: only an angle in [rad] can. "
+                "Leave wrap out, or declare the output in rad; files may hold degrees."
+            )
 
     def __post_init__(self) -> None:
         check_signal("Output", self.name, self.unit)

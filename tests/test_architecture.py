@@ -35,6 +35,7 @@ LAYERS = (
     "projection",
     "noise",
     "fitting",
+    "compatibility",
     "estimators",
     "predictions",
     "sensitivity",

@@ -4,7 +4,7 @@
 exit code   meaning
 ==========  =============================================================
 0           done
-1           ended without a usable result (a fit did not converge)
+1           ended without a usable result (a fit did not converge, a log is suspect)
 2           the command line, a file or a problem has to be corrected
 3           an unexpected error: a fault of this program
 130         interrupted

@@ -208,7 +208,7 @@ def read_csv(
     for file, default in zip(files, names, strict=True):
         columns = Columns(read_table(file, columns_of_text=True), units or {})
         records.append(_read_record(columns, name or default, channels, time))
-        for suspicion in columns.suspicions:
+        for suspicion in (*columns.suspicions, *records[-1].notes):
             warnings.warn(suspicion, UserWarning, stacklevel=2)
     return Dataset(tuple(records))
 

@@ -6,6 +6,8 @@ figure, and returns them; nothing is shown and no global setting is touched.
 report in one file.
 """
 
+from oed_sysid.report.check_page import check_page
+from oed_sysid.report.check_plots import figure_check, plot_balance, plot_balances
 from oed_sysid.report.comparison_page import comparison_page
 from oed_sysid.report.design_page import design_page
 from oed_sysid.report.design_plots import (
@@ -54,9 +56,11 @@ __all__ = [
     "Picture",
     "Section",
     "Table",
+    "check_page",
     "comparison_page",
     "design_page",
     "diagnosis_page",
+    "figure_check",
     "figure_design",
     "figure_fit",
     "figure_force",
@@ -71,6 +75,8 @@ __all__ = [
     "save_figure",
     "plot_accuracy",
     "plot_autocorrelation",
+    "plot_balance",
+    "plot_balances",
     "plot_bode",
     "plot_comparison",
     "plot_correlation",
