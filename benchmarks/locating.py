@@ -14,16 +14,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
+from oed_sysid.diagnosis.linearise import SuperModel
+from oed_sysid.diagnosis.workbench import Workbench
 
 from benchmarks.missing_physics.cases import draws, simulate_draws
 from benchmarks.missing_physics.judge import datasets
 from benchmarks.missing_physics.simulator import NOISE_STD, Case, Records
 from oed_sysid import Force, Parameter, Problem, load_problem
-from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
-from oed_sysid.diagnosis.linearise import SuperModel
 from oed_sysid.diagnosis.locate import Located, locate
 from oed_sysid.diagnosis.propose import Proposals, propose
-from oed_sysid.diagnosis.workbench import Workbench
 
 # Without the unknown moment w^3 of positive sign, which throws the vehicle over.
 PLAN = "single/white:40 none/white:10 unknown/white:5 unknown/white:6-15 unknown/white:16-20"

@@ -14,10 +14,11 @@ import io
 import pstats
 import sys
 
+from oed_sysid.diagnosis.workbench import Workbench
+
 from benchmarks.measure import elapsed, least, machine, verdict
 from oed_sysid import Dataset, load_problem
 from oed_sysid.diagnosis.score import scores
-from oed_sysid.diagnosis.workbench import Workbench
 
 
 def main() -> None:

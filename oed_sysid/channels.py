@@ -157,8 +157,6 @@ class Output:
                 f"Output {self.name!r} in [{self.unit}] cannot wrap: only an angle in [rad] can. "
                 "Leave wrap out, or declare the output in rad; files may hold degrees."
             )
-
-    def __post_init__(self) -> None:
         check_signal("Output", self.name, self.unit)
         if self.noise_std != 0.0:  # what zero means is said where residuals are divided by it
             check_positive("Output", self.name, "noise_std", self.noise_std)

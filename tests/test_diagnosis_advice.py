@@ -5,9 +5,9 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+from oed_sysid.diagnosis.advice import advice
 
 from oed_sysid import Force, Parameter
-from oed_sysid.diagnosis.advice import advice
 from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.diagnosis.score import Score
 

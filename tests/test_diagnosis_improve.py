@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from oed_sysid.diagnosis.workbench import Workbench
 from scipy import stats
 from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 
@@ -16,7 +17,6 @@ from oed_sysid.diagnosis.improve import improve
 from oed_sysid.diagnosis.improvement import Improvement
 from oed_sysid.diagnosis.rank import rank, threshold
 from oed_sysid.diagnosis.score import scores
-from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.errors import DataError
 
 AUV_DATA = Path(__file__).resolve().parent.parent / "problems" / "remus_diving_plane" / "data"

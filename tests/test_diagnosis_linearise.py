@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from oed_sysid.diagnosis.linearise import SuperModel, deviations, disturbed_equations
 from scipy.integrate import solve_ivp
 from turning_ship import CANDIDATES, CUBIC, NOISE, SAMPLE, SHIP, dataset, rates
 
-from oed_sysid.diagnosis.linearise import SuperModel, deviations, disturbed_equations
 from oed_sysid.diagnosis.score import two_sided
 
 N3 = -15.0

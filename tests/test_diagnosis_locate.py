@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 from diving_plane import PROBLEM, records
-
 from oed_sysid.diagnosis.greybox import estimate
 from oed_sysid.diagnosis.linearise import SuperModel
-from oed_sysid.diagnosis.locate import locate
 from oed_sysid.diagnosis.workbench import Workbench
+
+from oed_sysid.diagnosis.locate import locate
 from oed_sysid.effects import Force
 from oed_sysid.noise.disturbances import places
 from oed_sysid.noise.linearisation import along

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from oed_sysid.diagnosis.lanes import innovations_by_model
 from scipy import optimize
 
-from oed_sysid.diagnosis.lanes import innovations_by_model
 from oed_sysid.noise import kalman as filters
 from oed_sysid.noise.kalman import Deviations, NoiseModel, whiten
 from oed_sysid.noise.levels import estimate_noise

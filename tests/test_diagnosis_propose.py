@@ -7,13 +7,13 @@ import json
 import numpy as np
 import pytest
 from diving_plane import PROBLEM, records
+from oed_sysid.diagnosis.linearise import SuperModel
+from oed_sysid.diagnosis.term_scores import term_scores
+from oed_sysid.diagnosis.workbench import Workbench
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, load_problem
 from oed_sysid.diagnosis.dictionary import Signal, Term, signals_along, terms
-from oed_sysid.diagnosis.linearise import SuperModel
 from oed_sysid.diagnosis.propose import propose
-from oed_sysid.diagnosis.term_scores import term_scores
-from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.language.units import same_dimension
 from oed_sysid.noise.kalman import NoiseModel
 from oed_sysid.noise.linearisation import System

@@ -6,10 +6,10 @@ import os
 
 import numpy as np
 import pytest
+from oed_sysid.diagnosis.workbench import Workbench
 
 from oed_sysid import Dataset, Fit, MultipleShooting, Problem, Record, load_problem
 from oed_sysid.diagnosis.rank import rank
-from oed_sysid.diagnosis.workbench import Workbench
 
 pytestmark = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 

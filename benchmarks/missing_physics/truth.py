@@ -7,15 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
+from oed_sysid.diagnosis.linearise import SuperModel, deviations
+from oed_sysid.diagnosis.workbench import Workbench
 
 from benchmarks.missing_physics.simulator import Case
 from oed_sysid import Force, Parameter
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
 from oed_sysid.diagnosis.improvement import Improvement
-from oed_sysid.diagnosis.linearise import SuperModel, deviations
 from oed_sysid.diagnosis.rank import threshold
-from oed_sysid.diagnosis.workbench import Workbench
 from oed_sysid.effects import Effect
 from oed_sysid.noise.kalman import NoiseModel
 from oed_sysid.problem import Problem

@@ -11,6 +11,7 @@ import numpy as np
 from oed_sysid.batch.threads import single_threaded
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.overlap import check_disjoint
 from oed_sysid.diagnosis.forecasts import Forecasts, forecasts
 from oed_sysid.diagnosis.misfit import OutputMisfit, output_misfit
 from oed_sysid.diagnosis.regimes import Signal, regimes
@@ -223,11 +224,23 @@ def compare(
     if not horizon > 0:
         raise DataError(f"horizon is {horizon} s. Give a length above zero.")
     sigma, notes = _levels(given, dataset)
+    notes = (*_training_notes(given, dataset), *notes)
     parts = tuple(
         _misfit(label, item, dataset, sigma, initial, horizon)
         for label, item in zip(labels, given, strict=True)
     )
     return Comparison(dataset, parts, sigma, notes)
+
+
+def _training_notes(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[str, ...]:
+    """Say so where a fit is judged on records that it was fitted to, whatever they are called."""
+    trained = [item for item in given if isinstance(item, Fit)]
+    try:
+        for fit in trained:
+            check_disjoint(fit.dataset, dataset)
+    except DataError as error:
+        return (f"this is no validation: {error}",)
+    return ()
 
 
 def _misfit(

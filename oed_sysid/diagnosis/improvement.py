@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.channels import Output
+from oed_sysid.compatibility import LogCheck
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.locate import Located
 from oed_sysid.diagnosis.propose import Proposals
@@ -220,6 +221,7 @@ class Improvement:
     rejected: tuple[str, ...] = ()
     proposed: tuple[Mapping[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
+    log: LogCheck | None = None
     skipped: tuple[str, ...] = ()
 
     @property
@@ -340,7 +342,9 @@ class Improvement:
 
     def _opening(self) -> list[str]:
         error = self.base_error
+        warning = "" if self.log is None else self.log.warning()
         return [
+            *([warning, ""] if warning else []),
             f"{self.base.name}",
             f"  nominal model: error on the training records {error['train']:.2f} x noise"
             + (

@@ -194,7 +194,7 @@ effects = (
     # What the instrument makes of a level; a full tank reads FULL whatever the law.
     Sensor(
         "level_exponent",
-        {"level": f"{FULL}*(max(level, {LOWEST})/{FULL})**(1 + E_level_exponent)"},
+        {"level": "full*(max(level, lowest)/full)**(1 + E_level_exponent)"},
         (Parameter("E_level_exponent", 0.0, "1", lower=-0.8, upper=4.0, scale=0.3),),
         description="reading as a power of the level",
         needs="levels from low to high",
