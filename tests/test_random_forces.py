@@ -29,7 +29,7 @@ def tested(data: Dataset, model: Model = SHIP) -> ScoreTest:
 def test_white_records_rarely_ask_for_forces() -> None:
     """Over 40 seeds of white data the gain stays small: a median below 1, never far above 6."""
     gains = np.array([tested(dataset(seed, n_records=1)).gain for seed in range(40)])
-    assert np.all(gains >= 0)
+    assert np.all(gains > -1e-9)
     assert np.median(gains) < 1.0
     # The bound of a mixture of chi-squared variables, three times and three levels looked at.
     assert np.sum(gains > CLEAR) <= 2
@@ -63,7 +63,7 @@ def disturbed() -> Fit:
 
 def test_disturbed_data_are_found_out(disturbed: Fit) -> None:
     """Level and time lie within three of their errors, and innovations are white."""
-    assert disturbed.converged
+    assert disturbed.status.ok
     noise, errors = disturbed.noise, disturbed.noise_std
     assert noise is not None
     level, time = noise.level("force r")
@@ -136,7 +136,7 @@ def test_an_unmeasured_velocity_is_started_anywhere() -> None:
         )]
     )  # fmt: skip
     fit = MultipleShooting(disturbances="all").fit(model, data)
-    assert fit.converged
+    assert fit.status.ok
     for name, truth in (("K", GAIN), ("T", TIME)):
         assert abs(fit.values[name] - truth) < 4 * fit.std_errors[name]
     for own in fit.initial_states:
@@ -183,7 +183,7 @@ def test_an_unstable_ship_in_closed_loop_is_identified() -> None:
     rng = np.random.default_rng(8)
     data = Dataset([unstable_record(f"course_{i}", rng) for i in range(2)])
     fit = MultipleShooting(disturbances="all").fit(UNSTABLE, data)
-    assert fit.converged
+    assert fit.status.ok
     for name, truth in (("K", GAIN / TIME), ("a", 1.0 / TIME)):
         assert abs(fit.values[name] - truth) < 4 * fit.std_errors[name]
         assert fit.std_errors[name] < 0.3 * abs(truth)
