@@ -18,7 +18,7 @@ FORCE, FORCE_TIME = 0.02, 1.0
 WHITE = MultipleShooting(disturbances="none", coloured="never")
 
 
-def tested(data: Dataset, model: Model = SHIP) -> ScoreTest:
+def score_of(data: Dataset, model: Model = SHIP) -> ScoreTest:
     """Score test at the white fit."""
     fit = WHITE.fit(model, data)
     places = chosen_places(model, "all")
@@ -28,7 +28,7 @@ def tested(data: Dataset, model: Model = SHIP) -> ScoreTest:
 
 def test_white_records_rarely_ask_for_forces() -> None:
     """Over 40 seeds of white data the gain stays small: a median below 1, never far above 6."""
-    gains = np.array([tested(dataset(seed, n_records=1)).gain for seed in range(40)])
+    gains = np.array([score_of(dataset(seed, n_records=1)).gain for seed in range(40)])
     assert np.all(gains > -1e-9)
     assert np.median(gains) < 1.0
     # The bound of a mixture of chi-squared variables, three times and three levels looked at.
@@ -38,7 +38,7 @@ def test_white_records_rarely_ask_for_forces() -> None:
 
 def test_forces_show_in_the_score_test() -> None:
     """A random yaw acceleration gives a gain far above chance, and its level to first order."""
-    found = tested(dataset(3, force=FORCE))
+    found = score_of(dataset(3, force=FORCE))
     assert found.gain > 50.0
     assert FORCE / 3 < found.noise.force[0] < 3 * FORCE
     assert found.noise.places == ("force r",)
