@@ -119,9 +119,7 @@ def test_linear_model_predicts_its_own_columns(drag) -> None:  # type: ignore[no
     for record, own in zip(train, fit.initial, strict=True):
         z0, _ = compiled.start(own, record.inputs[0], model.value_vector, record.times[0])
         runs.append(
-            compiled.run(
-                record.times, record.inputs, model.value_vector, z0, sensitivities=True
-            )
+            compiled.run(record.times, record.inputs, model.value_vector, z0, sensitivities=True)
         )
     system = System.of(model, model.free_names, train)
     linear = system.linearise([run.states for run in runs], fit.noise)

@@ -9,8 +9,8 @@ import pytest
 from diving_plane import PROBLEM, records
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, load_problem
-from oed_sysid.diagnosis.dictionary import Signal, Term, signals_along, terms
 from oed_sysid.compiled.kernels import kernel
+from oed_sysid.diagnosis.dictionary import Signal, Term, signals_along, terms
 from oed_sysid.diagnosis.propose import propose, term_scores
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.language.units import same_dimension

@@ -84,9 +84,7 @@ def test_the_interval_does_not_change_the_optimum(interval: float) -> None:
     expected = ESTIMATOR.fit(yaw_model(), data)
     other = MultipleShooting(
         noise=NOISE, interval=interval, coloured="never", disturbances="none"
-    ).fit(
-        yaw_model(), data
-    )
+    ).fit(yaw_model(), data)
     assert errors_apart(other.estimates, expected.estimates, expected.covariance) < 2e-3
     assert np.allclose(other.covariance, expected.covariance, rtol=1e-3)
 

@@ -130,9 +130,7 @@ def _best_fit(
     """Most likely fit of one structure, from the nominal fit, with true sizes, and the truth."""
     start = dict(base.values) | dict(amplitudes)
     found = [
-        study.estimate(
-            effects, values, base, noise=study.loosened(base.noise), max_iterations=25
-        )
+        study.estimate(effects, values, base, noise=study.loosened(base.noise), max_iterations=25)
         for values in (dict(base.values), start, start | dict(derivatives))
     ]
     best = min((fit for fit in found if fit is not None), key=lambda fit: fit.objective)
