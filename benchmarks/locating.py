@@ -2,7 +2,7 @@
 
     OMP_NUM_THREADS=1 python -m benchmarks.locating
 
-The cases are those of ``benchmarks/missing_physics``. Nothing but the believed model is given:
+The cases are those of ``benchmarks/missing_physics``. Nothing but the nominal model is given:
 no candidate effects, no amplitudes.
 """
 
@@ -11,19 +11,18 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
-from oed_sysid.diagnosis.linearise import SuperModel
-from oed_sysid.diagnosis.workbench import Workbench
 
 from benchmarks.missing_physics.cases import draws, simulate_draws
 from benchmarks.missing_physics.judge import datasets
 from benchmarks.missing_physics.simulator import NOISE_STD, Case, Records
-from oed_sysid import Force, Parameter, Problem, load_problem
+from oed_sysid import Dataset, Force, Parameter, Problem, load_problem
 from oed_sysid.diagnosis.locate import Located, locate
 from oed_sysid.diagnosis.propose import Proposals, propose
+from oed_sysid.diagnosis.study import Study
+from oed_sysid.fitting.gauss_newton import FilteredSolution
 
 # Without the unknown moment w^3 of positive sign, which throws the vehicle over.
 PLAN = "single/white:40 none/white:10 unknown/white:5 unknown/white:6-15 unknown/white:16-20"
@@ -112,39 +111,36 @@ def outcome(problem: Problem, case: Case, records: Sequence[Records]) -> Outcome
         right = SURGE if axis == "X" else (f"force {axis}",)
     elif name:
         right = next(places for start, places in PLACES.items() if name.startswith(start))
-    bench, fit = Workbench.build(problem.model, train, test, true, known_noise=False)
+    study, fit = Study.begin(problem.model, train, test, true, known_noise=False)
     began = time.perf_counter()
-    located = locate(bench.train, fit)
+    located = locate(fit, study.unit)
     seconds = time.perf_counter() - began
     if not true:
         return Outcome(name, located, right, None, np.nan, seconds)
-    proposals = propose(bench.train, fit)
+    proposals = propose(study, fit)
     best = proposals[0]
-    ratio = _error(bench, (best.effect,), best.fit) / _error(
-        bench, true, _with_truth(bench.train, fit, case.effects[name])
+    wide = study.with_candidates([best.effect])
+    ratio = _error(wide, best.fit, test) / _error(
+        study, _with_truth(study, fit, case.effects[name]), test
     )
     return Outcome(name, located, right, proposals, ratio, seconds)
 
 
-def _with_truth(task: Task, fit: GreyBox, size: float) -> GreyBox:
+def _with_truth(study: Study, fit: FilteredSolution, size: float) -> FilteredSolution:
     """Fit of the true structure, from nothing and from the truth."""
     found = [
-        estimate(
-            task, (*fit.names, "E_true"), dict(fit.values) | {"E_true": start}, fit.initial,
-            fit.noise,
+        study.estimate(
+            study.candidates, dict(fit.values) | {"E_true": start}, fit,
+            noise=study.loosened(fit.noise), max_iterations=25,
         )
         for start in (0.0, size)
     ]  # fmt: skip
     return min((f for f in found if f is not None), key=lambda f: f.objective)
 
 
-def _error(bench: Workbench, effects: Sequence[Force], fit: GreyBox) -> float:
-    joined = SuperModel.build(bench.train.super_model.base, effects)
-    assert bench.test is not None
-    wide = Workbench(
-        replace(bench.train, super_model=joined), replace(bench.test, super_model=joined)
-    )
-    return wide.errors(fit, NOISE_STD)["test"]
+def _error(study: Study, fit: FilteredSolution, test: Dataset) -> float:
+    """Error of a model on its own, over all outputs, in units of the noise."""
+    return float(np.sqrt(np.mean((study.rms(fit, test) / NOISE_STD) ** 2)))
 
 
 def rows(outcomes: Sequence[Outcome]) -> list[tuple[str, str]]:

@@ -14,11 +14,10 @@ import io
 import pstats
 import sys
 
-from oed_sysid.diagnosis.workbench import Workbench
-
 from benchmarks.measure import elapsed, least, machine, verdict
 from oed_sysid import Dataset, load_problem
 from oed_sysid.diagnosis.score import scores
+from oed_sysid.diagnosis.study import Study
 
 
 def main() -> None:
@@ -27,13 +26,13 @@ def main() -> None:
     records = problem.data()
     train = Dataset(tuple(r for r in records if r.name.startswith("train")))
     candidates = list(problem.effects)
-    bench, fit = Workbench.build(problem.model, train, None, candidates, known_noise=False)
+    study, fit = Study.begin(problem.model, train, None, candidates, known_noise=False)
 
     def work() -> object:
-        return scores(bench.train, fit, candidates)
+        return scores(study, fit, study.candidates)
 
     seconds, clock = least(work, 12), elapsed(work, 5)
-    ranked, _ = scores(bench.train, fit, candidates)
+    ranked, _ = scores(study, fit, study.candidates)
     n_samples = sum(record.n_samples for record in train)
     print(machine())
     print(

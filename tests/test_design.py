@@ -346,7 +346,7 @@ def test_discrimination_raises_the_misfit_between_rivals() -> None:
     # Refit of the believed model to noise-free data of the rival: the real misfit.
     truth = ship() + rivals[0].with_values({"E_cubic": 2.0})
     data = Dataset((simulate(truth, found.experiment, noise=False),))
-    fit = MultipleShooting(noise="given", coloured="never").fit(ship(), data)
+    fit = MultipleShooting(noise="given", coloured="never", disturbances="none").fit(ship(), data)
     assert 2 * fit.cost == pytest.approx(found.misfits["cubic", "small ship"], rel=0.3)
     plain = quick()
     commands = plain.trajectory.inputs

@@ -110,7 +110,7 @@ def test_discriminating_design_decides_where_a_zigzag_does_not() -> None:
     )
     found = quick(criterion=Discriminate(rivals, size=1.0), n_starts=2)
     truth = ship() + rivals[1].with_values({"E_stall": 0.15})
-    estimator = MultipleShooting(noise="given", coloured="never")
+    estimator = MultipleShooting(noise="given", coloured="never", disturbances="none")
     rng = np.random.default_rng(1)
 
     def margin(experiment: object) -> float:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-from oed_sysid.diagnosis.advice import advice
 
 from oed_sysid import Force, Parameter
+from oed_sysid.diagnosis.improvement import advice
 from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.diagnosis.score import Score
 
@@ -41,7 +41,7 @@ def step(*group: str, test_gain: float = 9.0) -> SimpleNamespace:
 def test_one_effect_is_believed_with_its_size() -> None:
     """A single confirmed effect is stated with value and error; what is invisible is not denied."""
     text = "\n".join(advice([step("drag")], RANKING, ESTIMATES, explained=True))
-    assert "drag is missing, the untouched records agree: E_drag = 2 +/- 0.1 N" in text
+    assert "drag is missing, the validation records agree: E_drag = 2 +/- 0.1 N" in text
     assert "that faint is absent: its typical" in text
     assert "Next at sea" not in text
 
@@ -57,7 +57,7 @@ def test_a_group_is_not_believed_to_be_its_first_member() -> None:
 
 
 def test_an_untested_claim_is_not_believed() -> None:
-    """Without untouched records the claim waits for one."""
+    """Without validation records the claim waits for one."""
     text = "\n".join(advice([step("drag", test_gain=np.nan)], RANKING, ESTIMATES, explained=True))
-    assert "untouched records agree" not in text
-    assert "drag before an untouched record has confirmed it" in text
+    assert "validation records agree" not in text
+    assert "drag before a validation record has confirmed it" in text

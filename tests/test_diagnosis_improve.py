@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oed_sysid.diagnosis.workbench import Workbench
 from scipy import stats
 from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 
@@ -17,6 +16,7 @@ from oed_sysid.diagnosis.improve import improve
 from oed_sysid.diagnosis.improvement import Improvement
 from oed_sysid.diagnosis.rank import rank, threshold
 from oed_sysid.diagnosis.score import scores
+from oed_sysid.diagnosis.study import Study
 from oed_sysid.errors import DataError
 
 AUV_DATA = Path(__file__).resolve().parent.parent / "problems" / "remus_diving_plane" / "data"
@@ -26,8 +26,8 @@ def test_score_is_chi_squared_where_nothing_is_missing() -> None:
     """Over seeds, the statistic of an absent effect follows its distribution."""
     statistics = []
     for seed in range(30):
-        bench, fit = Workbench.build(SHIP, dataset(seed), None, [CUBIC], known_noise=True)
-        found, _ = scores(bench.train, fit, bench.train.super_model.candidates)
+        study, fit = Study.begin(SHIP, dataset(seed), None, [CUBIC], known_noise=True)
+        found, _ = scores(study, fit, study.candidates)
         statistics.append(found[0].statistic)
     assert stats.kstest(statistics, stats.chi2(1).cdf).pvalue > 0.002
     assert np.mean(statistics) == pytest.approx(1.0, abs=0.8)
@@ -36,8 +36,8 @@ def test_score_is_chi_squared_where_nothing_is_missing() -> None:
 @pytest.mark.parametrize("cubic", [-0.2, -0.5])
 def test_score_is_the_likelihood_gain_to_first_order(cubic: float) -> None:
     """For a weak effect the statistic is what refitting gains, and the estimate is the refit's."""
-    bench, fit = Workbench.build(SHIP, dataset(7, cubic), None, CANDIDATES, known_noise=True)
-    ranking = rank(bench.train, fit, bench.train.super_model.candidates, also=["cubic_damping"])
+    study, fit = Study.begin(SHIP, dataset(7, cubic), None, CANDIDATES, known_noise=True)
+    ranking = rank(study, fit, study.candidates, also=["cubic_damping"])
     refit = next(r for r in ranking.refits if r.name == "cubic_damping")
     assert refit.score.statistic == pytest.approx(refit.gain, rel=0.2, abs=0.3)
     error = refit.score.std_errors["n3"]
@@ -75,9 +75,9 @@ def test_nothing_is_claimed_where_nothing_is_missing() -> None:
 def test_correlation_time_of_sensor_noise_is_found() -> None:
     """Noise that remembers for two seconds is seen as such, and nothing is claimed from it."""
     found = [dataset(seed, colour=0.9) for seed in (30, 31)]
-    _, fit = Workbench.build(SHIP, found[0], found[1], CANDIDATES, known_noise=False)
+    _, fit = Study.begin(SHIP, found[0], found[1], CANDIDATES, known_noise=False)
     truth = -0.2 / np.log(0.9)
-    assert truth / 2 < fit.noise.colour_time < truth * 2
+    assert np.all((truth / 2 < fit.noise.colour_time) & (fit.noise.colour_time < truth * 2))
     np.testing.assert_allclose(fit.noise.colour, [0.01, 0.004], rtol=0.3)
     improved = improve(SHIP, *found, candidates=CANDIDATES)
     assert improved.verdict == "nothing_missing"
@@ -170,6 +170,10 @@ def test_improvement_as_plain_data(auv: Improvement) -> None:
         "base_error",
         "final_error",
         "proposed_terms",
+        "remains",
+        "conclusion",
+        "noise",
+        "notes",
         "parameters",
     }
     assert set(plain["steps"][0]) == {"added", "group", "evidence", "train_error", "test_error"}

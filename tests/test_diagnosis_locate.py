@@ -7,41 +7,39 @@ import json
 import numpy as np
 import pytest
 from diving_plane import PROBLEM, records
-from oed_sysid.diagnosis.greybox import estimate
-from oed_sysid.diagnosis.linearise import SuperModel
-from oed_sysid.diagnosis.workbench import Workbench
 
-from oed_sysid.diagnosis.locate import locate
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.diagnosis.locate import along_fit, locate
+from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Force
 from oed_sysid.noise.disturbances import places
-from oed_sysid.noise.linearisation import along
+from oed_sysid.noise.linearisation import System
 from oed_sysid.parameters import Parameter
 
 DRAG = -120.0
 CROSSFLOW = Force("drag", {"Z": "Z_d*w*abs(w)"}, (Parameter("Z_d", 0.0, "kg/m", scale=100.0),))
 
 
-def bench(train, candidates=()):  # type: ignore[no-untyped-def]
-    """Fit of the believed model, and the task it belongs to."""
-    found, fit = Workbench.build(PROBLEM.model, train, None, candidates, known_noise=False)
-    return found.train, fit
+def begun(train, candidates=()):  # type: ignore[no-untyped-def]
+    """The study of the nominal model, and its fit."""
+    return Study.begin(PROBLEM.model, train, None, candidates, known_noise=False)
 
 
 @pytest.fixture(scope="module")
 def drag():  # type: ignore[no-untyped-def]
     """Records of a vehicle with a cross-flow drag that the model lacks."""
     train, _, _ = records(1, lambda u, w, q, *_: (0.0, DRAG * w * abs(w), 0.0), duration=40.0)
-    task, fit = bench(train, (CROSSFLOW,))
-    return train, task, fit
+    study, fit = begun(train, (CROSSFLOW,))
+    return train, study, fit
 
 
 def test_a_missing_heave_force_is_found_in_the_heave_equation(drag) -> None:  # type: ignore[no-untyped-def]
     """A cross-flow drag is located in Z, and the true structure's signature agrees best."""
-    train, task, fit = drag
-    right = estimate(
-        task, (*fit.names, "Z_d"), dict(fit.values) | {"Z_d": 0.0}, fit.initial, fit.noise
-    )
-    found = locate(task, fit, {"drag": right})
+    train, study, fit = drag
+    right = study.estimate(study.candidates, fit.values, fit, max_iterations=25)
+    assert right is not None
+    assert right.values["Z_d"] == pytest.approx(DRAG, rel=0.1)
+    found = locate(fit, study.unit, {"drag": right})
     assert found.best == "force Z"
     assert "in the forces of the Z equation" in found.verdict
     assert found.agreement["drag"] > 0.9
@@ -49,15 +47,16 @@ def test_a_missing_heave_force_is_found_in_the_heave_equation(drag) -> None:  # 
     assert json.loads(json.dumps(found.to_dict()))["best"] == "force Z"
     assert found.forces[0].values.shape == (train[0].n_samples, 3)
     # What the derivatives absorbed is not in the residual force: it is far smaller than the drag.
-    w = right.runs[0].states[:, 1]
+    part = right.problem.passes(right.point.unknowns, columns=False)[0]
+    w = part.path[:, 1]
     assert np.std(found.forces[0].values[:, 1]) < 0.8 * np.std(DRAG * w * np.abs(w))
 
 
 def test_standard_errors_of_residual_forces_are_honest() -> None:
     """Without missing physics the smoothed force is noise of the size that it states."""
     train, _, _ = records(2, duration=40.0)
-    task, fit = bench(train)
-    found = locate(task, fit)
+    study, fit = begun(train)
+    found = locate(fit, study.unit)
     assert found.best is None
     assert found.group == ()
     assert "noise" in found.verdict
@@ -77,7 +76,8 @@ def test_other_stages_are_told_apart(place: str, options: dict) -> None:  # type
     """A bent fin, a biased gyro and a pitch damping are each found where they are."""
     extra = options.pop("extra", lambda *_: (0.0, 0.0, 0.0))
     train, _, _ = records(3, extra, duration=40.0, **options)
-    assert locate(*bench(train)).best == place
+    study, fit = begun(train)
+    assert locate(fit, study.unit).best == place
 
 
 def test_places_cover_the_chain_of_any_model() -> None:
@@ -93,11 +93,18 @@ def test_places_cover_the_chain_of_any_model() -> None:
 
 def test_smoothed_trajectory_is_near_the_measurements(drag) -> None:  # type: ignore[no-untyped-def]
     """The trajectory of linearisation follows the records where the model itself does not."""
-    train, task, fit = drag
-    linear = along(task, fit)
+    train, study, fit = drag
+    linear, dataset = along_fit(fit, study.unit)
+    assert len(dataset) == len(train)
     noise = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
-    for record, stretch, run in zip(train, linear.stretches, fit.runs, strict=True):
-        own = np.sqrt(np.mean(((record.outputs - run.outputs) / noise) ** 2))
+    for index, (record, stretch) in enumerate(zip(train, linear.stretches, strict=True)):
+        run, _, _ = fit.problem.kernel.simulate(
+            record.times,
+            record.inputs,
+            fit.problem.values(fit.point.unknowns, index),
+            fit.initial[index],
+        )
+        own = np.sqrt(np.mean(((record.outputs - run) / noise) ** 2))
         smoothed = np.sqrt(np.mean(((record.outputs - stretch.states) / noise) ** 2))
         assert smoothed < 1.05
         assert own > smoothed
@@ -105,17 +112,22 @@ def test_smoothed_trajectory_is_near_the_measurements(drag) -> None:  # type: ig
 
 def test_linear_model_predicts_its_own_columns(drag) -> None:  # type: ignore[no-untyped-def]
     """Sensitivities along the model's own trajectory equal those of the whole simulation."""
-    _, task, fit = drag
-    from oed_sysid.noise.linearisation import System
-
-    system = System.of(task, fit)
-    nodes = system.free_run([run.states[0] for run in fit.runs])
-    linear = system.linearise(nodes, fit.noise)
-    super_model = SuperModel.build(PROBLEM.model, ())
-    runs = super_model.run(task.dataset, fit.initial, fit.values, fit.names)
-    assert runs is not None
+    train, _, fit = drag
+    model = fit.problem.model.with_values(fit.values)
+    compiled = kernel(model)
+    runs = []
+    for record, own in zip(train, fit.initial, strict=True):
+        z0, _ = compiled.start(own, record.inputs[0], model.value_vector, record.times[0])
+        runs.append(
+            compiled.run(record.times, record.inputs, model.value_vector, z0, sensitivities=True)
+        )
+    system = System.of(model, model.free_names, train)
+    linear = system.linearise([run.states for run in runs], fit.noise)
     for stretch, run in zip(linear.stretches, runs, strict=True):
-        assert run.jacobian is not None
+        assert run.output_sensitivities is not None
         np.testing.assert_allclose(
-            stretch.columns[:, :, : len(fit.names)], run.jacobian[:, :, 5:], rtol=1e-6, atol=1e-8
+            stretch.columns[:, :, : len(model.free_names)],
+            run.output_sensitivities[:, :, 5:],
+            rtol=1e-6,
+            atol=1e-8,
         )

@@ -7,16 +7,15 @@ import json
 import numpy as np
 import pytest
 from diving_plane import PROBLEM, records
-from oed_sysid.diagnosis.linearise import SuperModel
-from oed_sysid.diagnosis.term_scores import term_scores
-from oed_sysid.diagnosis.workbench import Workbench
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, load_problem
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.diagnosis.dictionary import Signal, Term, signals_along, terms
-from oed_sysid.diagnosis.propose import propose
+from oed_sysid.diagnosis.propose import propose, term_scores
+from oed_sysid.diagnosis.study import Study
 from oed_sysid.language.units import same_dimension
-from oed_sysid.noise.kalman import NoiseModel
 from oed_sysid.noise.linearisation import System
+from oed_sysid.noise.model import NoiseModel
 
 VEHICLE = (
     Signal("u_r", "m/s", "motion", True),
@@ -80,29 +79,37 @@ def test_responses_are_sensitivities() -> None:
     train, _, _ = records(1, duration=20.0)
     term = Term("M", "abs(q)*q", (("q", True), ("q", False)))
     effect = term.effect(PROBLEM.model, UNITS, 1.0)
-    bench, fit = Workbench.build(PROBLEM.model, train, None, (), known_noise=True)
-    system = System.of(bench.train, fit)
-    nodes = system.free_run([run.states[0] for run in fit.runs])
+    _, fit = Study.begin(PROBLEM.model, train, None, (), known_noise=True)
+    base = PROBLEM.model.with_values(fit.values)
+    names = base.free_names
+    wide = base + effect
+    compiled, runs = kernel(wide), []
+    for record, own in zip(train, fit.initial, strict=True):
+        z0, first = compiled.start(own, record.inputs[0], wide.value_vector, record.times[0])
+        assert np.array_equal(first[:, :5], np.eye(5))
+        runs.append(
+            compiled.run(record.times, record.inputs, wide.value_vector, z0, sensitivities=True)
+        )
+    system = System.of(base, names, train)
     quiet = NoiseModel(fit.noise.white, np.zeros(5), np.zeros(3))
-    linear = system.linearise(nodes, quiet)
+    linear = system.linearise([run.states for run in runs], quiet)
+    nodes = [run.states for run in runs]
     found = term_scores(linear, signals_along(system.model, train, nodes))
     score = next(s for s in found.scores if s.term == term)
-    wide = SuperModel.build(PROBLEM.model, (effect,))
-    runs = wide.run(train, fit.initial, fit.values, (*fit.names, effect.parameters[0].name))
-    assert runs is not None
-    column = np.concatenate([(r.jacobian[:, :, -1] / quiet.white).ravel() for r in runs])  # type: ignore[index]
-    known = np.zeros((len(column) + len(fit.names), len(fit.names) + 10))
+    jacobians = [run.output_sensitivities for run in runs]
+    column = np.concatenate([(j[:, :, -1] / quiet.white).ravel() for j in jacobians])  # type: ignore[index]
+    known = np.zeros((len(column) + len(names), len(names) + 5 * len(runs)))
     begin = 0
-    for index, run in enumerate(runs):
-        part = run.jacobian[:, :, :-1] / quiet.white[:, None]  # type: ignore[index]
+    for index, jacobian in enumerate(jacobians):
+        part = jacobian[:, :, :-1] / quiet.white[:, None]  # type: ignore[index]
         rows = part.reshape(-1, part.shape[2])
         block = slice(begin, begin + len(rows))
-        known[block, : len(fit.names)] = rows[:, 5:]
-        known[block, len(fit.names) + 5 * index : len(fit.names) + 5 * (index + 1)] = rows[:, :5]
+        known[block, : len(names)] = rows[:, 5:]
+        known[block, len(names) + 5 * index : len(names) + 5 * (index + 1)] = rows[:, :5]
         begin += len(rows)
-    for position, name in enumerate(fit.names):
+    for position, name in enumerate(names):
         known[begin + position, position] = 1.0 / PROBLEM.model.parameter(name).prior_std  # type: ignore[operator]
-    column = np.concatenate([column, np.zeros(len(fit.names))])
+    column = np.concatenate([column, np.zeros(len(names))])
     scaled = known / np.linalg.norm(known, axis=0)
     left = column - scaled @ np.linalg.lstsq(scaled, column, rcond=None)[0]
     assert 1.0 / score.std_error == pytest.approx(np.linalg.norm(left), rel=0.02)
@@ -111,8 +118,8 @@ def test_responses_are_sensitivities() -> None:
 def test_a_cubic_damping_is_proposed_with_its_value() -> None:
     """The true term comes first, in its equation, near its value, and removes the misfit."""
     train, _, _ = records(4, lambda u, w, q, *_: (0.0, 0.0, -250.0 * q**3), duration=45.0)
-    bench, fit = Workbench.build(PROBLEM.model, train, None, (), known_noise=False)
-    found = propose(bench.train, fit, n_refits=4)
+    study, fit = Study.begin(PROBLEM.model, train, None, (), known_noise=False)
+    found = propose(study, fit, n_refits=4)
     assert found.best is not None
     assert found.best.term.equation == "M"
     assert "M_qqq q^3" in found.group
@@ -128,8 +135,8 @@ def test_a_cubic_damping_is_proposed_with_its_value() -> None:
 def test_nothing_is_proposed_where_nothing_is_missing() -> None:
     """Noise alone gives no claim, however many terms are looked at."""
     train, _, _ = records(5, duration=40.0)
-    bench, fit = Workbench.build(PROBLEM.model, train, None, (), known_noise=False)
-    found = propose(bench.train, fit, n_refits=3)
+    study, fit = Study.begin(PROBLEM.model, train, None, (), known_noise=False)
+    found = propose(study, fit, n_refits=3)
     assert found.best is None
     assert found.group == ()
     assert "chance" in found.verdict

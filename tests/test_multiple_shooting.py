@@ -19,7 +19,7 @@ from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
 
 START = {"K": 0.08, "T": 12.0, "alpha": 6.0}
-ESTIMATOR = MultipleShooting(noise=NOISE, coloured="never")
+ESTIMATOR = MultipleShooting(noise=NOISE, coloured="never", disturbances="none")
 
 
 def reference(
@@ -82,9 +82,9 @@ def test_the_interval_does_not_change_the_optimum(interval: float) -> None:
     """Single shooting and multiple shooting with any interval end at the same place."""
     data = yaw_data(2)
     expected = ESTIMATOR.fit(yaw_model(), data)
-    other = MultipleShooting(noise=NOISE, interval=interval, coloured="never").fit(
-        yaw_model(), data
-    )
+    other = MultipleShooting(
+        noise=NOISE, interval=interval, coloured="never", disturbances="none"
+    ).fit(yaw_model(), data)
     assert errors_apart(other.estimates, expected.estimates, expected.covariance) < 2e-3
     assert np.allclose(other.covariance, expected.covariance, rtol=1e-3)
 

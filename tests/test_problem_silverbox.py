@@ -6,10 +6,10 @@ import os
 
 import numpy as np
 import pytest
-from oed_sysid.diagnosis.workbench import Workbench
 
 from oed_sysid import Dataset, Fit, MultipleShooting, Problem, Record, load_problem
 from oed_sysid.diagnosis.rank import rank
+from oed_sysid.diagnosis.study import Study
 
 pytestmark = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 
@@ -82,5 +82,5 @@ def test_coarse_input_costs_accuracy(problem: Problem, split: tuple[Dataset, Dat
 
 def test_cubic_stiffness_ranks_first(problem: Problem, split: tuple[Dataset, Dataset]) -> None:
     """Among springs, dampers, offsets and a lag the cubic spring explains most."""
-    bench, fit = Workbench.build(problem.model, split[0], None, problem.effects, known_noise=False)
-    assert rank(bench.train, fit, problem.effects).refits[0].name == "cubic_stiffness"
+    study, fit = Study.begin(problem.model, split[0], None, problem.effects, known_noise=False)
+    assert rank(study, fit, study.candidates).refits[0].name == "cubic_stiffness"

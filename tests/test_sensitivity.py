@@ -248,7 +248,7 @@ def test_dropping_costs_what_a_refit_finds() -> None:
         tuple(simulate(model, test, noise=False) for test in (roll_test(), roll_test("s", 0.15)))
     )
     without = model.with_values({"c": 0.0}).fix("c")
-    fit = MultipleShooting(noise="given", coloured="never").fit(without, data)
+    fit = MultipleShooting(noise="given", coloured="never", disturbances="none").fit(without, data)
     assert 2 * fit.cost == pytest.approx(first.cost, rel=0.03)
     assert reduction.drops[-1].cost > 1e3 * first.cost
     assert reduction.model.free_names == tuple(

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from oed_sysid.diagnosis.greybox import GreyBox, Task, estimate
-from oed_sysid.diagnosis.linearise import SuperModel, deviations
-from oed_sysid.diagnosis.workbench import Workbench
 
 from benchmarks.missing_physics.simulator import Case
 from oed_sysid import Force, Parameter
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.diagnosis.improve import relative
 from oed_sysid.diagnosis.improvement import Improvement
 from oed_sysid.diagnosis.rank import threshold
+from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
-from oed_sysid.noise.kalman import NoiseModel
+from oed_sysid.fitting.gauss_newton import FilteredSolution
 from oed_sysid.problem import Problem
 
 # The hidden terms that no vocabulary holds, as a user would write them.
@@ -66,7 +65,7 @@ class Truth:
 def true_structure(
     problem: Problem, train: Dataset, test: Dataset, case: Case, found: Improvement
 ) -> Truth:
-    """Fit the true structure, from the improvement's base fit and from the truth."""
+    """Fit the true structure, from the nominal model's fit and from the truth."""
     effects = [_effect(problem, name) for name in case.effects]
     if not effects:  # the believed structure is the true one
         error = found.base_error
@@ -74,26 +73,23 @@ def true_structure(
     known = [effect for effect in problem.effects if effect not in effects]
     unknown = any(name in UNKNOWN_TERMS for name in case.effects)
     candidates = effects if unknown else [*problem.effects]
-    bench = _bench(problem, train, test, candidates, found.base_fit)
-    sigma = np.array([output.noise_std for output in problem.model.outputs])
+    study, base = Study.begin(problem.model, train, test, candidates, known_noise=False)
     amplitudes: dict[str, float] = {}
     for effect in effects:
         amplitudes.update(_true_values(effect, case))
-    fits: dict[str, GreyBox] = {}
+    fits: dict[str, FilteredSolution] = {}
     for left_out in ("", *(case.effects if len(case.effects) > 1 else ())):
-        names = [*problem.model.free_names]
-        for effect in effects:
-            if effect.name != left_out:
-                names += [*effect.amplitude_names, *effect.shape_names]
-        kept = {k: v for k, v in amplitudes.items() if k in names}
-        fits[left_out] = _best_fit(bench, found.base_fit, names, kept, case.derivatives)
+        kept = [effect for effect in effects if effect.name != left_out]
+        fits[left_out] = _best_fit(study, base, kept, amplitudes, case.derivatives)
     full = fits[""]
     freedom = max(len(e.amplitude_names) + len(e.shape_names) for e in effects)
-    base = found.base_fit.objective
-    gains = {n: fits.get(n, found.base_fit).objective - full.objective for n in case.effects}
-    errors = bench.errors(full, sigma)
+    gains = {name: fits.get(name, base).objective - full.objective for name in case.effects}
+    sigma = np.array([output.noise_std for output in problem.model.outputs])
+    errors = relative(
+        {"train": study.rms(full, train), "test": study.rms(full, test)}, sigma, study
+    )
     return Truth(
-        gain=base - full.objective,
+        gain=base.objective - full.objective,
         gains=gains,
         needed=threshold(len(known) + len(effects), freedom),
         train_error=errors["train"],
@@ -124,34 +120,18 @@ def _true_values(effect: Effect, case: Case) -> dict[str, float]:
     return {effect.amplitude_names[0]: size}
 
 
-def _bench(
-    problem: Problem, train: Dataset, test: Dataset, candidates: Sequence[Effect], fit: GreyBox
-) -> Workbench:
-    """The bench along the base fit of an improvement, without fitting it again."""
-    super_model = SuperModel.build(problem.model, candidates)
-    base = problem.model.with_values(dict(fit.values))
-    lines = deviations(base, train, [run.states for run in fit.runs])
-    white = np.array([output.noise_std for output in problem.model.outputs])
-    force = np.maximum(fit.noise.force, np.max(fit.noise.force) * 0.1 + 1e-3)
-    units = NoiseModel(white, white, force, fit.noise.colour_time, fit.noise.force_time)
-    task = Task(super_model, train, lines, units, known_noise=False)
-    return Workbench(task, replace(task, dataset=test, deviations=()))
-
-
 def _best_fit(
-    bench: Workbench,
-    base: GreyBox,
-    names: Sequence[str],
+    study: Study,
+    base: FilteredSolution,
+    effects: Sequence[Effect],
     amplitudes: Mapping[str, float],
     derivatives: Mapping[str, float],
-) -> GreyBox:
-    """Most likely fit of one structure over both starts, settled in its own linearisation."""
-    starts = [dict(base.values) | dict(amplitudes)]
-    starts.append(starts[0] | dict(derivatives))
-    fits = []
-    for start in starts:
-        found = estimate(bench.train, names, start, base.initial, base.noise)
-        if found is not None:
-            fits.append(found)
-    best = min(fits, key=lambda fit: fit.objective)
-    return bench.settle(best)[1]
+) -> FilteredSolution:
+    """Most likely fit of one structure, from the nominal fit, with true sizes, and the truth."""
+    start = dict(base.values) | dict(amplitudes)
+    found = [
+        study.estimate(effects, values, base, noise=study.loosened(base.noise), max_iterations=25)
+        for values in (dict(base.values), start, start | dict(derivatives))
+    ]
+    best = min((fit for fit in found if fit is not None), key=lambda fit: fit.objective)
+    return study.settle(best)

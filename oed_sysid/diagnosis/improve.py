@@ -424,9 +424,10 @@ def _result(
 ) -> Improvement:
     study = state.study
     label = "improve, random forces"
-    base_fit = study.result(base, label)
-    path = [base, *state.path[1:]]
-    fits = [base_fit, *(study.result(fit, label) for fit in path[1:])]
+    # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
+    path = [study.polished(fit) for fit in (base, *state.path[1:])]
+    fits = [study.result(fit, label) for fit in path]
+    base_fit = fits[0]
     sigma = _sigma(study, fits)
     rms = [
         {

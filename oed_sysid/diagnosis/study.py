@@ -260,10 +260,13 @@ class Study:
         least = np.array([known.get(place, 0.0) for place in noise.places])
         return replace(noise, force=np.maximum(noise.force, 0.5 * least))
 
+    def polished(self, found: FilteredSolution) -> FilteredSolution:
+        """A fit at the optimum of the filter as it is, with errors of that."""
+        again = solve_filtered(found.problem, found.point, max_iterations=2, polish=2)
+        return again if again is not None else found
+
     def result(self, found: FilteredSolution, label: str) -> Fit:
-        """The fit of a model that was found, with errors of the filter as it is."""
-        polished = solve_filtered(found.problem, found.point, max_iterations=2, polish=2)
-        found = polished if polished is not None else found
+        """The fit of a model that was found and polished."""
         fit = summarise_filtered(found, self.estimated, label, found.iterations, _now())
         return replace(fit, seconds=0.0)
 

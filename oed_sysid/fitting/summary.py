@@ -223,7 +223,10 @@ def _level_errors(solution: FilteredSolution, matrix: np.ndarray) -> dict[str, f
     reduced = eliminate(matrix, where, others)
     open_ = np.diag(reduced) > 0
     errors = np.full(len(where), np.inf)
-    errors[open_] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(reduced[np.ix_(open_, open_)])), 0.0))
+    # In units of their own information: variances and logarithms differ by many decades.
+    size = np.sqrt(np.diag(reduced)[open_])
+    inner = np.linalg.pinv(reduced[np.ix_(open_, open_)] / size[:, None] / size, hermitian=True)
+    errors[open_] = np.sqrt(np.maximum(np.diag(inner), 0.0)) / size
     found = {}
     for (kind, index), value, error in zip(levels.entries, unknowns[block], errors, strict=True):
         name = levels.name_of(kind, index)

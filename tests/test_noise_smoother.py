@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid.noise.kalman import Deviations, NoiseModel
+from oed_sysid.noise.kalman import Deviations
+from oed_sysid.noise.model import NoiseModel
 from oed_sysid.noise.smoother import smooth, smooth_numpy
 
 N_TIMES, N_STATES, N_FORCES, N_OUTPUTS = 30, 3, 2, 2
@@ -28,9 +29,14 @@ def dense(
     noise: NoiseModel, record: Deviations, column: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Conditional mean of forces and states, and deviation of forces, from full covariances."""
-    rho = np.exp(-record.sample_time / noise.force_time)
-    lag = np.abs(np.subtract.outer(np.arange(N_TIMES), np.arange(N_TIMES)))
-    force_cov = np.kron(rho**lag, np.diag(noise.force**2))
+    age = record.sample_time * np.abs(np.subtract.outer(np.arange(N_TIMES), np.arange(N_TIMES)))
+    force_cov, noise_cov = (
+        sum(
+            np.kron(np.exp(-age / times[i]), np.diag(size**2 * (np.arange(len(size)) == i)))
+            for i in range(len(size))
+        )
+        for size, times in ((noise.force, noise.force_time), (noise.colour, noise.colour_time))
+    )
     to_state = np.zeros((N_TIMES * N_STATES, N_TIMES * N_FORCES))
     for k in range(N_TIMES - 1):
         now, then = (slice(i * N_STATES, (i + 1) * N_STATES) for i in (k, k + 1))
@@ -42,8 +48,6 @@ def dense(
             record.output[k]
         )
     response = output @ to_state
-    colour = np.exp(-record.sample_time / noise.colour_time) ** lag
-    noise_cov = np.kron(colour, np.diag(noise.colour**2))
     noise_cov += np.kron(np.eye(N_TIMES), np.diag(noise.white**2))
     seen = record.present.ravel() > 0
     total = (response @ force_cov @ response.T + noise_cov)[np.ix_(seen, seen)]
@@ -64,7 +68,11 @@ def test_smoother_is_the_conditional_expectation(method, colour) -> None:  # typ
     """Compiled and NumPy smoothers return mean and deviation of the joint normal distribution."""
     record = system(3)
     noise = NoiseModel(
-        np.array([0.3, 0.5]), np.full(2, colour), np.array([0.7, 1.3]), force_time=0.9
+        np.array([0.3, 0.5]),
+        np.full(2, colour),
+        np.array([0.7, 1.3]),
+        np.array([0.4, 0.9]),
+        np.array([0.9, 2.0]),
     )
     column = np.random.default_rng(4).standard_normal((N_TIMES, N_OUTPUTS, 3))
     forces, states, std = dense(noise, record, column)
