@@ -27,6 +27,13 @@ from oed_sysid.fitting.beginning import (
 )
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import Progress, Solution, solve
+from oed_sysid.fitting.judgement import (
+    clear_delay,
+    estimate_delays,
+    spike_masks,
+    with_verdict,
+    without_spikes,
+)
 from oed_sysid.fitting.noise_levels import (
     credible_levels,
     residual_levels,
@@ -50,6 +57,9 @@ from oed_sysid.noise.disturbances import chosen_places
 # Most alternations between noise levels and parameters; three or four suffice as a rule.
 NOISE_ROUNDS = 12
 
+# Most rounds in which spikes are looked for; large ones hide small ones.
+SPIKE_ROUNDS = 4
+
 Minimiser = Callable[[Shooting, Point], Solution | None]
 
 
@@ -72,7 +82,10 @@ class MultipleShooting:
         ``"given"`` insists on declared ones, ``"estimate"`` estimates all; or
         one standard deviation per output.
     loss : str
-        ``"square"``, or for outliers ``"huber"`` or ``"student"``.
+        ``"square"``; ``"auto"``, which leaves out samples that clearly are spikes at
+        the white fit (NaN in the fit's own data, counted in ``extras["excluded"]`` and in
+        the report), the same as ``"square"`` where there are none; or ``"huber"`` or
+        ``"student"``.
     start : str
         ``"auto"``, ``"near"`` (trust the start values) or ``"wide"``.
     max_iterations, tolerance
@@ -137,19 +150,19 @@ class MultipleShooting:
         if self.disturbances not in ("auto", "none") and self._white_only:
             raise ModelError(
                 f"disturbances={self.disturbances!r} goes with solver='gauss-newton' and "
-                "loss='square'. Drop the other setting, or take disturbances='none'."
+                "loss='square' or 'auto'. Drop the other setting, or take disturbances='none'."
             )
 
     @property
     def _white_only(self) -> bool:
         """Whether the settings leave no room for random forces."""
-        return self.solver == "ipopt" or self.loss != "square"
+        return self.solver == "ipopt" or self.loss not in ("auto", "square")
 
     @property
     def name(self) -> str:
         """Name and settings, for reports."""
         interval = "" if self.interval is None else f", interval {self.interval:g} s"
-        loss = "" if self.loss == "square" else f", {self.loss} loss"
+        loss = "" if self.loss in ("auto", "square") else f", {self.loss} loss"
         solver = f", IPOPT with {self.hessian} Hessian" if self.solver == "ipopt" else ""
         return f"multiple shooting{interval}{loss}{solver}"
 
@@ -227,11 +240,41 @@ class MultipleShooting:
             shooting, solution, estimated, self.name, iterations, began, coloured=self.coloured
         )
         fit = with_step_advice(fit, shooting, solution)
-        if self.disturbances == "none":
-            return fit
-        if self._white_only or fit.status.code == "interrupted":
-            return fit
-        return self._disturbed(fit, model, dataset, estimated, began)
+        excluded: dict[str, tuple[int, int]] = {}
+        if self.loss == "auto" and fit.status.code != "interrupted":
+            fit, excluded = self._without_spikes(fit, model)
+        if not (self.disturbances == "none" or self._white_only) and (
+            fit.status.code != "interrupted"
+        ):
+            fit = self._disturbed(fit, model, fit.dataset, estimated, began)
+        told: dict[str, object] = {"excluded": excluded} if excluded else {}
+        told["magnitudes"] = {p.name: p.magnitude for p in model.free_parameters}
+        return with_verdict(replace(fit, extras={**fit.extras, **told}))
+
+    def _without_spikes(self, fit: Fit, model: Model) -> tuple[Fit, dict[str, tuple[int, int]]]:
+        """Fit again without samples that stand out alone, and how many of how many they were."""
+        whole, again = fit.dataset, fit
+        for _ in range(SPIKE_ROUNDS):
+            if not all(np.isfinite(part).all() for part in again.predictions):
+                break
+            masks = spike_masks(again.whitened)
+            if not any(mask.any() for mask in masks):
+                break
+            plain = replace(self, loss="square", disturbances="none")
+            again = plain.fit(model, without_spikes(again.dataset, masks), warm=again)
+        if again is fit:
+            return fit, {}
+        before, after = (
+            np.isfinite(np.vstack([record.outputs for record in data])).sum(axis=0)
+            for data in (whole, again.dataset)
+        )
+        names = model.output_names
+        counts = {
+            name: (int(n - m), int(n))
+            for name, n, m in zip(names, before, after, strict=True)
+            if m < n
+        }
+        return replace(again, iterations=fit.iterations + again.iterations), counts
 
     def _disturbed(
         self, fit: Fit, model: Model, dataset: Dataset, estimated: np.ndarray, began: float
@@ -273,6 +316,9 @@ class MultipleShooting:
             solution, estimated, name, fit.iterations + solution.iterations, began
         )
         extras = {**found.extras, "disturbance_test": test.gain}
+        # Random forces absorb a delay, so that it is looked for where they are not.
+        if fit.names and (late := clear_delay(fit, estimate_delays(fit))) is not None:
+            extras["white_delay"] = (late.signal, late.kind, late.seconds, late.std)
         if self.disturbances == "auto" and _no_likelier(found, fit):
             return replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
         return replace(found, extras=extras)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.errors import DataError
 from oed_sysid.fitting.archive import decode, encode
+from oed_sysid.fitting.judgement import Concern, judge
 from oed_sysid.fitting.prediction import Initial, Prediction, predict
 from oed_sysid.information import Information, Whiteness, whiteness
 from oed_sysid.model import Model
@@ -32,7 +34,10 @@ class Status:
     """How an estimation ended, and what to do about it.
 
     ``code`` is one of ``converged``, ``stalled``, ``iterations``,
-    ``interrupted``, ``infeasible``, ``diverged``.
+    ``interrupted``, ``infeasible``, ``diverged``; or, where the iterations ended
+    at values that must not be used, ``runaway``, ``integration``, ``degenerate``
+    (:mod:`oed_sysid.fitting.judgement`) or ``inconsistent`` (a filter whose errors
+    are far from those it states).
     """
 
     code: str
@@ -214,6 +219,11 @@ class Fit:
         present = np.isfinite(stacked)
         return float(np.sqrt(np.mean(stacked[present] ** 2))) if present.any() else np.nan
 
+    @cached_property
+    def concerns(self) -> tuple[Concern, ...]:
+        """What speaks against the fit; see :mod:`oed_sysid.fitting.judgement`."""
+        return judge(self)
+
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of one parameter from its standard error."""
         half = ndtri(0.5 + level / 2) * self.std_errors[name]
@@ -382,7 +392,7 @@ class Fit:
         return name, f"{level:.3g}", spread, f"{time:.2g}", unit
 
     def _warnings(self) -> list[str]:
-        lines = []
+        lines = [f"  {concern.text}" for concern in self.concerns]
         commands = np.vstack([record.inputs for record in self.dataset])
         for channel, series in zip(self.model.inputs, commands.T, strict=True):
             if np.ptp(series) == 0.0:
@@ -439,6 +449,7 @@ class Fit:
             "effective_samples": {k: list(v) for k, v in self.effective_samples().items()},
             "noise_model": self.noise.to_dict() if self.noise is not None else None,
             "noise_std": dict(self.noise_std),
+            "concerns": [concern.to_dict() for concern in self.concerns],
         }
 
 
