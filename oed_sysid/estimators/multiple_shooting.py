@@ -30,6 +30,7 @@ from oed_sysid.fitting.gauss_newton import Progress, Solution, solve
 from oed_sysid.fitting.judgement import (
     clear_delay,
     estimate_delays,
+    level_concerns,
     spike_masks,
     with_verdict,
     without_spikes,
@@ -300,6 +301,12 @@ class MultipleShooting:
         first = starts[0]
         at = model.with_values(dict(first.values))
         try:
+            if self.disturbances == "auto" and (larger := _larger_noise(fit, quiet.white)).any():
+                # White noise above the declared level is no random force.
+                louder = replace(quiet, white=np.where(larger, larger, quiet.white))
+                gain = score_test(at, dataset, louder, first.initial, first.local).gain
+                if gain < CLEAR:
+                    return replace(fit, extras={**fit.extras, "disturbance_test": gain})
             test = score_test(at, dataset, quiet, first.initial, first.local)
         except SimulationError:  # the model itself leaves the numbers: the status says so
             return fit
@@ -385,6 +392,13 @@ class MultipleShooting:
             return None, 0
         best = min(found, key=lambda s: (s.reason != "converged", s.cost))
         return best, sum(s.iterations for s in found)
+
+
+def _larger_noise(fit: Fit, white: np.ndarray) -> np.ndarray:
+    """White levels that are clearly above the declared ones; zero where they are not."""
+    factors = {concern.signal: concern.size for concern in level_concerns(fit)}
+    sizes = np.array([factors.get(name, 0.0) for name in fit.model.output_names])
+    return np.where(sizes > 1.0, sizes * white, 0.0)
 
 
 def _no_likelier(disturbed: Fit, white: Fit) -> bool:

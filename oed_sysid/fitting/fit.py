@@ -392,7 +392,8 @@ class Fit:
         return name, f"{level:.3g}", spread, f"{time:.2g}", unit
 
     def _warnings(self) -> list[str]:
-        lines = [f"  {concern.text}" for concern in self.concerns]
+        said = self.status.advice
+        lines = [f"  {concern.text}" for concern in self.concerns if concern.text != said]
         commands = np.vstack([record.inputs for record in self.dataset])
         for channel, series in zip(self.model.inputs, commands.T, strict=True):
             if np.ptp(series) == 0.0:

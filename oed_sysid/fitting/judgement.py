@@ -74,6 +74,8 @@ PIECE = 20
 RUNAWAY = 1e8
 # Motion of the model, as a share of the signal's, from which on it is no constant.
 STILL = 1e-2
+# A model that leaves this share of the squares about the mean explains nothing.
+BARELY = 0.99
 # A signal this many times its noise moves.
 MOVES = 3.0
 FEW = 3.0
@@ -215,9 +217,9 @@ def level_concerns(fit: Fit) -> tuple[Concern, ...]:
         if not fast > 0.0:
             continue
         factor, error = whole, np.sqrt(0.5 / n)
-        if whole > 1.0 and fast < whole:
+        if whole > 1.0 and fast < whole * (1.0 - 2.5 * DIFFERENCE_ERROR / np.sqrt(n)):
             # Slow residuals raise the variance, not the level of the white noise.
-            factor, error = fast, DIFFERENCE_ERROR / np.sqrt(n)
+            factor, error = max(fast, 1.0), DIFFERENCE_ERROR / np.sqrt(n)
         # A filter that was told less white noise than there is finds the rest elsewhere.
         factor *= float(fit.sigma[column] / declared[column])
         if abs(np.log(factor)) < max(CLEAR * error, np.log(LEVEL_FACTOR)):
@@ -359,26 +361,27 @@ def spike_masks(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
             sizes.append(scaled)
         if not np.any(np.concatenate(sizes) > surely):
             continue
-        for mask, index, piece, scaled in zip(masks, rows, pieces, sizes, strict=True):
+        for mask, index, scaled in zip(masks, rows, sizes, strict=True):
             # Where spikes are clear, what chance does in one sample of n is one of them too.
-            out = scaled > limit
-            sign = np.sign(piece)
-            together = np.zeros(len(out), dtype=bool)
-            same = (sign[1:] == sign[:-1]) & out[1:] & out[:-1]
-            together[1:] |= same
-            together[:-1] |= same
-            mask[index, column] = out & ~together
+            mask[index, column] = scaled > limit
     return tuple(masks)
 
 
 def _beside(values: np.ndarray) -> np.ndarray:
-    """Departure of every sample from the median of its two neighbours on each side."""
-    if len(values) < 5:
-        return np.zeros(len(values))
-    padded = np.concatenate([values[2:0:-1], values, values[-2:-4:-1]])
+    """Departure of every sample from the median of its two neighbours on each side.
+
+    Zero where the sample does not stand out from the next on either side by half as much: the
+    edge of a step and one of a group are no spikes.
+    """
     n = len(values)
+    if n < 5:
+        return np.zeros(n)
+    padded = np.concatenate([values[2:0:-1], values, values[-2:-4:-1]])
     neighbours = np.stack([padded[shift : shift + n] for shift in (0, 1, 3, 4)])
-    return np.asarray(values - np.median(neighbours, axis=0))
+    away = values - np.median(neighbours, axis=0)
+    least = np.min((values - neighbours[1:3]) * np.sign(away), axis=0)
+    grouped = (least < 0.5 * np.abs(away)) & (np.abs(away) > 3.0 * np.median(np.abs(away)))
+    return np.where(grouped, 0.0, away)
 
 
 def without_spikes(dataset: Dataset, masks: Sequence[np.ndarray]) -> Dataset:
@@ -777,7 +780,9 @@ def _degenerate(fit: Fit) -> tuple[Concern, ...]:
             moved += float(np.sum((part[seen, column] - part[seen, column].mean()) ** 2))
             left += float(np.sum((signal - part[seen, column]) ** 2))
             count += len(signal)
-        if count < 10 or own <= (MOVES * noise[column]) ** 2 * count or left < own:
+        if count < 10 or own <= (MOVES * noise[column]) ** 2 * count or (
+            left < BARELY * own
+        ):
             continue
         size = float(np.sqrt(left / own))
         how = "the model stands still" if moved < STILL**2 * own else "the model moves otherwise"
@@ -805,7 +810,7 @@ def _stands_still(fit: Fit) -> bool:
         signal, model = signal[:, seen], part[:, seen] / fit.sigma[seen]
         own += float(np.nansum((signal - np.nanmean(signal, axis=0)) ** 2))
         left += float(np.nansum((signal - model) ** 2))
-    return left >= own
+    return left >= BARELY * own
 
 
 # -- unknowns ------------------------------------------------------------------------
