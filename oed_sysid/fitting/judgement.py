@@ -566,7 +566,9 @@ def clear_delay(fit: Fit, delays: Sequence[Delay]) -> Delay | None:
     clear = [d for d in delays if abs(d.seconds) > CLEAR * d.std]
     if not clear:
         return None
-    coloured = any(effective < COLOUR_SHARE * n for effective, n in fit.effective_samples().values())
+    coloured = any(
+        effective < COLOUR_SHARE * n for effective, n in fit.effective_samples().values()
+    )
     if coloured:
         clear = [d for d in clear if d.share > DELAY_SHARE]
     return max(clear, key=lambda d: d.gain, default=None)
@@ -707,7 +709,9 @@ def step_change(fit: Fit, finer: int = FINER) -> tuple[float, str, str]:
     coarse, fine = kernel(fit.model), kernel(replace(fit.model, step=fit.model.step / finer))
     sigma = fit.sigma
     if fit.sigma_estimated.any():
-        sigma = np.where(fit.sigma_estimated, np.minimum(sigma, white_levels(fit.dataset)[0]), sigma)
+        sigma = np.where(
+            fit.sigma_estimated, np.minimum(sigma, white_levels(fit.dataset)[0]), sigma
+        )
         # Filtered or exact records: a thousandth of the signal is no visible error.
         sigma = np.maximum(sigma, 1e-3 * signal_spread(fit.dataset) * fit.sigma_estimated)
     worst = (0.0, "", "")
@@ -780,9 +784,7 @@ def _degenerate(fit: Fit) -> tuple[Concern, ...]:
             moved += float(np.sum((part[seen, column] - part[seen, column].mean()) ** 2))
             left += float(np.sum((signal - part[seen, column]) ** 2))
             count += len(signal)
-        if count < 10 or own <= (MOVES * noise[column]) ** 2 * count or (
-            left < BARELY * own
-        ):
+        if count < 10 or own <= (MOVES * noise[column]) ** 2 * count or (left < BARELY * own):
             continue
         size = float(np.sqrt(left / own))
         how = "the model stands still" if moved < STILL**2 * own else "the model moves otherwise"
