@@ -61,6 +61,8 @@ DIFFERENCE_ERROR = 1.5
 SPIKE_CHANCE = 1e-3
 # Where residuals are structured, only what is this many deviations off stands out as a spike.
 STRUCTURED_SPIKE = 6.0
+# Single spikes from which on pairs of them are spikes, too.
+SEVERAL = 3
 # Spread of the departure of white noise from the median of its four neighbours.
 BESIDE = 1.137
 # Share of the misfit beyond noise that a delay must explain where residuals are coloured.
@@ -364,6 +366,15 @@ def spike_masks(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
         for mask, index, scaled in zip(masks, rows, sizes, strict=True):
             # Where spikes are clear, what chance does in one sample of n is one of them too.
             mask[index, column] = scaled > limit
+        if structured or sum(int(mask[:, column].sum()) for mask in masks) < SEVERAL:
+            continue
+        # Where there are several spikes among white residuals, two meet now and then.
+        for mask, index, values in zip(masks, rows, series, strict=True):
+            big = np.abs(values - middle) > surely * slow
+            before, after = np.r_[False, big[:-1]], np.r_[big[1:], False]
+            before2, after2 = np.r_[False, before[:-1]], np.r_[after[1:], False]
+            pair = big & (after & ~before & ~after2 | before & ~after & ~before2)
+            mask[index[pair], column] = True
     return tuple(masks)
 
 
