@@ -25,16 +25,10 @@ from oed_sysid.fitting.beginning import (
     warm_point,
     wide_start,
 )
+from oed_sysid.fitting.delays import clear_delay, estimate_delays
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import Progress, Solution, solve
-from oed_sysid.fitting.judgement import (
-    clear_delay,
-    estimate_delays,
-    level_concerns,
-    spike_masks,
-    with_verdict,
-    without_spikes,
-)
+from oed_sysid.fitting.judgement import level_concerns, with_verdict
 from oed_sysid.fitting.noise_levels import (
     credible_levels,
     residual_levels,
@@ -49,6 +43,7 @@ from oed_sysid.fitting.random_forces import (
     score_test,
 )
 from oed_sysid.fitting.shooting import Point, Shooting
+from oed_sysid.fitting.spikes import spike_masks, without_spikes
 from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.fitting.step_error import with_step_advice
 from oed_sysid.fitting.summary import summarise, summarise_filtered

@@ -15,18 +15,8 @@ the output's share of the unknowns. Large ``f`` with small :math:`f_\Delta` is c
 
 *Colour.* Ljung-Box statistic and effective sample size (:mod:`oed_sysid.information`).
 
-*Spikes.* :math:`d_k = \epsilon_k - \operatorname{median}(\epsilon_{k-2}, \epsilon_{k-1},
-\epsilon_{k+1}, \epsilon_{k+2})` over its median absolute deviation; a spike exceeds what the
-largest of as many normal numbers does, and stands alone (Hampel 1974, *J. Am. Stat. Assoc.* 69).
-
-*Delay.* An output that comes late by :math:`\tau` leaves :math:`-\tau\,\dot h` in its residual, an
-input that acts late :math:`\tau\,\partial y/\partial\tau`, found by simulating with the shifted
-input. With ``g`` this column and ``J`` those of all unknowns, in units of noise,
-
-.. math:: I = g'g - g'J(J'J)^{+}J'g, \quad s = g'\epsilon - g'J(J'J)^{+}J'\epsilon, \quad
-    \hat\tau = s/I, \quad \operatorname{std}\hat\tau = I^{-1/2},
-
-a score test at delay zero with everything else estimated too (Cox & Hinkley 1974, ch. 9).
+*Spikes* and *delays* are found by :mod:`oed_sysid.fitting.spikes` and
+:mod:`oed_sysid.fitting.delays`.
 
 *Integration.* Root mean square change of the outputs when the step is a quarter, in units of noise.
 
@@ -40,33 +30,29 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import ndtr, ndtri, stdtr
+from scipy.special import ndtr, stdtr
 
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.data.dataset import Dataset
+from oed_sysid.fitting.delays import (
+    CLEAR,
+    COLOUR_SHARE,
+    Delay,
+    clear_delay,
+    estimate_delays,
+    values_of,
+)
 from oed_sysid.fitting.noise_levels import signal_spread, white_levels
+from oed_sysid.fitting.spikes import spike_masks
 
 if TYPE_CHECKING:
     from oed_sysid.fitting.fit import Fit
 
-# Standard errors from which a departure counts: one output in 10^5 by chance.
-CLEAR = 4.5
 # Wrong noise levels from which intervals are worth a word (they are wrong by the same factor).
 LEVEL_FACTOR = 1.15
-# Share of independent samples below which residuals are coloured, and chance of the statistic.
-COLOUR_SHARE, COLOUR_CHANCE = 0.8, 1e-5
+# Chance of the statistic from which on residuals are coloured.
+COLOUR_CHANCE = 1e-5
 # Standard error of the logarithm of a level from third differences, times the root of n.
 DIFFERENCE_ERROR = 1.5
-# Spikes that normal noise shows in one data set of so many.
-SPIKE_CHANCE = 1e-3
-# Where residuals are structured, only what is this many deviations off stands out as a spike.
-STRUCTURED_SPIKE = 6.0
-# Single spikes from which on pairs of them are spikes, too.
-SEVERAL = 3
-# Spread of the departure of white noise from the median of its four neighbours.
-BESIDE = 1.137
-# Share of the misfit beyond noise that a delay must explain where residuals are coloured.
-DELAY_SHARE = 0.3
 # Change by a quarter of the step, in noise levels, that a trajectory must not show.
 STEP_CHANGE = 0.5
 FINER = 4
@@ -322,89 +308,6 @@ def _absorbed(fit: Fit) -> tuple[Concern, ...]:
 # -- spikes ------------------------------------------------------------------------
 
 
-def spike_masks(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """Samples that stand out alone, per record.
-
-    Parameters
-    ----------
-    whitened : sequence of ndarray (n_times, n_outputs)
-        Residuals in any unit, NaN where missing.
-
-    Returns
-    -------
-    tuple of ndarray of bool (n_times, n_outputs)
-    """
-    masks = [np.zeros(part.shape, dtype=bool) for part in whitened]
-    for column in range(whitened[0].shape[1]):
-        rows = [np.flatnonzero(np.isfinite(part[:, column])) for part in whitened]
-        series = [part[index, column] for part, index in zip(whitened, rows, strict=True)]
-        pieces = [_beside(values) for values in series]
-        away = np.concatenate(pieces)
-        n = len(away)
-        if n < 30:
-            continue
-        size = 1.4826 * float(np.median(np.abs(away - np.median(away))))
-        if size <= 0.0:
-            continue
-        own = np.concatenate(series)
-        middle = float(np.median(own))
-        slow = 1.4826 * float(np.median(np.abs(own - middle)))
-        surely = float(-ndtri(0.5 * SPIKE_CHANCE / n / whitened[0].shape[1]))
-        structured = slow > 1.1 * size / BESIDE
-        if structured:
-            surely = max(surely, STRUCTURED_SPIKE)
-        limit = surely if structured else max(4.0, float(-ndtri(0.5 / n)))
-        sizes = []
-        for values, piece in zip(series, pieces, strict=True):
-            scaled = np.abs(piece) / size
-            if not structured:
-                # Neighbours that happen to lie on the other side do not make a spike.
-                scaled = np.minimum(scaled, np.abs(values - middle) / slow)
-            sizes.append(scaled)
-        if not np.any(np.concatenate(sizes) > surely):
-            continue
-        for mask, index, scaled in zip(masks, rows, sizes, strict=True):
-            # Where spikes are clear, what chance does in one sample of n is one of them too.
-            mask[index, column] = scaled > limit
-        if structured or sum(int(mask[:, column].sum()) for mask in masks) < SEVERAL:
-            continue
-        # Where there are several spikes among white residuals, two meet now and then.
-        for mask, index, values in zip(masks, rows, series, strict=True):
-            big = np.abs(values - middle) > surely * slow
-            before, after = np.r_[False, big[:-1]], np.r_[big[1:], False]
-            before2, after2 = np.r_[False, before[:-1]], np.r_[after[1:], False]
-            pair = big & (after & ~before & ~after2 | before & ~after & ~before2)
-            mask[index[pair], column] = True
-    return tuple(masks)
-
-
-def _beside(values: np.ndarray) -> np.ndarray:
-    """Departure of every sample from the median of its two neighbours on each side.
-
-    Zero where the sample does not stand out from the next on either side by half as much: the
-    edge of a step and one of a group are no spikes.
-    """
-    n = len(values)
-    if n < 5:
-        return np.zeros(n)
-    padded = np.concatenate([values[2:0:-1], values, values[-2:-4:-1]])
-    neighbours = np.stack([padded[shift : shift + n] for shift in (0, 1, 3, 4)])
-    away = values - np.median(neighbours, axis=0)
-    least = np.min((values - neighbours[1:3]) * np.sign(away), axis=0)
-    grouped = (least < 0.5 * np.abs(away)) & (np.abs(away) > 3.0 * np.median(np.abs(away)))
-    return np.where(grouped, 0.0, away)
-
-
-def without_spikes(dataset: Dataset, masks: Sequence[np.ndarray]) -> Dataset:
-    """Copy of a data set in which the marked samples are missing."""
-    return Dataset(
-        tuple(
-            record.with_outputs(np.where(mask, np.nan, record.outputs))
-            for record, mask in zip(dataset, masks, strict=True)
-        )
-    )
-
-
 def spike_concerns(fit: Fit) -> tuple[Concern, ...]:
     """Isolated outliers, and those that the fit has left out."""
     found = []
@@ -448,141 +351,6 @@ def spike_concerns(fit: Fit) -> tuple[Concern, ...]:
 
 
 # -- delays, noise of inputs: simulations ----------------------------------------------
-
-
-@dataclass(frozen=True)
-class Delay:
-    """Score estimate of the delay of one signal.
-
-    Attributes
-    ----------
-    signal, kind : str
-        Name, and ``output`` or ``input``.
-    seconds, std : float
-        Delay and standard error, s.
-    gain : float
-        What it explains, in twice the log-likelihood.
-    share : float
-        Of the misfit beyond noise.
-    """
-
-    signal: str
-    kind: str
-    seconds: float
-    std: float
-    gain: float
-    share: float
-
-
-def estimate_delays(fit: Fit) -> tuple[Delay, ...]:
-    """Score estimates of the delays of all outputs and inputs at a fit with white noise.
-
-    See the equations above; residuals that are coloured enlarge the standard errors by the root
-    of the ratio of all to independent samples, those larger than declared by their misfit.
-    """
-    runner, n_shared = kernel(fit.model), len(fit.names)
-    free, own = fit.model.free_names, runner.n_own
-    local = [name for name in free if name not in fit.names]
-    width = own + len(local)
-    inputs, outputs = fit.model.input_names, fit.model.output_names
-    n_delays = len(outputs) + len(inputs)
-    n_base = n_shared + width * len(fit.dataset)
-    matrix = np.zeros((n_base + n_delays, n_base + n_delays))
-    score = np.zeros(n_base + n_delays)
-    squares, count = 0.0, 0
-    for index, record in enumerate(fit.dataset):
-        if record.n_samples < 3:
-            continue
-        values = _values_of(fit, index)
-        z0, dz0 = runner.start(fit.initial_states[index], record.inputs[0], values, record.times[0])
-        run = runner.run(record.times, record.inputs, values, z0, sensitivities=True)
-        sensitivities = run.output_sensitivities
-        if sensitivities is None or not np.isfinite(sensitivities).all():
-            return ()
-        jacobian = sensitivities[:, :, : runner.n_full] @ dz0
-        jacobian[:, :, own:] += sensitivities[:, :, runner.n_full :]
-        order = [own + free.index(name) for name in fit.names]
-        order += [*range(own), *(own + free.index(name) for name in local)]
-        base = jacobian[:, :, order]
-        late = np.zeros((*run.outputs.shape, n_delays))
-        slope = np.gradient(run.outputs, record.times, axis=0)
-        for column in range(len(outputs)):
-            late[:, column, column] = -slope[:, column]
-        shift = record.sample_time
-        for column in range(len(inputs)):
-            moved = record.inputs.copy()
-            moved[:, column] = np.interp(
-                record.times - shift, record.times, record.inputs[:, column]
-            )
-            if not np.array_equal(moved, record.inputs):
-                after = runner.run(record.times, moved, values, z0).outputs
-                late[:, :, len(outputs) + column] = (after - run.outputs) / shift
-        scaled = fit.residuals[index] / fit.sigma
-        present = np.isfinite(scaled)
-        rows = np.concatenate([base, late], axis=2) / fit.sigma[:, None]
-        rows = rows[present]
-        errors = scaled[present]
-        first = n_shared + index * width
-        where = np.r_[0:n_shared, first : first + width, n_base : n_base + n_delays]
-        if not np.isfinite(rows).all():
-            return ()
-        matrix[np.ix_(where, where)] += rows.T @ rows
-        score[where] += rows.T @ errors
-        squares, count = squares + float(errors @ errors), count + len(errors)
-    information, slopes = _after_all_others(matrix, score, n_base)
-    excess = max(squares - count, 1e-9)
-    # Where the noise is larger than declared, errors are too.
-    misfit = max(squares / max(count, 1), 1.0)
-    slow = [max(n, 1) / max(effective, 1.0) for effective, n in fit.effective_samples().values()]
-    found = []
-    for column, (name, kind) in enumerate(
-        [*((name, "output") for name in outputs), *((name, "input") for name in inputs)]
-    ):
-        own_information = information[column, column]
-        if not own_information > 1e-9 * max(matrix[n_base + column, n_base + column], 1e-300):
-            continue
-        inflation = slow[column] if kind == "output" else max(slow)
-        gain = float(slopes[column] ** 2 / own_information)
-        found.append(
-            Delay(
-                name,
-                kind,
-                float(slopes[column] / own_information),
-                float(np.sqrt(misfit * inflation / own_information)),
-                gain,
-                min(gain / excess, 1.0),
-            )
-        )
-    return tuple(found)
-
-
-def _after_all_others(
-    matrix: np.ndarray, score: np.ndarray, n_base: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Information and score of the last unknowns once the first are estimated too."""
-    inner = matrix[:n_base, :n_base]
-    size = np.sqrt(np.maximum(np.diag(inner), 0.0))
-    seen = size > 0
-    unit = size[seen]
-    values, vectors = np.linalg.eigh(inner[np.ix_(seen, seen)] / unit[:, None] / unit)
-    clear = values > 1e-12 * values.max(initial=0.0)
-    root = vectors[:, clear] / np.sqrt(values[clear])
-    cross = (matrix[n_base:, :n_base][:, seen] / unit) @ root
-    gradient = (score[:n_base][seen] / unit) @ root
-    return matrix[n_base:, n_base:] - cross @ cross.T, score[n_base:] - cross @ gradient
-
-
-def clear_delay(fit: Fit, delays: Sequence[Delay]) -> Delay | None:
-    """The one delay that explains most, if it is significant and worth a word."""
-    clear = [d for d in delays if abs(d.seconds) > CLEAR * d.std]
-    if not clear:
-        return None
-    coloured = any(
-        effective < COLOUR_SHARE * n for effective, n in fit.effective_samples().values()
-    )
-    if coloured:
-        clear = [d for d in clear if d.share > DELAY_SHARE]
-    return max(clear, key=lambda d: d.gain, default=None)
 
 
 def delay_concerns(fit: Fit) -> tuple[Concern, ...]:
@@ -631,7 +399,7 @@ def input_concerns(fit: Fit) -> tuple[Concern, ...]:
         for index, record in enumerate(fit.dataset):
             moved = record.inputs.copy()
             moved[:, column] += level * rng.standard_normal(record.n_samples)
-            values = _values_of(fit, index)
+            values = values_of(fit, index)
             own = fit.initial_states[index]
             z0, _ = runner.start(own, record.inputs[0], values, record.times[0])
             ends = runner.run(record.times, moved, values, z0).outputs - fit.predictions[index]
@@ -663,15 +431,6 @@ def _is_noise(series: Sequence[np.ndarray]) -> bool:
     if not len(fourth) or not third > 0:
         return False
     return bool(np.sqrt(np.median(fourth) / 0.4549 / 70.0) > 0.85 * third)
-
-
-def _values_of(fit: Fit, index: int) -> np.ndarray:
-    """All parameter values in one record."""
-    values = fit.model.value_vector
-    names = fit.model.parameter_names
-    for name, value in (fit.local_values[index] if fit.local_values else {}).items():
-        values[names.index(name)] = value
-    return values
 
 
 # -- the trajectory ------------------------------------------------------------------
@@ -727,7 +486,7 @@ def step_change(fit: Fit, finer: int = FINER) -> tuple[float, str, str]:
         sigma = np.maximum(sigma, 1e-3 * signal_spread(fit.dataset) * fit.sigma_estimated)
     worst = (0.0, "", "")
     for index, record in enumerate(fit.dataset):
-        values, before = _values_of(fit, index), fit.predictions[index]
+        values, before = values_of(fit, index), fit.predictions[index]
         states = fit.states[index]
         if fit.innovations is None or states.shape[1] != coarse.n_full:
             own = fit.initial_states[index]
