@@ -28,6 +28,10 @@ DIVERGED = Status(
     "use MultipleShooting, whose result does not depend on the order of the samples.",
 )
 
+# Mean of e'S^-1 e per measured value beyond which a filter's errors are not those it states, and
+# the number of values from which on this is no chance.
+INCONSISTENT, ENOUGH = 2.0, 50
+
 
 @dataclass(frozen=True)
 class JointKalmanFilter:
@@ -141,7 +145,7 @@ class JointKalmanFilter:
             estimates=last,
             covariance=covariance if ok else np.diag(np.full(len(last), np.inf)),
             began=began,
-            status=Status("converged", "") if ok else DIVERGED,
+            status=consistency(filter_.innovation**2, filter_.count) if ok else DIVERGED,
             iterations=len(tracks),
             initial_states=[self.initial] * len(dataset),
             extras={
@@ -174,6 +178,36 @@ class JointKalmanFilter:
             )
 
 
+def consistency(square: float, count: int) -> Status:
+    r"""Status of a filter from its normalised innovation squared.
+
+    .. math:: \bar\nu = \frac{1}{n} \sum_k e_k' S_k^{-1} e_k,
+
+    one where the stated covariances ``S`` are right (Bar-Shalom, Li & Kirubarajan 2001,
+    *Estimation with applications to tracking and navigation*, section 5.4).
+
+    Parameters
+    ----------
+    square : float
+        Normalised innovation squared per measured value.
+    count : int
+        Number of measured values.
+    """
+    if count < ENOUGH or 1.0 / INCONSISTENT <= square <= INCONSISTENT:
+        return Status("converged", "")
+    if square > 1.0:
+        todo = (
+            "the stated errors are too small. Give process_std, more noise_std, or use "
+            "MultipleShooting(disturbances='auto')."
+        )
+    else:
+        todo = "the stated errors are too large. Declare less noise_std or process_std."
+    return Status(
+        "inconsistent",
+        f"the normalised innovations squared are {square:.3g} on average (expected 1): {todo}",
+    )
+
+
 class JointFilter:
     """Mean and covariance of ``[full state, free parameters]``, in scaled units."""
 
@@ -199,6 +233,11 @@ class JointFilter:
         self.track: list[np.ndarray] = []
         self.spread: list[np.ndarray] = []
         self._squares, self._count = 0.0, 0
+
+    @property
+    def count(self) -> int:
+        """Number of measured values so far."""
+        return self._count
 
     @property
     def innovation(self) -> float:

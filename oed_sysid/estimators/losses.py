@@ -47,7 +47,13 @@ def student(residuals: np.ndarray, *, freedom: float = 4.0) -> tuple[np.ndarray,
     return (freedom + 1) * np.log1p(ratio), (1 + 1 / freedom) / (1 + ratio)
 
 
-_LOSSES: dict[str, Loss | None] = {"square": None, "huber": huber, "student": student}
+# Spikes that "auto" leaves out count nothing; the others are squared.
+_LOSSES: dict[str, Loss | None] = {
+    "auto": None,
+    "square": None,
+    "huber": huber,
+    "student": student,
+}
 
 
 def loss_by_name(name: str) -> Loss | None:

@@ -28,9 +28,11 @@ from oed_sysid.fitting.beginning import (
     warm_point,
     wide_start,
 )
+from oed_sysid.fitting.delays import clear_delay, estimate_delays
 from oed_sysid.fitting.filtered import disturbed_model
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import Progress, Solution, solve
+from oed_sysid.fitting.judgement import level_concerns, with_verdict
 from oed_sysid.fitting.noise_levels import (
     credible_levels,
     residual_levels,
@@ -45,6 +47,7 @@ from oed_sysid.fitting.random_forces import (
     score_test,
 )
 from oed_sysid.fitting.shooting import Point, Shooting
+from oed_sysid.fitting.spikes import spike_masks, without_spikes
 from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.fitting.step_error import with_step_advice
 from oed_sysid.fitting.summary import summarise, summarise_filtered
@@ -55,6 +58,9 @@ from oed_sysid.noise.model import NoiseModel
 
 # Most alternations between noise levels and parameters; three or four suffice as a rule.
 NOISE_ROUNDS = 12
+
+# Most rounds in which spikes are looked for; large ones hide small ones.
+SPIKE_ROUNDS = 4
 
 Minimiser = Callable[[Shooting, Point], Solution | None]
 
@@ -78,7 +84,10 @@ class MultipleShooting:
         ``"given"`` insists on declared ones, ``"estimate"`` estimates all; or
         one standard deviation per output.
     loss : str
-        ``"square"``, or for outliers ``"huber"`` or ``"student"``.
+        ``"square"``; ``"auto"``, which leaves out samples that clearly are spikes at
+        the white fit (NaN in the fit's own data, counted in ``extras["excluded"]`` and in
+        the report), the same as ``"square"`` where there are none; or ``"huber"`` or
+        ``"student"``.
     start : str
         ``"auto"``, ``"near"`` (trust the start values) or ``"wide"``.
     max_iterations, tolerance
@@ -143,19 +152,19 @@ class MultipleShooting:
         if self.disturbances not in ("auto", "none") and self._white_only:
             raise ModelError(
                 f"disturbances={self.disturbances!r} goes with solver='gauss-newton' and "
-                "loss='square'. Drop the other setting, or take disturbances='none'."
+                "loss='square' or 'auto'. Drop the other setting, or take disturbances='none'."
             )
 
     @property
     def _white_only(self) -> bool:
         """Whether the settings leave no room for random forces."""
-        return self.solver == "ipopt" or self.loss != "square"
+        return self.solver == "ipopt" or self.loss not in ("auto", "square")
 
     @property
     def name(self) -> str:
         """Name and settings, for reports."""
         interval = "" if self.interval is None else f", interval {self.interval:g} s"
-        loss = "" if self.loss == "square" else f", {self.loss} loss"
+        loss = "" if self.loss in ("auto", "square") else f", {self.loss} loss"
         solver = f", IPOPT with {self.hessian} Hessian" if self.solver == "ipopt" else ""
         return f"multiple shooting{interval}{loss}{solver}"
 
@@ -233,11 +242,40 @@ class MultipleShooting:
             shooting, solution, estimated, self.name, iterations, began, coloured=self.coloured
         )
         fit = with_step_advice(fit, shooting, solution)
-        if self.disturbances == "none" and not random_effects(model.effects):
-            return fit
-        if self._white_only or fit.status.code == "interrupted":
-            return fit
-        return self._disturbed(fit, model, dataset, estimated, began)
+        excluded: dict[str, tuple[int, int]] = {}
+        if self.loss == "auto" and fit.status.code != "interrupted":
+            fit, excluded = self._without_spikes(fit, model)
+        wanted = self.disturbances != "none" or random_effects(model.effects)
+        if wanted and not self._white_only and fit.status.code != "interrupted":
+            fit = self._disturbed(fit, model, fit.dataset, estimated, began)
+        told: dict[str, object] = {"excluded": excluded} if excluded else {}
+        told["magnitudes"] = {p.name: p.magnitude for p in model.free_parameters}
+        return with_verdict(replace(fit, extras={**fit.extras, **told}))
+
+    def _without_spikes(self, fit: Fit, model: Model) -> tuple[Fit, dict[str, tuple[int, int]]]:
+        """Fit again without samples that stand out alone, and how many of how many they were."""
+        whole, again = fit.dataset, fit
+        for _ in range(SPIKE_ROUNDS):
+            if not all(np.isfinite(part).all() for part in again.predictions):
+                break
+            masks = spike_masks(again.whitened)
+            if not any(mask.any() for mask in masks):
+                break
+            plain = replace(self, loss="square", disturbances="none")
+            again = plain.fit(model, without_spikes(again.dataset, masks), warm=again)
+        if again is fit:
+            return fit, {}
+        before, after = (
+            np.isfinite(np.vstack([record.outputs for record in data])).sum(axis=0)
+            for data in (whole, again.dataset)
+        )
+        names = model.output_names
+        counts = {
+            name: (int(n - m), int(n))
+            for name, n, m in zip(names, before, after, strict=True)
+            if m < n
+        }
+        return replace(again, iterations=fit.iterations + again.iterations), counts
 
     def _disturbed(
         self, fit: Fit, model: Model, dataset: Dataset, estimated: np.ndarray, began: float
@@ -279,6 +317,12 @@ class MultipleShooting:
         first = starts[0]
         at = model.with_values(dict(first.values))
         try:
+            if auto and (larger := _larger_noise(fit, quiet.white)).any():
+                # White noise above the declared level is no random force.
+                louder = replace(quiet, white=np.where(larger, larger, quiet.white))
+                gain = score_test(at, dataset, louder, first.initial, first.local, kernel).gain
+                if gain < CLEAR:
+                    return replace(fit, extras={**fit.extras, "disturbance_test": gain})
             test = score_test(at, dataset, quiet, first.initial, first.local, kernel)
         except SimulationError:  # the model itself leaves the numbers: the status says so
             return fit
@@ -302,6 +346,9 @@ class MultipleShooting:
             solution, estimated, name, fit.iterations + solution.iterations, began
         )
         extras = {**found.extras, "disturbance_test": test.gain}
+        # Random forces absorb a delay, so that it is looked for where they are not.
+        if fit.names and (late := clear_delay(fit, estimate_delays(fit))) is not None:
+            extras["white_delay"] = (late.signal, late.kind, late.seconds, late.std)
         if auto and _no_likelier(found, fit):
             return replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
         return replace(found, extras=extras, model=with_levels(found.model, found.noise))
@@ -393,6 +440,13 @@ def _declared_levels(noise: NoiseModel, declared: Sequence[RandomProcess]) -> No
             force[index] = process.level
         time[index] = process.time
     return replace(noise, force=force, force_time=time)
+
+
+def _larger_noise(fit: Fit, white: np.ndarray) -> np.ndarray:
+    """White levels that are clearly above the declared ones; zero where they are not."""
+    factors = {concern.signal: concern.size for concern in level_concerns(fit)}
+    sizes = np.array([factors.get(name, 0.0) for name in fit.model.output_names])
+    return np.where(sizes > 1.0, sizes * white, 0.0)
 
 
 def _no_likelier(disturbed: Fit, white: Fit) -> bool:

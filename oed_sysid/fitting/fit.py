@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.effects.base import RandomProcess
 from oed_sysid.fitting.archive import encode
+from oed_sysid.fitting.judgement import Concern, judge
 from oed_sysid.fitting.prediction import Initial, Prediction, predict
 from oed_sysid.fitting.saved import check_fit, decode_result, made_by, write_result
 from oed_sysid.information import Information, Whiteness, whiteness
@@ -32,7 +34,10 @@ class Status:
     """How an estimation ended, and what to do about it.
 
     ``code`` is one of ``converged``, ``stalled``, ``iterations``,
-    ``interrupted``, ``infeasible``, ``diverged``.
+    ``interrupted``, ``infeasible``, ``diverged``; or, where the iterations ended
+    at values that must not be used, ``runaway``, ``integration``, ``degenerate``
+    (:mod:`oed_sysid.fitting.judgement`) or ``inconsistent`` (a filter whose errors
+    are far from those it states).
     """
 
     code: str
@@ -215,6 +220,11 @@ class Fit:
         present = np.isfinite(stacked)
         return float(np.sqrt(np.mean(stacked[present] ** 2))) if present.any() else np.nan
 
+    @cached_property
+    def concerns(self) -> tuple[Concern, ...]:
+        """What speaks against the fit; see :mod:`oed_sysid.fitting.judgement`."""
+        return judge(self)
+
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of one parameter from its standard error."""
         half = ndtri(0.5 + level / 2) * self.std_errors[name]
@@ -379,7 +389,8 @@ class Fit:
         return name, f"{level:.3g}", spread, f"{time:.2g}", unit
 
     def _warnings(self) -> list[str]:
-        lines = []
+        said = self.status.advice
+        lines = [f"  {concern.text}" for concern in self.concerns if concern.text != said]
         commands = np.vstack([record.inputs for record in self.dataset])
         for channel, series in zip(self.model.inputs, commands.T, strict=True):
             if np.ptp(series) == 0.0:
@@ -436,6 +447,7 @@ class Fit:
             "effective_samples": {k: list(v) for k, v in self.effective_samples().items()},
             "noise_model": self.noise.to_dict() if self.noise is not None else None,
             "noise_std": dict(self.noise_std),
+            "concerns": [concern.to_dict() for concern in self.concerns],
         }
 
 
