@@ -44,6 +44,7 @@ from oed_sysid.fitting.shooting import Point, Shooting
 from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.fitting.step_error import with_step_advice
 from oed_sysid.fitting.summary import summarise, summarise_filtered
+from oed_sysid.fitting.unknowns import KnownStarts, StartState
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import chosen_places
 
@@ -160,6 +161,7 @@ class MultipleShooting:
         *,
         warm: Fit | None = None,
         initial_states: Sequence[Mapping[str, float]] | None = None,
+        start_states: StartState | Sequence[StartState] | None = None,
     ) -> Fit:
         """Estimate the free parameters and initial states.
 
@@ -176,6 +178,10 @@ class MultipleShooting:
         initial_states : sequence of mapping, optional
             Start guesses of states, one mapping per record; by default from
             the measurements.
+        start_states : mapping or sequence of mapping, optional
+            What is known of the start states, one mapping for all records or one
+            for each: a number is held exactly, a pair ``(value, std)`` is a value
+            with its standard error, and a state that is not named is free.
 
         Returns
         -------
@@ -188,7 +194,8 @@ class MultipleShooting:
             If data and model do not belong together.
         """
         with one_thread():
-            return self._fit(model, dataset, warm, initial_states)
+            known = KnownStarts.of(model, dataset, start_states)
+            return self._fit(model, dataset, warm, initial_states, known)
 
     def _fit(
         self,
@@ -196,6 +203,7 @@ class MultipleShooting:
         dataset: Dataset,
         warm: Fit | None,
         initial_states: Sequence[Mapping[str, float]] | None,
+        known_starts: KnownStarts | None,
     ) -> Fit:
         began = time.perf_counter()
         check_channels(model, dataset)
@@ -211,6 +219,7 @@ class MultipleShooting:
             interval=self.interval,
             loss=loss_by_name(self.loss),
             initial_states=initial_states,
+            known_starts=known_starts,
         )
         check_enough_samples(shooting)
         if self.solver == "ipopt":
@@ -231,10 +240,16 @@ class MultipleShooting:
             return fit
         if self._white_only or fit.status.code == "interrupted":
             return fit
-        return self._disturbed(fit, model, dataset, estimated, began)
+        return self._disturbed(fit, model, dataset, estimated, began, known_starts)
 
     def _disturbed(
-        self, fit: Fit, model: Model, dataset: Dataset, estimated: np.ndarray, began: float
+        self,
+        fit: Fit,
+        model: Model,
+        dataset: Dataset,
+        estimated: np.ndarray,
+        began: float,
+        known_starts: KnownStarts | None,
     ) -> Fit:
         """Go on from a white fit with random forces and coloured sensors, where they act."""
         asked = "all" if self.disturbances == "auto" else self.disturbances
@@ -246,10 +261,10 @@ class MultipleShooting:
             raise
         floor, _ = credible_levels(dataset)
         white = np.where(estimated, np.minimum(fit.sigma, floor), fit.sigma)
-        setting = Setting.of(dataset, places, white, estimated)
+        setting = Setting.of(dataset, places, white, estimated, known_starts=known_starts)
         starts = [Start(fit.model.values, fit.initial_states, fit.local_values)]
         if not np.isfinite(fit.cost):
-            begin = Shooting(model, dataset, white)
+            begin = Shooting(model, dataset, white, known_starts=known_starts)
             unknowns = begin.start_unknowns()
             own = [begin.initial_state(unknowns, i) for i in range(len(begin.records))]
             starts = [Start(model.values, own, [{}] * len(own))]

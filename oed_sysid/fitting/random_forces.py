@@ -34,6 +34,7 @@ from oed_sysid.fitting.gauss_newton import (
 )
 from oed_sysid.fitting.noise_levels import credible_levels
 from oed_sysid.fitting.shooting import Point
+from oed_sysid.fitting.unknowns import KnownStarts
 from oed_sysid.information import autocorrelation
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import Place, disturbance
@@ -75,6 +76,8 @@ class Setting:
         What the fastest wiggles show is there, whatever disturbances could explain of it.
     colour : bool
         Whether sensors may have coloured noise.
+    known_starts : KnownStarts or None
+        Start states that are held or known with a stated error.
     """
 
     places: tuple[Place, ...]
@@ -82,6 +85,7 @@ class Setting:
     estimated: np.ndarray
     least_white: np.ndarray
     colour: bool = True
+    known_starts: KnownStarts | None = None
 
     @classmethod
     def of(
@@ -92,11 +96,12 @@ class Setting:
         estimated: np.ndarray,
         *,
         colour: bool = True,
+        known_starts: KnownStarts | None = None,
     ) -> Setting:
         """Setting of some records."""
         floor, seen = credible_levels(dataset)
         least = np.where(seen, LEAST_SEEN * np.minimum(floor, white), 0.0)
-        return cls(tuple(places), white, estimated, least, colour)
+        return cls(tuple(places), white, estimated, least, colour, known_starts)
 
     @property
     def disturbances(self) -> tuple[str, ...]:
@@ -321,7 +326,13 @@ def fit_disturbed(
     tried: list[FilteredSolution] = []
     for start in starts:
         levels = setting.levels(dataset, begin, unit, nowhere)
-        problem = Filtered(model.with_values(dict(start.values)), dataset, levels, kernel=kernel)
+        problem = Filtered(
+            model.with_values(dict(start.values)),
+            dataset,
+            levels,
+            kernel=kernel,
+            known_starts=setting.known_starts,
+        )
         point = problem.point(start.initial, start.local)
         found = solve_filtered(
             problem,
@@ -420,7 +431,9 @@ def moved(
     """Estimate again from a solution with other levels unknown."""
     old = found.problem
     levels = setting.levels(old.dataset, noise, old.levels.unit, colour, own_times=own_times)
-    problem = Filtered(old.model, old.dataset, levels, kernel=old.kernel)
+    problem = Filtered(
+        old.model, old.dataset, levels, kernel=old.kernel, known_starts=setting.known_starts
+    )
     unknowns = np.concatenate([found.point.unknowns[: old.layout.levels.start], levels.vector()])
     return solve_filtered(problem, Point(unknowns, ()), max_iterations=max_iterations, polish=0)
 
