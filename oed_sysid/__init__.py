@@ -29,6 +29,21 @@ _HOME = {
     "write_csv": "data.dataset",
     "Experiment": "experiment",
     "Limits": "experiment",
+    "PRBS": "manoeuvres",
+    "Chirp": "manoeuvres",
+    "Combined": "manoeuvres",
+    "Constant": "manoeuvres",
+    "Doublet": "manoeuvres",
+    "FromRecord": "manoeuvres",
+    "Multisine": "manoeuvres",
+    "Piecewise": "manoeuvres",
+    "PullOut": "manoeuvres",
+    "ReverseSpiral": "manoeuvres",
+    "Spiral": "manoeuvres",
+    "ThreeTwoOneOne": "manoeuvres",
+    "TurningCircle": "manoeuvres",
+    "ZigZag": "manoeuvres",
+    "ZigZagLike": "manoeuvres",
     "Fit": "fitting.fit",
     "Model": "model",
     "MultipleShooting": "estimators",
@@ -97,6 +112,23 @@ if TYPE_CHECKING:
     from oed_sysid.estimators import MultipleShooting
     from oed_sysid.experiment import Experiment, Limits
     from oed_sysid.fitting.fit import Fit
+    from oed_sysid.manoeuvres import (
+        PRBS,
+        Chirp,
+        Combined,
+        Constant,
+        Doublet,
+        FromRecord,
+        Multisine,
+        Piecewise,
+        PullOut,
+        ReverseSpiral,
+        Spiral,
+        ThreeTwoOneOne,
+        TurningCircle,
+        ZigZag,
+        ZigZagLike,
+    )
     from oed_sysid.model import Model
     from oed_sysid.parameters import Parameter
     from oed_sysid.predictions.speed_polar import speed_polar

@@ -58,7 +58,7 @@ def run(model: Model, times: np.ndarray, inputs: np.ndarray, own: np.ndarray, **
 
 
 def test_robertson_agrees_with_radau() -> None:
-    """To ten seconds all three species follow SciPy's Radau within 1e-6 of their sizes."""
+    """To ten seconds all three species follow SciPy's Radau within 1e-5 of their sizes."""
     times = np.linspace(0.0, 10.0, 101)
     found = run(ROBERTSON, times, np.zeros((101, 0)), np.array([1.0, 0.0, 0.0]))
 
@@ -71,10 +71,8 @@ def test_robertson_agrees_with_radau() -> None:
         rates, (0.0, 10.0), [1.0, 0.0, 0.0], "Radau", times, rtol=1e-10, atol=1e-14
     ).y.T
     assert found.ok
-    # The first step crosses the initial layer; after it the error is that of smooth motion.
-    assert np.abs(found.outputs[2:] - exact[2:]).max(axis=0) == pytest.approx(
-        0.0, abs=1e-6
-    ) or np.all(np.abs(found.outputs[2:] - exact[2:]) < 1e-5 * exact[2:].max(axis=0))
+    # The first steps cross the initial layer; after them the error is that of smooth motion.
+    assert np.all(np.abs(found.outputs[2:] - exact[2:]) < 1e-5 * exact[2:].max(axis=0))
     assert found.outputs.sum(axis=1) == pytest.approx(1.0, abs=1e-12)
     explicit = replace(ROBERTSON, integrator="explicit")
     assert not run(explicit, times, np.zeros((101, 0)), np.array([1.0, 0.0, 0.0])).ok
@@ -111,23 +109,22 @@ def test_the_order_is_three() -> None:
     smooth = replace(DRIVE, kinematics={"q": "-q/T - D*q**3", "ds": "q - ds"})
     smooth = smooth.with_values({"T": 1.0, "D": 2.0})
     times, own = np.array([0.0, 2.0]), np.array([1.0, 0.2])
-    errors, exact = [], None
-    for step in (0.0125, 0.2, 0.1, 0.05):
-        end = run(replace(smooth, step=step), times, np.zeros((2, 1)), own).states[-1]
-        exact = end if exact is None else exact
-        errors.append(np.abs(end - exact).max())
-    rates = np.log2([errors[1] / errors[2], errors[2] / errors[3]])
-    assert np.all((rates > 2.7) & (rates < 3.4))
+    ends = [
+        run(replace(smooth, step=step), times, np.zeros((2, 1)), own).states[-1]
+        for step in (0.025, 0.0125, 0.00625)
+    ]
+    order = np.log2(np.abs(ends[1] - ends[0]) / np.abs(ends[2] - ends[1]))
+    assert np.all((order > 2.85) & (order < 3.15))
 
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_sensitivities_equal_finite_differences(compiled: bool) -> None:
     """By start states and parameters, through actuator and sensor memory and linear inputs."""
     model = DRIVE + [
-        actuator_lag("lag", "command", time_constant=0.3),
-        sensor_lag("slow", "q", time_constant=0.4),
+        actuator_lag("lag", "command", value=0.3),
+        sensor_lag("slow", "q", value=0.4),
     ]
-    model = model.free("lag_T") if "lag_T" in model.parameter_names else model
+    assert {"E_lag", "E_slow"} <= set(model.free_names)
     times = np.arange(0.0, 3.0, 0.15)
     inputs, own = drive_inputs(times), np.array([0.2, 0.1])
     code = Kernel(model, compiled=compiled)
@@ -167,17 +164,30 @@ def test_compiled_and_interpreted_steps_agree() -> None:
 def test_a_stiff_model_is_fitted(disturbances: str | tuple[str, ...]) -> None:
     """White and filtered fits find the parameters of the slow motion."""
     rng = np.random.default_rng(1)
-    times = np.arange(0.0, 30.0, 0.1)
+    times = np.arange(0.0, 60.0, 0.1)
     inputs = drive_inputs(times)
-    clean = run(DRIVE, times, inputs, np.array([0.1, 0.0])).outputs
+    gust = np.zeros((len(times), 1))
+    if disturbances != "none":  # a random force of 0.05 rad/s2 and 0.5 s
+        for k in range(1, len(times)):
+            gust[k] = np.exp(-0.2) * gust[k - 1] + 0.05 * np.sqrt(1 - np.exp(-0.4)) * rng.normal()
+    shaken = replace(
+        DRIVE,
+        inputs=(*DRIVE.inputs, Input("gust", "rad/s^2")),
+        kinematics={**DRIVE.kinematics, "q": DRIVE.kinematics["q"] + " + gust"},
+    )
+    clean = run(shaken, times, np.hstack([inputs, gust]), np.array([0.1, 0.0])).outputs
     noisy = clean + 1e-3 * rng.normal(size=clean.shape)
     data = Dataset((Record("run", times, inputs, noisy, DRIVE.channels),))
-    start = DRIVE.with_values({"T": 2.6, "M_ds": -0.7}).fix("tau")
+    start = DRIVE.with_values({"T": 2.6, "M_ds": -0.7}).fix("tau", "D")
     fit = MultipleShooting(noise="given", disturbances=disturbances).fit(start, data)
     assert fit.status.ok
-    for name in ("T", "M_ds", "D"):
+    for name in ("T", "M_ds"):
         assert abs(fit.values[name] - DRIVE.values[name]) < 4 * fit.std_errors[name]
-        assert fit.std_errors[name] < 0.1 * abs(DRIVE.values[name])
+    limit = 0.01 if disturbances == "none" else 0.06
+    assert fit.std_errors["M_ds"] < limit
+    if disturbances != "none":
+        assert fit.noise is not None
+        assert fit.noise.force[0] == pytest.approx(0.05, rel=0.2)
 
 
 def test_the_structure_knows_the_integrator_and_advice_names_it() -> None:
