@@ -120,10 +120,7 @@ def test_the_order_is_three() -> None:
 @pytest.mark.parametrize("compiled", [True, False])
 def test_sensitivities_equal_finite_differences(compiled: bool) -> None:
     """By start states and parameters, through actuator and sensor memory and linear inputs."""
-    model = DRIVE + [
-        actuator_lag("lag", "command", value=0.3),
-        sensor_lag("slow", "q", value=0.4),
-    ]
+    model = DRIVE + actuator_lag("lag", "command", value=0.3) + sensor_lag("slow", "q", value=0.4)
     assert {"E_lag", "E_slow"} <= set(model.free_names)
     times = np.arange(0.0, 3.0, 0.15)
     inputs, own = drive_inputs(times), np.array([0.2, 0.1])

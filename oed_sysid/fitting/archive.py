@@ -76,7 +76,20 @@ def decode(data: Any, classes: Iterable[type]) -> Any:
                 "written by another version, or is not a saved fit."
             )
         content = {name: build(entry) for name, entry in item["fields"].items()}
-        return known[item["class"]](**content)
+        cls = known[item["class"]]
+        # Fields that the file's version had not yet take their defaults.
+        if strange := sorted(content.keys() - {f.name for f in fields(cls)}):
+            raise DataError(
+                f"The file holds a {item['class']} with {', '.join(strange)}, which this version "
+                "does not know. It was written by a newer one: update oed_sysid, or fit again."
+            )
+        try:
+            return cls(**content)
+        except TypeError as error:
+            raise DataError(
+                f"The file holds a {item['class']} that lacks what this version needs ({error}). "
+                "It was written by another one: fit again."
+            ) from None
 
     return build(data)
 
