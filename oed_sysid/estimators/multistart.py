@@ -106,9 +106,10 @@ class Multistart:
         Returns
         -------
         Fit
-            ``extras`` holds, per start, ``"start_values"``, ``"log_likelihoods"``
-            and whether it ``"converged"``; ``"arrived"`` counts the starts that
-            found the optimum that is returned.
+            ``extras`` holds, per start, ``"start_values"``, ``"log_likelihoods"``,
+            ``"objectives"`` (minus twice the same, with priors; see
+            :func:`oed_sysid.report.plot_waterfall`) and whether it ``"converged"``;
+            ``"arrived"`` counts the starts that found the optimum that is returned.
         """
         began = time.perf_counter()
         starts = self.starts(model)
@@ -129,6 +130,7 @@ class Multistart:
             **fits[best].extras,
             "start_values": tuple(starts),
             "log_likelihoods": likelihoods,
+            "objectives": -2.0 * goals,
             "converged": ok,
             "arrived": int(arrived.sum()),
         }
