@@ -29,7 +29,7 @@ OSCILLATOR = Model(
 def best() -> Fit:
     """Single shooting from twelve starts: the true valley and side valleys."""
     true = OSCILLATOR.with_values({"omega": 1.3})
-    times = np.arange(0.0, 30.0, 0.1)
+    times = np.arange(0.0, 50.0, 0.1)
     run = simulate_inputs(true, times, inputs={}, initial={"x": 1.0})
     noise = 0.02 * np.random.default_rng(0).standard_normal(run.outputs.shape)
     record = Record("free", times, run.inputs, run.outputs + noise, OSCILLATOR.channels)
