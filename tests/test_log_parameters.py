@@ -42,7 +42,9 @@ def record(rng: np.random.Generator, *, level: float = NOISE, times: np.ndarray 
     code = kernel(model)
     z, _ = code.start(np.array([0.1]), inputs[0], model.value_vector, 0.0)
     clean = code.run(times, inputs, model.value_vector, z).outputs
-    return Record("run", times, inputs, clean + level * rng.normal(size=clean.shape), model.channels)
+    return Record(
+        "run", times, inputs, clean + level * rng.normal(size=clean.shape), model.channels
+    )
 
 
 @pytest.mark.parametrize("disturbances", ["none", ("x",)])
@@ -151,9 +153,7 @@ def test_per_record_parameters_may_be_logarithms() -> None:
         assert own["k"] == pytest.approx(one.values["k"], rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"value": -1.0}, {"value": 0.0}, {"value": 1.0, "lower": -1.0}]
-)
+@pytest.mark.parametrize("wrong", [{"value": -1.0}, {"value": 0.0}, {"value": 1.0, "lower": -1.0}])
 def test_what_cannot_be_a_logarithm_is_refused(wrong: dict[str, float]) -> None:
     """Values and bounds of log-scaled parameters are positive; no lower bound means zero."""
     with pytest.raises(ModelError, match="log=True"):

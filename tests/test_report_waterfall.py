@@ -8,9 +8,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Fit, Model, Output, Parameter, Record, State
+from oed_sysid import Dataset, Fit, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.errors import DataError
-from oed_sysid.estimators import Multistart, OutputError
+from oed_sysid.estimators import Multistart
 from oed_sysid.report import plot_waterfall
 from oed_sysid.report.multistart_plots import plateaus
 from oed_sysid.simulate import simulate_inputs
@@ -33,14 +33,17 @@ def best() -> Fit:
     run = simulate_inputs(true, times, inputs={}, initial={"x": 1.0})
     noise = 0.02 * np.random.default_rng(0).standard_normal(run.outputs.shape)
     record = Record("free", times, run.inputs, run.outputs + noise, OSCILLATOR.channels)
-    return Multistart(OutputError(), n_starts=12, n_jobs=1).fit(OSCILLATOR, Dataset((record,)))
+    single = MultipleShooting(
+        interval=np.inf, start="near", noise="given", disturbances="none", coloured="never"
+    )
+    return Multistart(single, n_starts=12, n_jobs=1).fit(OSCILLATOR, Dataset((record,)))
 
 
 def test_every_start_is_drawn_and_the_plateau_is_marked(best: Fit) -> None:
     """Points are the sorted objectives; those of the best optimum are as many as arrived."""
     ax = plot_waterfall(best)
     drawn = {line.get_label(): line.get_ydata() for line in ax.lines}
-    assert len(drawn["the best optimum"]) == best.extras["arrived"]
+    assert 1 <= len(drawn["the best optimum"]) == best.extras["arrived"] < 12
     above = np.sort(best.extras["objectives"]) - np.min(best.extras["objectives"])
     marked = [drawn[k] for k in ("the best optimum", "other optima", "did not converge")
               if k in drawn]  # fmt: skip

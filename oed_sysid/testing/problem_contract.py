@@ -25,7 +25,7 @@ from oed_sysid.problem import Problem, load_problem
 from oed_sysid.problem.catalogue import catalogue_folder
 from oed_sysid.sensitivity import information_of
 from oed_sysid.simulate import simulate
-from oed_sysid.testing.effect_contract import check_effect
+from oed_sysid.testing.effect_contract import check_effect, stated
 
 # What a README speaks of, and words that show it does.
 TOPICS = {
@@ -140,7 +140,7 @@ def _dimensions(model: Model) -> list[str]:
     known: dict[str, Dimension | None] = {"t": dimension("s"), "h": dimension("s")}
     extra = [state for effect in model.effects for state in effect.states]
     for item in (*model.states, *extra, *model.inputs, *model.all_parameters):
-        known[item.name] = dimension(item.unit) if item.unit else None
+        known[item.name] = stated(item.unit)
     broken: list[str] = []
 
     def derive(text: str, expected: Dimension | None, what: str) -> Dimension | None:
@@ -159,8 +159,7 @@ def _dimensions(model: Model) -> list[str]:
         own = known[name]
         derive(text, None if own is None else own / dimension("s"), f"rate of {name!r}")
     for output in model.outputs:
-        expected = dimension(output.unit) if output.unit else None
-        derive(output.source, expected, f"output {output.name!r}")
+        derive(output.source, stated(output.unit), f"output {output.name!r}")
     return broken
 
 
