@@ -51,7 +51,7 @@ def check_problem(
       success means.
     * In every model, the dimensions of rates and outputs follow from their terms.
     * Every candidate effect keeps the contract of :func:`check_effect`, among it that it
-      is absent at zero.
+      is absent at zero; the problem's references may stand for its own.
     * Every experiment can be simulated, within finite numbers.
     * Its records can be read, and have the model's channels.
     * Every free parameter influences the experiments or records in a way of its own, or
@@ -209,5 +209,12 @@ def _effect(problem: Problem, effect: Effect, rng: np.random.Generator) -> list[
             effect, problem.model, rng=rng, initial=initial, inputs=inputs, n_times=20, n_points=1
         )
     except AssertionError as error:
-        return [str(error).replace("\n", " ")]
+        lines = str(error).split("\n- ")[1:]
+        # The problem's own references may be those of its candidates; and without an experiment
+        # nobody says where a run begins that would wake an effect up.
+        if problem.references:
+            lines = [line for line in lines if line != "has no source"]
+        if not problem.experiments:
+            lines = [line for line in lines if "changes no output" not in line]
+        return [f"candidate {effect.name!r} {line}" for line in lines]
     return []
