@@ -119,5 +119,5 @@ def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
     ax.set_xlim(0.5, len(above) + 0.5)
     ax.set_ylim(-0.5 * SAME_OPTIMUM, 3.0 * top)
     ax.xaxis.get_major_locator().set_params(integer=True)
-    spread_legend(ax, loc="upper left")
+    spread_legend(ax, loc="best")
     return clean(ax)
