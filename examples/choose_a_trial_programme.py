@@ -9,9 +9,8 @@ from math import radians
 
 import numpy as np
 
-from oed_sysid import Dataset, Experiment, MultipleShooting, load_problem
+from oed_sysid import Dataset, Experiment, MultipleShooting, ZigZagLike, load_problem
 from oed_sysid.design import Caution, DOptimal, Levels, assess_limits, design_experiment
-from oed_sysid.manoeuvres import ZigZagLike
 from oed_sysid.sensitivity import information_of
 from oed_sysid.simulate import simulate
 

@@ -18,8 +18,8 @@ from oed_sysid import (
     Output,
     Parameter,
     State,
+    ZigZag,
 )
-from oed_sysid.manoeuvres import ZigZag
 from oed_sysid.simulate import simulate
 
 TRUE = {"K": 0.1, "T": 12.0}

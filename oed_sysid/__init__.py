@@ -33,6 +33,21 @@ _HOME = {
     "write_csv": "data.dataset",
     "Experiment": "experiment",
     "Limits": "experiment",
+    "PRBS": "manoeuvres",
+    "Chirp": "manoeuvres",
+    "Combined": "manoeuvres",
+    "Constant": "manoeuvres",
+    "Doublet": "manoeuvres",
+    "FromRecord": "manoeuvres",
+    "Multisine": "manoeuvres",
+    "Piecewise": "manoeuvres",
+    "PullOut": "manoeuvres",
+    "ReverseSpiral": "manoeuvres",
+    "Spiral": "manoeuvres",
+    "ThreeTwoOneOne": "manoeuvres",
+    "TurningCircle": "manoeuvres",
+    "ZigZag": "manoeuvres",
+    "ZigZagLike": "manoeuvres",
     "Fit": "fitting.fit",
     "Model": "model",
     "MultipleShooting": "estimators",
@@ -115,6 +130,23 @@ if TYPE_CHECKING:
     from oed_sysid.estimators import MultipleShooting
     from oed_sysid.experiment import Experiment, Limits
     from oed_sysid.fitting.fit import Fit
+    from oed_sysid.manoeuvres import (
+        PRBS,
+        Chirp,
+        Combined,
+        Constant,
+        Doublet,
+        FromRecord,
+        Multisine,
+        Piecewise,
+        PullOut,
+        ReverseSpiral,
+        Spiral,
+        ThreeTwoOneOne,
+        TurningCircle,
+        ZigZag,
+        ZigZagLike,
+    )
     from oed_sysid.model import Model
     from oed_sysid.noise.model import NoiseModel
     from oed_sysid.parameters import Parameter

@@ -61,6 +61,10 @@ class Model:
         Shared constants such as mass and length.
     step : float
         Largest integration step, s.
+    integrator : str
+        ``"explicit"``, the classical Runge-Kutta method of order four; or, for stiff
+        models, ``"implicit"``: L-stable, of order three (:mod:`oed_sysid.compiled.graph`).
+        A motion much faster than the step, such as that of a quick actuator, needs it.
 
     Examples
     --------
@@ -91,6 +95,7 @@ class Model:
     effects: tuple[Effect, ...] = ()
     parameters: tuple[Parameter, ...] = ()
     step: float = 0.1
+    integrator: str = "explicit"
 
     def __post_init__(self) -> None:
         settle_parts(self)
@@ -304,6 +309,7 @@ class Model:
             tuple(effect.structure() for effect in self.effects),
             self.parameter_names,
             self.free_names,
+            *(() if self.integrator == "explicit" else (self.integrator,)),
         )
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
 
@@ -315,6 +321,11 @@ def _validate(model: Model) -> None:
         raise ModelError(f"Model {model.name!r} needs at least one state and one output.")
     if not model.step > 0:
         raise ModelError(f"Model {model.name!r} has step {model.step}. Give seconds above zero.")
+    if model.integrator not in ("explicit", "implicit"):
+        raise ModelError(
+            f"Model {model.name!r} has integrator {model.integrator!r}. Choose explicit, or "
+            "implicit for a stiff model."
+        )
     states = list(model.state_names)
     driven = [*model.kinematics, *model.axes.values()]
     for name in states:

@@ -38,6 +38,10 @@ class Parameter:
         switch-on, the phase of a wave).
     description : str
         What the parameter means, with its source.
+    log : bool
+        A positive number that may be wrong by a factor: it is estimated as its
+        logarithm. ``prior_std`` is then relative (0.1 is ten per cent), and 95 %
+        intervals are log-normal.
 
     Examples
     --------
@@ -56,6 +60,7 @@ class Parameter:
     scale: float | None = None
     per_record: bool = False
     description: str = ""
+    log: bool = False
 
     def __post_init__(self) -> None:
         check_signal("Parameter", self.name, self.unit)
@@ -72,6 +77,8 @@ class Parameter:
                 raise ModelError(f"Parameter {self.name!r} has {field} NaN. Give a number.")
         if not math.isfinite(self.value):
             raise ModelError(f"Parameter {self.name!r} has value {self.value}. Give a number.")
+        if self.log:
+            self._check_log()
         if self.lower > self.upper:
             raise ModelError(
                 f"Parameter {self.name!r} has lower bound {self.lower:g} above upper bound "
@@ -103,12 +110,30 @@ class Parameter:
                 f"Parameter {self.name!r} has scale {self.scale}. Give a positive one."
             )
 
+    def _check_log(self) -> None:
+        if self.lower == -math.inf:
+            object.__setattr__(self, "lower", 0.0)
+        smallest = min(self.value, math.inf if self.prior_mean is None else self.prior_mean)
+        if not smallest > 0 or self.lower < 0:
+            raise ModelError(
+                f"Parameter {self.name!r} has log=True, and a value, prior mean or bound that is "
+                f"not positive (value {self.value:g}, lower {self.lower:g}). Give positive ones, "
+                "or leave log out."
+            )
+
+    @property
+    def prior_spread(self) -> float | None:
+        """Standard deviation of the prior in the parameter's own unit."""
+        if not self.log or self.prior_std is None or self.prior_mean is None:
+            return self.prior_std
+        return self.prior_std * self.prior_mean
+
     @property
     def magnitude(self) -> float:
         """Typical size, used for scaling; always positive."""
         if self.scale is not None:
             return self.scale
-        for candidate in (self.value, self.prior_mean, self.prior_std):
+        for candidate in (self.value, self.prior_mean, self.prior_spread):
             if candidate:
                 return abs(candidate)
         finite = [abs(bound) for bound in (self.lower, self.upper) if math.isfinite(bound)]

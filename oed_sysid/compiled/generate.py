@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib.resources import files
 
 import casadi as ca
 
-from oed_sysid.compiled.graph import Graph
+from oed_sysid.compiled.graph import (
+    FRACTIONS,
+    NEWTON_FLOOR,
+    NEWTON_MOST,
+    NEWTON_STEP,
+    STAGES,
+    Graph,
+)
 
 
 def _jacobian(
@@ -40,6 +48,12 @@ def _update(sparsity: ca.Sparsity, *, parameter: bool) -> str:
         else:
             lines.append(f"add_scaled(target[{row}], v[{index}], source[{column}]);")
     return " ".join(lines)
+
+
+def _fill(sparsity: ca.Sparsity) -> str:
+    """C statements that write the entries of a sparse matrix into a dense one."""
+    triplets = enumerate(zip(*sparsity.get_triplet(), strict=True))
+    return " ".join(f"matrix[{row}][{column}] = v[{i}];" for i, (row, column) in triplets)
 
 
 def source(graph: Graph) -> str:
@@ -89,10 +103,24 @@ def source(graph: Graph) -> str:
         for label, sparsity in zip(labels, sparsities, strict=True):
             sizes[f"NNZ_{label}"] = sparsity.nnz()
             updates[f"UPDATE_{label}"] = _update(sparsity, parameter=label.endswith("P"))
+    if model.integrator == "implicit":
+        updates["FILL_JXX"] = _fill(sparsity_rates[0])
+        sizes |= {
+            "IMPLICIT": 1,
+            "STAGE_WEIGHTS": _braces(_braces(map(repr, row)) for row in STAGES),
+            "STAGE_FRACTIONS": _braces(map(repr, FRACTIONS)),
+            "NEWTON_STEP": repr(NEWTON_STEP),
+            "NEWTON_FLOOR": repr(NEWTON_FLOOR),
+            "NEWTON_MOST": NEWTON_MOST,
+        }
     defines = [f"#define {name} {value}" for name, value in (sizes | updates).items()]
     folder = files("oed_sysid.compiled")
     loops = [folder.joinpath(name).read_text() for name in ("trajectory.c", "filter.c")]
     return "\n".join([generator.dump(), *defines, loops[0], "#ifdef FILTER", loops[1], "#endif"])
+
+
+def _braces(items: Iterable[str]) -> str:
+    return "{" + ", ".join(items) + "}"
 
 
 def _start(graph: Graph) -> ca.Function:

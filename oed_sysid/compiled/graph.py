@@ -1,4 +1,4 @@
-"""From a model's text to CasADi expressions: actuate, move, observe, start.
+r"""From a model's text to CasADi expressions: actuate, move, observe, start.
 
 The chain is cut where physics cuts it. *Actuate* and *observe* are sampled
 maps with memory; *rates* is an ordinary differential equation between them.
@@ -15,6 +15,20 @@ observe    states, signals, memory, parameters,   outputs, next memory
 start      own states, inputs, parameters, t      full state
 =========  =====================================  ========================
 
+Explicit models move by the classical Runge-Kutta method of order four. Stiff ones
+(``Model(integrator="implicit")``) by three stages of order three, L-stable and stiffly
+accurate, each solved by Newton's method,
+
+.. math::
+    X_i = x + h \sum_{j<i} a_{ij} k_j + h\gamma\, f(X_i, d(t + c_i h)), \qquad
+    k_i = \frac{X_i - x}{h\gamma} - \sum_{j<i} \frac{a_{ij}}{\gamma} k_j, \qquad
+    x^+ = X_3
+
+with :math:`\gamma` the root of :math:`\gamma^3 - 3\gamma^2 + 3\gamma/2 - 1/6` near 0.436
+(Alexander 1977, *SIAM J. Numer. Anal.* 14, 1006). Sensitivities are those of the stages'
+own equations, :math:`(I - h\gamma f_x)\, S_i = s + h\sum a_{ij} k_j' + h\gamma (f_d d' + f_p)`,
+and hence exact for the step as it is.
+
 The full state ``z`` stacks the model's own states, states added by effects,
 actuator memory and sensor memory.
 """
@@ -28,10 +42,26 @@ from functools import cached_property
 import casadi as ca
 
 from oed_sysid.effects import Effect
+from oed_sysid.errors import ModelError
 from oed_sysid.language.expressions import names, to_casadi
 from oed_sysid.model import Model
 
 Scope = dict[str, ca.SX]
+
+# The implicit method: gamma, and the coefficients of stages and times that follow from it.
+GAMMA = 0.43586652150845899942
+STAGES = (
+    (GAMMA, 0.0, 0.0),
+    ((1.0 - GAMMA) / 2.0, GAMMA, 0.0),
+    (
+        -(6.0 * GAMMA**2 - 16.0 * GAMMA + 1.0) / 4.0,
+        (6.0 * GAMMA**2 - 20.0 * GAMMA + 5.0) / 4.0,
+        GAMMA,
+    ),
+)
+FRACTIONS = (GAMMA, (1.0 + GAMMA) / 2.0, 1.0)
+# Newton's method ends after a step below this share of a state, or gives up.
+NEWTON_STEP, NEWTON_FLOOR, NEWTON_MOST = 1e-9, 1e-15, 40
 
 
 @dataclass(frozen=True)
@@ -67,6 +97,11 @@ class Graph:
 
         Sensor memory is left to :attr:`sample`.
         """
+        if self.model.integrator != "explicit":
+            raise ModelError(
+                f"Model {self.model.name!r} has integrator {self.model.integrator!r}, and only "
+                "explicit steps are expressions. Use solver='gauss-newton', or the explicit one."
+            )
         z, start, end, p, t, h = self._step_symbols()
         x, memory, sensor = self._split(z)
         if any(self.linear_inputs):

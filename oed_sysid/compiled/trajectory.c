@@ -117,6 +117,147 @@ static void rates_stage(const double *x, const double *d, const double *p, doubl
     (void)sd; (void)jxd; (void)jxp;
 }
 
+#ifdef IMPLICIT
+
+/* Factors of I - hg A with partial pivots, in place; 0 where it is singular. */
+static int factorize(double m[MAX1(NX)][MAX1(NX)], int *pivot)
+{
+    for (int c = 0; c < NX; ++c) {
+        int best = c;
+        for (int i = c + 1; i < NX; ++i)
+            if (fabs(m[i][c]) > fabs(m[best][c])) best = i;
+        pivot[c] = best;
+        if (!(fabs(m[best][c]) > 0.0)) return 0;
+        if (best != c)
+            for (int j = 0; j < NX; ++j) {
+                const double v = m[c][j];
+                m[c][j] = m[best][j];
+                m[best][j] = v;
+            }
+        for (int i = c + 1; i < NX; ++i) {
+            m[i][c] /= m[c][c];
+            for (int j = c + 1; j < NX; ++j) m[i][j] -= m[i][c] * m[c][j];
+        }
+    }
+    return 1;
+}
+
+/* Solve with these factors, n right-hand sides in the rows of b with a stride. */
+static void solve_factors(const double m[MAX1(NX)][MAX1(NX)], const int *pivot, double *b, int n,
+                          int stride)
+{
+    for (int c = 0; c < NX; ++c)
+        if (pivot[c] != c)
+            for (int j = 0; j < n; ++j) {
+                const double v = b[(size_t)c * stride + j];
+                b[(size_t)c * stride + j] = b[(size_t)pivot[c] * stride + j];
+                b[(size_t)pivot[c] * stride + j] = v;
+            }
+    for (int i = 1; i < NX; ++i)
+        for (int l = 0; l < i; ++l)
+            for (int j = 0; j < n; ++j) b[(size_t)i * stride + j] -= m[i][l] * b[(size_t)l * stride + j];
+    for (int i = NX - 1; i >= 0; --i) {
+        for (int l = i + 1; l < NX; ++l)
+            for (int j = 0; j < n; ++j) b[(size_t)i * stride + j] -= m[i][l] * b[(size_t)l * stride + j];
+        for (int j = 0; j < n; ++j) b[(size_t)i * stride + j] /= m[i][i];
+    }
+}
+
+/* One stage: x, which comes with a first guess, solves x = base + hg f(x); sx its rows from
+ * those of base. Newton's method with the exact Jacobian; NaN where it does not arrive. */
+static void implicit_stage(double *x, const double *base, const double *d, const double *p,
+                           double t, double hg, row_t *sx, const row_t *sbase, const row_t *sd,
+                           int with_sensitivities)
+{
+    double w[MAX1(W_RATES)], k[MAX1(NX)], step[MAX1(NX)], matrix[MAX1(NX)][MAX1(NX)];
+    double jxx[MAX1(NNZ_JXX)], jxd[MAX1(NNZ_JXD)], jxp[MAX1(NNZ_JXP)];
+    casadi_int iw[MAX1(IW_RATES)];
+    int pivot[MAX1(NX)], arrived = 0;
+    for (int round = 0; round < NEWTON_MOST; ++round) {
+        const double *arg[8] = {x, d, p, &t};
+        double *res[8] = {k, jxx, jxd, jxp};
+        rates_jac(arg, res, iw, w, 0);
+        memset(matrix, 0, sizeof matrix);
+        { const double *v = jxx; FILL_JXX (void)v; }
+        for (int i = 0; i < NX; ++i) {
+            for (int j = 0; j < NX; ++j) matrix[i][j] *= -hg;
+            matrix[i][i] += 1.0;
+            step[i] = base[i] + hg * k[i] - x[i];
+        }
+        if (!factorize(matrix, pivot)) break;
+        /* The rows of an exact solution need its own Jacobian, hence one round more. */
+        if (arrived) {
+            if (!with_sensitivities) return;
+            memset(sx, 0, sizeof(row_t) * NX);
+            { const row_t *source = sd; row_t *target = sx; const double *v = jxd; UPDATE_JXD
+              (void)source; (void)target; (void)v; }
+            { row_t *target = sx; const double *v = jxp; UPDATE_JXP (void)target; (void)v; }
+            for (int i = 0; i < NX; ++i)
+                for (int j = 0; j < ACTIVE; ++j) sx[i][j] = sbase[i][j] + hg * sx[i][j];
+            solve_factors(matrix, pivot, sx[0], ACTIVE, WIDTH);
+            return;
+        }
+        solve_factors(matrix, pivot, step, 1, 1);
+        arrived = 1;
+        for (int i = 0; i < NX; ++i) {
+            const double size = fmax(fmax(fabs(x[i]), fabs(base[i])), fabs(hg * k[i]));
+            x[i] += step[i];
+            if (!(fabs(step[i]) <= NEWTON_STEP * size + NEWTON_FLOOR)) arrived = 0;
+        }
+        if (arrived && !with_sensitivities) return;
+    }
+    for (int i = 0; i < NX; ++i) x[i] = NAN;
+}
+
+/* One integration step of length h by three diagonally implicit stages; z and s are replaced. */
+static void advance_step(double *z, row_t *s, const double *start, const double *end,
+                         const double *p, double t, double h, int with_sensitivities)
+{
+    static const double weights[3][3] = STAGE_WEIGHTS, fractions[3] = STAGE_FRACTIONS;
+    double input[MAX1(NU)], d[MAX1(ND)], memory[MAX1(NA)], discard[MAX1(NA)];
+    double x[MAX1(NX)], base[MAX1(NX)], k[2][MAX1(NX)];
+    SCRATCH row_t sd[MAX1(ND)], sa[MAX1(NA)], sdiscard[MAX1(NA)], sbase[MAX1(NX)], sx[MAX1(NX)],
+        sk[2][MAX1(NX)];
+    const double hg = h * fractions[0];
+    inputs_between(start, end, 0.5, input);
+    actuate_stage(z + NX, input, p, t, h, d, memory, (const row_t *)s, sd, sa, with_sensitivities);
+    memcpy(x, z, sizeof(double) * NX);
+    for (int stage = 0; stage < 3; ++stage) {
+        if (ANY_LINEAR_INPUT) {
+            inputs_between(start, end, fractions[stage], input);
+            actuate_stage(z + NX, input, p, t, h, d, discard, (const row_t *)s, sd, sdiscard,
+                          with_sensitivities);
+        }
+        for (int i = 0; i < NX; ++i) {
+            base[i] = z[i];
+            for (int l = 0; l < stage; ++l) base[i] += h * weights[stage][l] * k[l][i];
+        }
+        if (with_sensitivities)
+            for (int i = 0; i < NX; ++i) {
+                for (int j = 0; j < ACTIVE; ++j) sbase[i][j] = s[i][j];
+                for (int l = 0; l < stage; ++l)
+                    for (int j = 0; j < ACTIVE; ++j)
+                        sbase[i][j] += h * weights[stage][l] * sk[l][i][j];
+            }
+        implicit_stage(x, base, d, p, t + fractions[stage] * h, hg, sx, (const row_t *)sbase,
+                       (const row_t *)sd, with_sensitivities);
+        if (stage == 2) break;
+        for (int i = 0; i < NX; ++i) k[stage][i] = (x[i] - base[i]) / hg;
+        if (with_sensitivities)
+            for (int i = 0; i < NX; ++i)
+                for (int j = 0; j < ACTIVE; ++j) sk[stage][i][j] = (sx[i][j] - sbase[i][j]) / hg;
+    }
+    memcpy(z, x, sizeof(double) * NX);
+    for (int i = 0; i < NA; ++i) z[NX + i] = memory[i];
+    if (with_sensitivities) {
+        for (int i = 0; i < NX; ++i)
+            for (int j = 0; j < ACTIVE; ++j) s[i][j] = sx[i][j];
+        memcpy(s + NX, sa, sizeof(row_t) * NA);
+    }
+}
+
+#else
+
 /* One integration step of length h; z and s are replaced. */
 static ONCE void advance_step(double *z, row_t *s, const double *start, const double *end,
                          const double *p, double t, double h, int with_sensitivities)
@@ -169,6 +310,8 @@ static ONCE void advance_step(double *z, row_t *s, const double *start, const do
         memcpy(s + NX, sa, sizeof(row_t) * NA);
     }
 }
+
+#endif
 
 /* One measurement; sensor memory in z and s is replaced. */
 static ONCE void sample_step(double *z, row_t *s, const double *input, const double *p, double t,

@@ -3,8 +3,8 @@
 All criteria see the information on the parameters in units of their values
 (or scales), start states eliminated, so that a relative error counts the same
 for every coefficient. A criterion of one's own is a frozen dataclass with
-``name`` and ``bind``; :func:`oed_sysid.testing.check_criterion`-like tests in
-``tests/test_design.py`` compare its gradient with differences.
+``name`` and ``bind``; :func:`oed_sysid.testing.check_criterion` checks what the search
+relies on.
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ def _deviations(model: Model, prior: Information | None) -> np.ndarray:
     names = model.free_names
     root = np.zeros((len(names), len(names)))
     for i, parameter in enumerate(model.free_parameters):
-        root[i, i] = parameter.prior_std or 0.0
+        root[i, i] = parameter.prior_spread or 0.0
     if prior is not None:
         covariance = prior.covariance
         if not np.all(np.isfinite(covariance)):

@@ -96,7 +96,7 @@ class Scene:
         )
         # Of nuisance unknowns only; priors on parameters are added to the information later.
         known = [weights[i] for i in states]
-        known += [1.0 / (free[i - n_own].prior_std or np.inf) for i in local]
+        known += [1.0 / (free[i - n_own].prior_spread or np.inf) for i in local]
         self.nuisance_prior = (np.array(known) * self.scales[: self.n_nuisance]) ** 2
 
     def view(self, commands: np.ndarray) -> View | None:

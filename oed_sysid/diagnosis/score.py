@@ -172,7 +172,9 @@ def _rows(fit: FilteredSolution, smooth: Sequence[str], local: set[str]) -> _Row
         begin = block.stop
         assert part.rows is not None
         rows = part.rows[s]
-        known[block, layout.record_columns(index)] = -rows[:, :width]
+        columns = layout.record_columns(index)
+        known[block, columns] = -rows[:, :width]
+        known[block, columns[layout.n_own :]] *= layout.slopes(unknowns[columns[layout.n_own :]])
         residual[block] = part.innovations[s] / root
         for position, name in enumerate(smooth):
             extra[name][block, index if name in local else 0] = -rows[:, width + position]

@@ -248,7 +248,8 @@ class JointFilter:
         """Start values of the parameters and their covariance."""
         free = self.model.free_parameters
         stds = [
-            self.settings.parameter_std.get(p.name, p.prior_std or 0.5 * p.magnitude) for p in free
+            self.settings.parameter_std.get(p.name, p.prior_spread or 0.5 * p.magnitude)
+            for p in free
         ]
         values = [p.value if p.prior_mean is None else p.prior_mean for p in free]
         return np.array(values, dtype=float), np.diag(np.square(stds))

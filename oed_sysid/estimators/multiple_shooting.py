@@ -51,6 +51,7 @@ from oed_sysid.fitting.spikes import spike_masks, without_spikes
 from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.fitting.step_error import with_step_advice
 from oed_sysid.fitting.summary import summarise, summarise_filtered
+from oed_sysid.fitting.unknowns import KnownStarts, StartState
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import chosen_places
 from oed_sysid.noise.disturbances import places as every_place
@@ -175,6 +176,7 @@ class MultipleShooting:
         *,
         warm: Fit | None = None,
         initial_states: Sequence[Mapping[str, float]] | None = None,
+        start_states: StartState | Sequence[StartState] | None = None,
     ) -> Fit:
         """Estimate the free parameters and initial states.
 
@@ -191,6 +193,10 @@ class MultipleShooting:
         initial_states : sequence of mapping, optional
             Start guesses of states, one mapping per record; by default from
             the measurements.
+        start_states : mapping or sequence of mapping, optional
+            What is known of the start states, one mapping for all records or one
+            for each: a number is held exactly, a pair ``(value, std)`` is a value
+            with its standard error, and a state that is not named is free.
 
         Returns
         -------
@@ -203,7 +209,8 @@ class MultipleShooting:
             If data and model do not belong together.
         """
         with one_thread():
-            return self._fit(model, dataset, warm, initial_states)
+            known = KnownStarts.of(model, dataset, start_states)
+            return self._fit(model, dataset, warm, initial_states, known)
 
     def _fit(
         self,
@@ -211,6 +218,7 @@ class MultipleShooting:
         dataset: Dataset,
         warm: Fit | None,
         initial_states: Sequence[Mapping[str, float]] | None,
+        known_starts: KnownStarts | None,
     ) -> Fit:
         began = time.perf_counter()
         check_channels(model, dataset)
@@ -226,6 +234,7 @@ class MultipleShooting:
             interval=self.interval,
             loss=loss_by_name(self.loss),
             initial_states=initial_states,
+            known_starts=known_starts,
         )
         check_enough_samples(shooting)
         if self.solver == "ipopt":
@@ -247,7 +256,7 @@ class MultipleShooting:
             fit, excluded = self._without_spikes(fit, model)
         wanted = self.disturbances != "none" or random_effects(model.effects)
         if wanted and not self._white_only and fit.status.code != "interrupted":
-            fit = self._disturbed(fit, model, fit.dataset, estimated, began)
+            fit = self._disturbed(fit, model, fit.dataset, estimated, began, known_starts)
         told: dict[str, object] = {"excluded": excluded} if excluded else {}
         told["magnitudes"] = {p.name: p.magnitude for p in model.free_parameters}
         return with_verdict(replace(fit, extras={**fit.extras, **told}))
@@ -278,7 +287,13 @@ class MultipleShooting:
         return replace(again, iterations=fit.iterations + again.iterations), counts
 
     def _disturbed(
-        self, fit: Fit, model: Model, dataset: Dataset, estimated: np.ndarray, began: float
+        self,
+        fit: Fit,
+        model: Model,
+        dataset: Dataset,
+        estimated: np.ndarray,
+        began: float,
+        known_starts: KnownStarts | None,
     ) -> Fit:
         """Go on from a white fit with random forces and coloured sensors, where they act."""
         declared = [e.noise for e in random_effects(model.effects) if e.noise is not None]
@@ -305,11 +320,12 @@ class MultipleShooting:
             estimated,
             inputs=() if chosen else inputs,
             known=[process.place for process in declared if process.known],
+            known_starts=known_starts,
         )
         kernel = filter_kernel(disturbed_model(model, setting.disturbances))
         starts = [Start(fit.model.values, fit.initial_states, fit.local_values)]
         if not np.isfinite(fit.cost):
-            begin = Shooting(model, dataset, white)
+            begin = Shooting(model, dataset, white, known_starts=known_starts)
             unknowns = begin.start_unknowns()
             own = [begin.initial_state(unknowns, i) for i in range(len(begin.records))]
             starts = [Start(model.values, own, [{}] * len(own))]

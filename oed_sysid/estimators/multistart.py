@@ -17,6 +17,7 @@ from oed_sysid.estimators.base import Estimator
 from oed_sysid.estimators.multiple_shooting import MultipleShooting
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
+from oed_sysid.parameters import Parameter
 
 # Twice the log-likelihood may differ by this much among starts that found the same optimum.
 SAME_OPTIMUM = 0.02
@@ -79,16 +80,25 @@ class Multistart:
             raise ModelError(f"Model {model.name!r} has no free parameter to start elsewhere.")
         shares = LatinHypercube(len(free), rng=np.random.default_rng(self.seed))
         rows = shares.random(self.n_starts - 1)
-        lower = [
-            p.lower if np.isfinite(p.lower) else p.value - self.span * p.magnitude for p in free
-        ]
-        upper = [
-            p.upper if np.isfinite(p.upper) else p.value + self.span * p.magnitude for p in free
-        ]
-        spread = np.array(lower) + rows * (np.array(upper) - np.array(lower))
+        lower, upper = np.array([self._region(p) for p in free]).T
+        spread = lower + rows * (upper - lower)
+        logged = np.array([p.log for p in free])
+        spread[:, logged] = np.exp(spread[:, logged])
         names = model.free_names
         drawn = [dict(zip(names, map(float, row), strict=True)) for row in spread]
         return [{name: own[name] for name in names}, *drawn]
+
+    def _region(self, parameter: Parameter) -> tuple[float, float]:
+        """Least and greatest start value; their logarithms where that is what is estimated."""
+        low, high, value = parameter.lower, parameter.upper, parameter.value
+        reach = self.span * parameter.magnitude
+        if parameter.log:
+            low, high = (np.log(end) if end > 0 else -np.inf for end in (low, high))
+            value, reach = np.log(value), self.span
+        return (
+            low if np.isfinite(low) else value - reach,
+            high if np.isfinite(high) else value + reach,
+        )
 
     def fit(self, model: Model, dataset: Dataset) -> Fit:
         """Estimate from every start; return the most likely result.
@@ -96,9 +106,10 @@ class Multistart:
         Returns
         -------
         Fit
-            ``extras`` holds, per start, ``"start_values"``, ``"log_likelihoods"``
-            and whether it ``"converged"``; ``"arrived"`` counts the starts that
-            found the optimum that is returned.
+            ``extras`` holds, per start, ``"start_values"``, ``"log_likelihoods"``,
+            ``"objectives"`` (minus twice the same, with priors; see
+            :func:`oed_sysid.report.plot_waterfall`) and whether it ``"converged"``;
+            ``"arrived"`` counts the starts that found the optimum that is returned.
         """
         began = time.perf_counter()
         starts = self.starts(model)
@@ -119,6 +130,7 @@ class Multistart:
             **fits[best].extras,
             "start_values": tuple(starts),
             "log_likelihoods": likelihoods,
+            "objectives": -2.0 * goals,
             "converged": ok,
             "arrived": int(arrived.sum()),
         }
@@ -143,5 +155,13 @@ def _goal(fit: Fit) -> float:
     for name, value in fit.values.items():
         parameter = fit.model.parameter(name)
         if parameter.prior_std is not None and parameter.prior_mean is not None:
-            total -= 0.5 * ((value - parameter.prior_mean) / parameter.prior_std) ** 2
+            away = value - parameter.prior_mean
+            if parameter.log:
+                away = np.log(value / parameter.prior_mean)
+            total -= 0.5 * (away / parameter.prior_std) ** 2
+    for known, own in zip(fit.start_states, fit.initial_states, strict=False):
+        for name, (mean, std) in known.items():
+            if std > 0:
+                found = own[fit.model.state_names.index(name)]
+                total -= 0.5 * ((found - mean) / std) ** 2
     return total if np.isfinite(total) else -np.inf

@@ -85,7 +85,11 @@ class NonlinearProgram:
         for index in range(layout.n_records):
             columns = layout.record_columns(index)
             own = unknowns[columns[: layout.n_own].tolist()]
-            values = self._values(shooting, unknowns[columns[layout.n_own :].tolist()])
+            free = unknowns[columns[layout.n_own :].tolist()]
+            if layout.logged is not None:
+                logged = np.flatnonzero(layout.logged).tolist()
+                free[logged] = ca.exp(free[logged])
+            values = self._values(shooting, free)
             n_nodes = shooting.interval_counts[index] - 1
             n_entries = n_nodes * self._graph.n_full
             nodes = ca.reshape(

@@ -20,6 +20,7 @@ from oed_sysid.fitting.covariance import ReducedProblem
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import Solution, solve
 from oed_sysid.fitting.shooting import Point, Shooting
+from oed_sysid.fitting.unknowns import KnownStarts
 
 # Doublings of the step before a side is declared open, and refinements of an end.
 MAXIMUM_DOUBLINGS = 12
@@ -127,21 +128,28 @@ def profile(
     if not 0.0 < level < 1.0:
         raise ModelError(f"level is {level}. Give a share between 0 and 1, for instance 0.95.")
     shooting = Shooting(
-        fit.model, fit.dataset, fit.sigma, interval=interval, loss=loss_by_name(loss)
+        fit.model,
+        fit.dataset,
+        fit.sigma,
+        interval=interval,
+        loss=loss_by_name(loss),
+        known_starts=KnownStarts.of(fit.model, fit.dataset, fit.start_states or None),
     )
     walker = _Walker(shooting, fit, name)
     threshold = 2.0 * float(gammaincinv(0.5, level)) * walker.inflation
     lower, lower_end = walker.find_end(-1.0, threshold)
     upper, upper_end = walker.find_end(1.0, threshold)
     curve = np.array(sorted(walker.curve))
+    natural = np.exp if fit.model.parameter(name).log else np.asarray
+    lower, upper = float(natural(lower)), float(natural(upper))
     return Profile(
         name=name,
         unit=fit.model.parameter(name).unit,
-        estimate=walker.estimate,
+        estimate=float(natural(walker.estimate)),
         level=level,
         lower=lower,
         upper=upper,
-        values=curve[:, 0],
+        values=natural(curve[:, 0]),
         rises=curve[:, 1],
         threshold=threshold,
         lower_end=lower_end,
@@ -160,13 +168,15 @@ class _Walker:
             raise ModelError("The fit's own trajectory diverges; there is nothing to profile.")
         self.best = found
         self.estimate = float(found.point.unknowns[self.position])
-        white = ReducedProblem(shooting, found.linearisation).information.covariance
+        unknowns = found.point.unknowns
+        white = ReducedProblem(shooting, found.linearisation, unknowns).information.covariance
         variance = white[self.position, self.position]
         reported = fit.covariance[fit.names.index(name), fit.names.index(name)]
         usable = np.isfinite(variance) and np.isfinite(reported) and variance > 0
         self.inflation = float(reported / variance) if usable else 1.0
         scale = float(shooting.limits.scale[self.position])
-        self.step = float(np.sqrt(reported)) if usable else 0.1 * scale
+        slope = float(shooting.layout.shared_values(unknowns)[1][self.position])
+        self.step = float(np.sqrt(reported)) / slope if usable else 0.1 * scale
         self.curve: list[tuple[float, float]] = [(self.estimate, 0.0)]
 
     def find_end(self, direction: float, threshold: float) -> tuple[float, str]:

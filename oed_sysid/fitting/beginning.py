@@ -28,7 +28,8 @@ def check_enough_samples(shooting: Shooting) -> None:
     layout = shooting.layout
     n_samples = sum(int(np.isfinite(record.outputs).sum()) for record in shooting.records)
     n_priors = int(np.count_nonzero(shooting.limits.prior_weight))
-    if n_samples + n_priors < layout.n_unknowns:
+    n_states = layout.n_records * layout.n_own
+    if n_samples + n_priors < layout.n_unknowns - min(int(shooting.limits.held.sum()), n_states):
         raise DataError(
             f"{n_samples} measured samples and {n_priors} priors cannot determine "
             f"{layout.n_unknowns} unknowns ({len(layout.shared)} parameters and, for each of "
@@ -96,7 +97,8 @@ def warm_unknowns(shooting: Shooting, warm: Fit) -> np.ndarray:
         for position in layout.local:
             value = warm.local_values[earlier].get(layout.free_names[position], np.nan)
             if np.isfinite(value):
-                unknowns[columns[layout.n_own + position]] = value
+                place = columns[layout.n_own + position]
+                unknowns[place] = layout.inward(np.full(len(layout.free_names), value))[position]
     return np.clip(unknowns, shooting.limits.lower, shooting.limits.upper)
 
 

@@ -35,6 +35,8 @@ class ReducedProblem:
         The problem.
     lin : Linearisation
         At the optimum.
+    unknowns : ndarray (n_unknowns,)
+        The optimum.
 
     Attributes
     ----------
@@ -48,33 +50,39 @@ class ReducedProblem:
         Slope of the scores: 1 for least squares, less for robust losses.
     """
 
-    def __init__(self, shooting: Shooting, lin: Linearisation) -> None:
+    def __init__(self, shooting: Shooting, lin: Linearisation, unknowns: np.ndarray) -> None:
         self.shooting = shooting
         layout = shooting.layout
         n_shared = len(layout.shared)
         residuals = [residual / shooting.sigma for residual in lin.residuals]
         self.scores, self.gain = _scores(residuals, shooting.loss)
         keep = layout.n_own + layout.shared
-        drop = np.concatenate([np.arange(layout.n_own), layout.n_own + layout.local])
+        others = np.concatenate([np.arange(layout.n_own), layout.n_own + layout.local])
+        # Derivatives by values, of parameters whose logarithm is unknown too.
+        self._slopes = layout.shared_values(unknowns)[1]
         self.rows, self.prior_rows = [], []
         for index, residual in enumerate(residuals):
             present = np.isfinite(residual)
             weight = present * np.sqrt(self.gain) / shooting.sigma
             jacobian = lin.jacobians[index] * weight[:, :, None]
             flat = jacobian.reshape(-1, jacobian.shape[2])
-            prior = np.sqrt(shooting.limits.prior_weight[layout.record_columns(index)[drop]])
+            columns = layout.record_columns(index)
+            # What is held explains nothing away.
+            drop = others[~shooting.limits.held[columns[others]]]
+            prior = np.sqrt(shooting.limits.prior_weight[columns[drop]])
             inner = np.vstack([flat[:, drop], np.diag(prior)])
-            outer = np.vstack([flat[:, keep], np.zeros((len(drop), n_shared))])
+            outer = np.vstack([flat[:, keep] / self._slopes, np.zeros((len(drop), n_shared))])
             reduced = _project_out(inner, outer)
             self.rows.append(reduced[: len(flat)].reshape(*residual.shape, n_shared))
             self.prior_rows.append(reduced[len(flat) :])
-        self.prior_rows.append(np.diag(np.sqrt(shooting.limits.prior_weight[:n_shared])))
+        own = np.sqrt(shooting.limits.prior_weight[:n_shared])
+        self.prior_rows.append(np.diag(own / self._slopes))
 
     @property
     def information(self) -> Information:
         """Information of the shared parameters, as if residuals were white."""
         n_shared = len(self.shooting.layout.shared)
-        scales = self.shooting.limits.scale[:n_shared]
+        scales = self.shooting.limits.scale[:n_shared] * self._slopes
         stacked = [rows.reshape(rows.shape[0] * rows.shape[1], n_shared) for rows in self.rows]
         jacobian = np.vstack([*stacked, *self.prior_rows])
         return Information.from_jacobian(self.shooting.layout.shared_names, jacobian, scales)

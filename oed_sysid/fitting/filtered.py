@@ -26,7 +26,7 @@ from oed_sysid.compiled.filtering import FilterKernel, FilterPass, filter_kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.shooting import Point
-from oed_sysid.fitting.unknowns import Layout, Limits
+from oed_sysid.fitting.unknowns import KnownStarts, Layout, Limits
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import Place, disturbance
 from oed_sysid.noise.levels import Levels
@@ -62,10 +62,8 @@ class Filtered:
         What of the noise is unknown, and all of its values.
     kernel : FilterKernel, optional
         Of a larger model that holds this one; by default of the model with its disturbances.
-    start_std : ndarray (n_records, n_own), optional
-        How well the start states given are known; infinite where not at all, zero where exactly.
-    start_mean : ndarray (n_records, n_own), optional
-        What is known of them.
+    known_starts : KnownStarts, optional
+        Start states that are held or known with a stated error; by default all are free.
     knowledge : Knowledge, optional
         Joint normal prior of the shared parameters, as another fit left it.
     """
@@ -77,8 +75,7 @@ class Filtered:
         levels: Levels,
         *,
         kernel: FilterKernel | None = None,
-        start_mean: np.ndarray | None = None,
-        start_std: np.ndarray | None = None,
+        known_starts: KnownStarts | None = None,
         knowledge: Knowledge | None = None,
     ) -> None:
         self.model, self.dataset, self.levels = model, dataset, levels
@@ -86,7 +83,8 @@ class Filtered:
         self.records: tuple[Record, ...] = tuple(dataset)
         self.kernel = kernel or filter_kernel(disturbed_model(model, levels.disturbances))
         self.layout = Layout.of(model, len(self.records), len(levels))
-        self.limits = _limits(model, self.layout, levels, start_mean, start_std)
+        self.known_starts = known_starts
+        self.limits = _limits(model, self.layout, levels, known_starts)
         if knowledge is not None:  # what other records say already holds these priors
             self.limits.prior_weight[: len(self.layout.shared)] = 0.0
         wide = self.kernel.model
@@ -103,7 +101,7 @@ class Filtered:
     def values(self, unknowns: np.ndarray, record: int) -> np.ndarray:
         """Values of all parameters of the kernel's model for one record."""
         values = self._base.copy()
-        values[self._free] = unknowns[self._columns[record][self.layout.n_own :]]
+        values[self._free] = self.layout.parameters(unknowns, record)
         return values
 
     def initial_state(self, unknowns: np.ndarray, record: int) -> np.ndarray:
@@ -135,7 +133,8 @@ class Filtered:
         values = self.model.values
         for index, columns in enumerate(self._columns):
             own = values | dict(local[index] if local else {})
-            unknowns[columns] = [*initial[index], *(own[n] for n in self.layout.free_names)]
+            free = np.array([own[name] for name in self.layout.free_names])
+            unknowns[columns] = [*initial[index], *self.layout.inward(free)]
         unknowns[self.layout.levels] = self.levels.vector(noise)
         return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), ())
 
@@ -242,7 +241,8 @@ class Filtered:
         tail = np.arange(levels.start, levels.stop)
         for columns, part in zip(self._columns, found, strict=True):
             where = np.concatenate([columns, tail])
-            size = np.concatenate([np.ones(len(columns)), scale])
+            slopes = self.layout.slopes(unknowns[columns[self.layout.n_own :]])
+            size = np.concatenate([np.ones(self.layout.n_own), slopes, scale])
             matrix[np.ix_(where, where)] += part.gram[:-1, :-1] * size[:, None] * size
             right[where] -= part.gram[:-1, -1] * size
             matrix[levels, levels] += part.level_information * scale[:, None] * scale
@@ -363,20 +363,11 @@ def _limits(
     model: Model,
     layout: Layout,
     levels: Levels,
-    start_mean: np.ndarray | None,
-    start_std: np.ndarray | None,
+    starts: KnownStarts | None,
 ) -> Limits:
-    limits = Limits.of(model, layout)
+    limits = Limits.of(model, layout, starts)
     for name in ("lower", "upper", "prior_mean", "prior_weight"):
         getattr(limits, name)[layout.levels] = getattr(levels, name)
-    if start_mean is not None and start_std is not None:
-        for index in range(layout.n_records):
-            columns = layout.record_columns(index)[: layout.n_own]
-            mean, std = start_mean[index], start_std[index]
-            exact, known = std == 0.0, np.isfinite(std) & (std > 0)
-            limits.lower[columns[exact]] = limits.upper[columns[exact]] = mean[exact]
-            limits.prior_mean[columns[known]] = mean[known]
-            limits.prior_weight[columns[known]] = std[known] ** -2.0
     return limits
 
 

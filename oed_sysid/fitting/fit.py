@@ -103,6 +103,9 @@ class Fit:
     innovations, innovation_std : tuple of ndarray (n_times, n_outputs), or None
         One-step prediction errors of the filter and their standard deviations, per
         record, where the noise is not white; else None and ``residuals`` say the same.
+    start_states : tuple of mapping
+        Start states that were not free, per record: value and standard error, zero
+        where the state was held. Empty where all were free.
     """
 
     model: Model
@@ -129,6 +132,7 @@ class Fit:
     noise_std: Mapping[str, float] = field(default_factory=dict)
     innovations: tuple[np.ndarray, ...] | None = None
     innovation_std: tuple[np.ndarray, ...] | None = None
+    start_states: tuple[Mapping[str, tuple[float, float]], ...] = ()
 
     def __post_init__(self) -> None:
         if self.noise is None:
@@ -192,6 +196,7 @@ class Fit:
         """Number of estimated values: parameters, initial states, noise levels."""
         local = sum(len(values) for values in self.local_values)
         states = sum(len(own) for own in self.initial_states)
+        states -= sum(std == 0.0 for known in self.start_states for _, std in known.values())
         levels = int(np.sum(self.sigma_estimated)) if self.innovations is None else 0
         return len(self.names) + states + local + levels + len(self.noise_std)
 
@@ -226,8 +231,14 @@ class Fit:
         return judge(self)
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval of one parameter from its standard error."""
+        """Confidence interval of one parameter from its standard error.
+
+        Normal; log-normal where the parameter was estimated as its logarithm.
+        """
         half = ndtri(0.5 + level / 2) * self.std_errors[name]
+        if self.model.parameter(name).log:
+            factor = np.exp(half / self.values[name])
+            return float(self.values[name] / factor), float(self.values[name] * factor)
         return float(self.values[name] - half), float(self.values[name] + half)
 
     def whiteness(self) -> dict[str, tuple[Whiteness, ...]]:
@@ -261,7 +272,7 @@ class Fit:
         initial : str or mapping
             ``"fit"`` estimates the initial states on each record with all
             shared parameters held, ``"first"`` takes the first measurements,
-            a mapping gives the states.
+            a mapping gives the states, as numbers or as pairs ``(value, std)``.
         """
         shared = [p.name for p in self.model.free_parameters if not p.per_record]
         covariance = np.zeros((len(shared), len(shared)))
@@ -300,6 +311,7 @@ class Fit:
             "",
             *self._parameter_table(),
             *self._local_lines(),
+            *self._start_lines(),
             "",
             *self._output_table(),
             *self._noise_lines(),
@@ -341,6 +353,18 @@ class Fit:
             lines.append(
                 f"  {name} per record: {listed} {self.model.parameter(name).unit}".rstrip()
             )
+        return lines
+
+    def _start_lines(self) -> list[str]:
+        """Start states that were not free, one line per record."""
+        lines = []
+        for record, known in zip(self.dataset.names, self.start_states, strict=False):
+            words = [
+                f"{name} {value:.4g} held" if std == 0.0 else f"{name} {value:.4g} +/- {std:.2g}"
+                for name, (value, std) in known.items()
+            ]
+            if words:
+                lines.append(f"  start of {record} given: {', '.join(words)} (one std. error)")
         return lines
 
     def _output_table(self) -> list[str]:

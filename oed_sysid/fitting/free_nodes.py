@@ -145,11 +145,13 @@ class _FreeNodes:
         for index, (gram, away) in enumerate(zip(now.grams, now.away, strict=True)):
             columns = layout.record_columns(index)[layout.n_own :]
             found = eliminate(self.shooting.kernel, gram, away, self.node_weights[index], damping)
-            eliminated.append((columns, found))
-            matrix[np.ix_(columns, columns)] += found.matrix
-            right[columns] += found.right
+            slopes = layout.slopes(unknowns[columns])
+            eliminated.append((columns, slopes, found))
+            matrix[np.ix_(columns, columns)] += found.matrix * slopes[:, None] * slopes
+            right[columns] += found.right * slopes
             gain += 0.5 * found.gain
         lower, upper = limits.lower - unknowns, limits.upper - unknowns
         step = bounded_step(matrix, right, lower, upper, damping)
         gain += float(right @ step - 0.5 * step @ matrix @ step)
-        return step, [found.moves(step[columns]) for columns, found in eliminated], gain
+        moves = [found.moves(slopes * step[columns]) for columns, slopes, found in eliminated]
+        return step, moves, gain

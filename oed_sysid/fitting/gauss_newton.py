@@ -143,10 +143,7 @@ class FilteredSolution:
     def values(self) -> dict[str, float]:
         """Value of every parameter of the model; those of each record at their mean."""
         layout, model = self.problem.layout, self.problem.model
-        free = [
-            self.point.unknowns[layout.record_columns(i)[layout.n_own :]]
-            for i in range(layout.n_records)
-        ]
+        free = [layout.parameters(self.point.unknowns, i) for i in range(layout.n_records)]
         means = np.mean(free, axis=0)
         return model.values | dict(zip(layout.free_names, map(float, means), strict=True))
 
@@ -162,7 +159,7 @@ class FilteredSolution:
         layout = self.problem.layout
         found = []
         for index in range(layout.n_records):
-            own = self.point.unknowns[layout.record_columns(index)[layout.n_own :]]
+            own = layout.parameters(self.point.unknowns, index)
             found.append({layout.free_names[i]: float(own[i]) for i in layout.local})
         return found
 

@@ -117,7 +117,9 @@ class Gathered:
                 starts=shooting.starts[index],
                 linked=True,
             )
-            part = None if blocks is None else _condensed(blocks, nodes, dz0, shooting.layout.n_own)
+            slopes = shooting.slopes(point.unknowns, index)
+            n_own = shooting.layout.n_own
+            part = None if blocks is None else _condensed(blocks, nodes, dz0, n_own, slopes)
             if blocks is None or part is None:
                 return None
             found, map_, defects = part
@@ -146,7 +148,7 @@ class Gathered:
 
 
 def _condensed(
-    blocks: Blocks, nodes: np.ndarray, dz0: np.ndarray, n_own: int
+    blocks: Blocks, nodes: np.ndarray, dz0: np.ndarray, n_own: int, slopes: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Products ``[J t]' [J t]`` of a record's condensed rows and closed residuals.
 
@@ -156,7 +158,7 @@ def _condensed(
     assert blocks.end_sensitivities is not None
     defects = blocks.ends[:-1] - nodes[1:]
     with np.errstate(over="ignore", invalid="ignore"):
-        maps = node_maps(blocks.end_sensitivities, defects, dz0, n_own)
+        maps = node_maps(blocks.end_sensitivities, defects, dz0, n_own, slopes)
         # Residuals once the defects are closed are one more combination of [J r].
         wide = np.zeros((len(nodes), blocks.gram.shape[1], maps.shape[2]))
         wide[:, :-1] = maps

@@ -21,6 +21,7 @@ from oed_sysid.errors import DataError
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.gauss_newton import solve, solve_filtered
 from oed_sysid.fitting.shooting import Shooting
+from oed_sysid.fitting.unknowns import KnownStarts, Layout, StartState
 from oed_sysid.model import Model
 from oed_sysid.noise.levels import Levels
 from oed_sysid.noise.model import NoiseModel
@@ -31,7 +32,7 @@ WAYS = {
     "given": "given",
 }
 
-Initial = str | Mapping[str, float]
+Initial = str | StartState
 # Relative standard error of a parameter from which bands are drawn, share of the band that it
 # must matter, and the number of draws.
 DRAWN, MATTERS, N_DRAWS = 0.15, 0.3, 200
@@ -141,7 +142,8 @@ def predict(
     initial : str or mapping
         ``"fit"`` estimates the initial states (and per-record parameters) on
         each record with all shared parameters held, ``"first"`` takes the first
-        measurements, a mapping gives the model's own states.
+        measurements, a mapping gives the model's own states: a number is exact, a
+        pair ``(value, std)`` has a standard error, which the bands then carry.
 
     Returns
     -------
@@ -178,8 +180,8 @@ def _predict(
     initial: Initial,
     way: str,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, float], dict[str, float]]:
-    guess = [dict(initial)] if isinstance(initial, Mapping) else None
-    shooting = Shooting(model, Dataset((record,)), sigma, initial_states=guess)
+    known = _given(model, record, initial)
+    shooting = Shooting(model, Dataset((record,)), sigma, known_starts=known)
     layout = shooting.layout
     n_shared, n_own = len(layout.shared), layout.n_own
     shared = np.arange(n_shared)
@@ -193,11 +195,14 @@ def _predict(
     elif way == "first":
         stds = shooting.guess_std[0, :n_own]
         own_variance = np.where(np.isfinite(stds), stds, 0.0) ** 2
+    elif known is not None:
+        own_variance = known.std[0] ** 2
     smooth = shooting.continuous(point.unknowns)
     lin = shooting.linearise(smooth)
     states = dict(zip(model.state_names, map(float, point.unknowns[n_shared:]), strict=False))
-    own = point.unknowns[layout.record_columns(0)[n_own:]]
+    own = layout.parameters(point.unknowns, 0)
     values = {layout.free_names[i]: float(own[i]) for i in layout.local}
+    covariance = _of_unknowns(covariance, layout, point.unknowns)
     if lin is None:
         empty = np.full(record.outputs.shape, np.nan)
         return empty, empty, states, values
@@ -252,8 +257,8 @@ def _predict_disturbed(
     way: str,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, float], dict[str, float]]:
     """One record under random forces or coloured sensors."""
-    guess = [dict(initial)] if isinstance(initial, Mapping) else None
-    start = Shooting(model, Dataset((record,)), noise.sensors, initial_states=guess)
+    known = _given(model, record, initial)
+    start = Shooting(model, Dataset((record,)), noise.sensors, known_starts=known)
     begin = start.start_unknowns()
     disturbances = tuple(f"disturbance_{place.replace(' ', '_', 1)}" for place in noise.places)
     nothing = np.zeros(0, dtype=bool)
@@ -286,13 +291,16 @@ def _predict_disturbed(
         stds = start.guess_std[0, :n_own]
         own_variance = np.where(np.isfinite(stds), stds, 0.0) ** 2
         other_covariance = np.diag([*own_variance, *np.zeros(len(layout.local))])
+    elif known is not None:
+        other_covariance = np.diag([*known.std[0] ** 2, *np.zeros(len(layout.local))])
     unknowns = point.unknowns
+    covariance = _of_unknowns(covariance, layout, unknowns)
     blind = np.full(record.outputs.shape, np.nan)
     (part,) = problem.passes(unknowns, rows=True, measured=[blind])
     states = dict(
         zip(model.state_names, map(float, problem.initial_state(unknowns, 0)), strict=True)
     )
-    own = unknowns[columns[n_own:]]
+    own = layout.parameters(unknowns, 0)
     values = {layout.free_names[i]: float(own[i]) for i in layout.local}
 
     def simulated(vector: np.ndarray) -> np.ndarray:
@@ -304,6 +312,10 @@ def _predict_disturbed(
     if not part.ok or part.rows is None:
         return np.full(record.outputs.shape, np.nan), blind, states, values
     jacobian = -part.rows * np.sqrt(part.variances)[:, :, None]
+    if layout.logged is not None:
+        jacobian[:, :, n_own : n_own + len(layout.free_names)] *= layout.slopes(
+            unknowns[columns[n_own:]]
+        )
     by_shared = jacobian[:, :, n_own + layout.shared]
     by_other = jacobian[:, :, np.concatenate([np.arange(n_own), n_own + layout.local])]
     by_shared = by_shared - by_other @ gain
@@ -327,10 +339,26 @@ def _predict_disturbed(
     return outputs, np.sqrt(variance + random), states, values
 
 
+def _given(model: Model, record: Record, initial: Initial) -> KnownStarts | None:
+    """What is stated of the start states."""
+    if isinstance(initial, str):
+        return None
+    return KnownStarts.of(model, Dataset((record,)), initial)
+
+
+def _of_unknowns(covariance: np.ndarray, layout: Layout, unknowns: np.ndarray) -> np.ndarray:
+    """Covariance of the shared unknowns from that of the values of shared parameters."""
+    if layout.logged is None:
+        return covariance
+    slopes = layout.shared_values(unknowns)[1]
+    return covariance / slopes[:, None] / slopes
+
+
 def _poorly_known(model: Model, names: Sequence[str], covariance: np.ndarray) -> bool:
-    """Whether some parameter's error is too large for a first-order band."""
+    """Whether some unknown's error is too large for a first-order band."""
     errors = np.sqrt(np.diag(covariance))
-    sizes = np.array([abs(model.parameter(name).value) for name in names])
+    parameters = [model.parameter(name) for name in names]
+    sizes = np.array([1.0 if p.log else abs(p.value) for p in parameters])
     return bool(np.any(np.isfinite(errors) & (errors > DRAWN * sizes)))
 
 

@@ -34,6 +34,7 @@ from oed_sysid.fitting.gauss_newton import (
 )
 from oed_sysid.fitting.noise_levels import credible_levels
 from oed_sysid.fitting.shooting import Point
+from oed_sysid.fitting.unknowns import KnownStarts
 from oed_sysid.information import autocorrelation
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import DISTURBANCE, Place, disturbance
@@ -79,6 +80,8 @@ class Setting:
         Logged inputs, which may be noisy: white from sample to sample, let in where it pays.
     known : tuple of str
         Places whose level and time are known.
+    known_starts : KnownStarts or None
+        Start states that are held or known with a stated error.
     """
 
     places: tuple[Place, ...]
@@ -88,6 +91,7 @@ class Setting:
     colour: bool = True
     inputs: tuple[Place, ...] = ()
     known: tuple[str, ...] = ()
+    known_starts: KnownStarts | None = None
 
     @classmethod
     def of(
@@ -100,11 +104,21 @@ class Setting:
         colour: bool = True,
         inputs: Sequence[Place] = (),
         known: Sequence[str] = (),
+        known_starts: KnownStarts | None = None,
     ) -> Setting:
         """Setting of some records."""
         floor, seen = credible_levels(dataset)
         least = np.where(seen, LEAST_SEEN * np.minimum(floor, white), 0.0)
-        return cls(tuple(places), white, estimated, least, colour, tuple(inputs), tuple(known))
+        return cls(
+            tuple(places),
+            white,
+            estimated,
+            least,
+            colour,
+            tuple(inputs),
+            tuple(known),
+            known_starts,
+        )
 
     @property
     def disturbances(self) -> tuple[str, ...]:
@@ -343,7 +357,13 @@ def fit_disturbed(
     tried: list[FilteredSolution] = []
     for start in starts:
         levels = setting.levels(dataset, begin, unit, nowhere)
-        problem = Filtered(model.with_values(dict(start.values)), dataset, levels, kernel=kernel)
+        problem = Filtered(
+            model.with_values(dict(start.values)),
+            dataset,
+            levels,
+            kernel=kernel,
+            known_starts=setting.known_starts,
+        )
         point = problem.point(start.initial, start.local)
         found = solve_filtered(
             problem,
@@ -505,7 +525,9 @@ def moved(
     old = found.problem
     unit = old.levels.unit if unit is None else unit
     levels = setting.levels(old.dataset, noise, unit, colour, own_times=own_times)
-    problem = Filtered(old.model, old.dataset, levels, kernel=old.kernel)
+    problem = Filtered(
+        old.model, old.dataset, levels, kernel=old.kernel, known_starts=setting.known_starts
+    )
     unknowns = np.concatenate([found.point.unknowns[: old.layout.levels.start], levels.vector()])
     return solve_filtered(problem, Point(unknowns, ()), max_iterations=max_iterations, polish=0)
 

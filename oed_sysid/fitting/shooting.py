@@ -27,7 +27,7 @@ from oed_sysid.fitting.start_guess import (
     measured_states,
     state_series,
 )
-from oed_sysid.fitting.unknowns import Layout, Limits, node_maps
+from oed_sysid.fitting.unknowns import KnownStarts, Layout, Limits, node_maps
 from oed_sysid.model import Model
 
 Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -93,6 +93,8 @@ class Shooting:
         Robust loss ``scaled residuals -> (loss, weights)``; ``None`` is the square.
     initial_states : sequence of mapping, optional
         Start guesses of states, per record; by default from the measurements.
+    known_starts : KnownStarts, optional
+        Start states that are held or known with a stated error; by default all are free.
     """
 
     def __init__(
@@ -104,6 +106,7 @@ class Shooting:
         interval: float | None = None,
         loss: Loss | None = None,
         initial_states: Sequence[Mapping[str, float]] | None = None,
+        known_starts: KnownStarts | None = None,
     ) -> None:
         check_channels(model, dataset)
         self.model = model
@@ -113,7 +116,8 @@ class Shooting:
         self.sigma = np.asarray(sigma, dtype=float)
         self.loss = loss
         self.layout = Layout.of(model, len(self.records))
-        self.limits = Limits.of(model, self.layout)
+        self.known_starts = known_starts
+        self.limits = Limits.of(model, self.layout, known_starts)
         names = model.parameter_names
         self._free_index = np.array([names.index(n) for n in model.free_names], dtype=int)
         self._base_values = model.value_vector
@@ -145,7 +149,8 @@ class Shooting:
     def values(self, unknowns: np.ndarray, record: int) -> np.ndarray:
         """Values of all parameters for one record, shape ``(n_parameters,)``."""
         values = self._base_values.copy()
-        values[self._free_index] = unknowns[self._columns[record][self.layout.n_own :]]
+        free = unknowns[self._columns[record][self.layout.n_own :]]
+        values[self._free_index] = self.layout.natural(free)
         return values
 
     def initial_state(self, unknowns: np.ndarray, record: int) -> np.ndarray:
@@ -153,10 +158,20 @@ class Shooting:
         return unknowns[self._columns[record][: self.layout.n_own]]
 
     def full_start(self, unknowns: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray]:
-        """Full state at a record's first sample, and its derivatives."""
+        """Full state at a record's first sample, and its derivatives by the unknowns."""
         data = self.records[record]
         own, values = self.initial_state(unknowns, record), self.values(unknowns, record)
-        return self.kernel.start(own, data.inputs[0], values, data.times[0])
+        z0, dz0 = self.kernel.start(own, data.inputs[0], values, data.times[0])
+        slopes = self.slopes(unknowns, record)
+        if slopes is not None:
+            dz0[:, self.layout.n_own :] *= slopes
+        return z0, dz0
+
+    def slopes(self, unknowns: np.ndarray, record: int) -> np.ndarray | None:
+        """Derivatives of a record's parameters by their unknowns; None where all are one."""
+        if self.layout.logged is None:
+            return None
+        return self.layout.slopes(unknowns[self._columns[record][self.layout.n_own :]])
 
     def start_unknowns(self) -> np.ndarray:
         """Start values: parameters of the model, initial states from the data."""
@@ -168,7 +183,10 @@ class Shooting:
                 own[position] = series[0]
             for name, value in self._guesses[index].items():
                 own[names.index(name)] = value
-            unknowns[columns] = [*own, *self._base_values[self._free_index]]
+            if self.known_starts is not None:
+                known = np.isfinite(self.known_starts.std[index])
+                own[known] = self.known_starts.mean[index][known]
+            unknowns[columns] = [*own, *self.layout.inward(self._base_values[self._free_index])]
         return unknowns
 
     def state_guess(self, unknowns: np.ndarray, record: int) -> np.ndarray:
@@ -245,10 +263,15 @@ class Shooting:
         if not run.ok or dy is None or dends is None or not np.isfinite(run.ends[:-1]).all():
             return None
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._condense(index, run, nodes, dz0)
+            return self._condense(index, run, nodes, dz0, self.slopes(point.unknowns, index))
 
     def _condense(
-        self, index: int, run: Run, nodes: np.ndarray, dz0: np.ndarray
+        self,
+        index: int,
+        run: Run,
+        nodes: np.ndarray,
+        dz0: np.ndarray,
+        slopes: np.ndarray | None,
     ) -> tuple[np.ndarray, ...] | None:
         """Express a record's outputs by its unknowns alone; None where this overflows."""
         record, starts = self.records[index], self._starts[index]
@@ -257,7 +280,7 @@ class Shooting:
         assert dends is not None
         n_full = self.kernel.n_full
         defects = run.ends[:-1] - nodes[1:]
-        maps = node_maps(dends, defects, dz0, self.layout.n_own)
+        maps = node_maps(dends, defects, dz0, self.layout.n_own, slopes)
         n_outputs = dy.shape[1]
         condensed = np.empty((*run.outputs.shape, maps.shape[2]))
         flat = condensed.reshape(-1, maps.shape[2])
@@ -380,7 +403,7 @@ class Shooting:
 def replace_values(model: Model, shooting: Shooting, unknowns: np.ndarray) -> Model:
     """Return the model at the estimated values; local parameters take their mean."""
     layout = shooting.layout
-    free = np.array([unknowns[c[layout.n_own :]] for c in shooting._columns])
+    free = np.array([layout.parameters(unknowns, i) for i in range(layout.n_records)])
     means = np.clip(
         free.mean(axis=0),
         [p.lower for p in model.free_parameters],

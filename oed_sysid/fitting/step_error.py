@@ -15,6 +15,7 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.fitting.fit import Fit, Status
 from oed_sysid.fitting.gauss_newton import Solution
 from oed_sysid.fitting.shooting import Shooting
+from oed_sysid.model import Model
 
 FINER = 4
 # Root mean square change, in noise levels, from which the step is worth a word.
@@ -48,6 +49,12 @@ def worst_step_error(shooting: Shooting, solution: Solution) -> tuple[float, str
     return worst
 
 
+def _or_stiff(model: Model) -> str:
+    if model.integrator == "implicit":
+        return ""
+    return ", or take Model(integrator='implicit') if some of its motions die out within a step"
+
+
 def with_step_advice(fit: Fit, shooting: Shooting, solution: Solution | None) -> Fit:
     """Add to the status of a failed fit that the step may be why."""
     if fit.status.ok or solution is None or solution.reason == "interrupted":
@@ -59,7 +66,7 @@ def with_step_advice(fit: Fit, shooting: Shooting, solution: Solution | None) ->
     advice = (
         f"{fit.status.advice} The trajectories hang on the integration step: with "
         f"{step / FINER:g} s instead of {step:g} s, {output} of record {record!r} changes by "
-        f"{size:.1f} noise levels. Reduce model.step; if that does not help, a force of the model "
-        "jumps where the state passes some value: make it continuous."
+        f"{size:.1f} noise levels. Reduce model.step{_or_stiff(fit.model)}; if that does not help, "
+        "a force of the model jumps where the state passes some value: make it continuous."
     )
     return replace(fit, status=Status(fit.status.code, advice))

@@ -7,9 +7,11 @@ import time
 import numpy as np
 
 from oed_sysid.fitting.covariance import ReducedProblem
+from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.fit import Fit, Status
 from oed_sysid.fitting.gauss_newton import FilteredSolution, Solution
 from oed_sysid.fitting.shooting import Shooting, replace_values
+from oed_sysid.fitting.unknowns import KnownStarts
 from oed_sysid.information import Information
 from oed_sysid.model import Model
 
@@ -64,7 +66,7 @@ def summarise(
     if solution is None:
         return _failed(shooting, estimated, estimator, iterations, began)
     unknowns = solution.point.unknowns
-    reduced = ReducedProblem(shooting, solution.linearisation)
+    reduced = ReducedProblem(shooting, solution.linearisation, unknowns)
     information = reduced.information
     covariance = information.covariance
     use = coloured == "always" or (coloured == "auto" and reduced.is_coloured)
@@ -80,14 +82,14 @@ def summarise(
         states.append(run.states)
         residuals.append(record.outputs - run.outputs)
         initial.append(own.copy())
-        free = unknowns[layout.record_columns(index)[layout.n_own :]]
+        free = layout.parameters(unknowns, index)
         local.append({layout.free_names[i]: float(free[i]) for i in layout.local})
     return Fit(
         model=replace_values(model, shooting, unknowns),
         dataset=shooting.dataset,
         estimator=estimator,
         names=layout.shared_names,
-        estimates=unknowns[: len(layout.shared)].copy(),
+        estimates=layout.shared_values(unknowns)[0],
         information=information,
         covariance=covariance,
         coloured=use,
@@ -102,6 +104,7 @@ def summarise(
         status=Status(solution.reason, _ADVICE[solution.reason]),
         iterations=iterations,
         seconds=time.perf_counter() - began,
+        start_states=_described(shooting.known_starts, model),
     )
 
 
@@ -134,21 +137,17 @@ def summarise_filtered(
     model, layout = problem.model, problem.layout
     matrix = solution.matrix + np.diag(problem.limits.prior_weight)
     shared = np.arange(len(layout.shared))
-    rest = np.arange(len(shared), layout.n_unknowns)
-    reduced = eliminate(matrix, shared, rest)
+    rest = _free_positions(problem, len(shared), layout.n_unknowns)
+    estimates, slopes = layout.shared_values(unknowns)
+    reduced = eliminate(matrix, shared, rest) / slopes[:, None] / slopes
     information = Information.from_matrix(
-        layout.shared_names, reduced, problem.limits.scale[shared]
+        layout.shared_names, reduced, problem.limits.scale[shared] * slopes
     )
     noise = problem.noise(unknowns)
     measured = [np.isfinite(record.outputs) for record in problem.records]
     passes = problem.passes(unknowns, columns=False)
     predictions, states, residuals, initial, local = [], [], [], [], []
-    free = np.array(
-        [
-            unknowns[problem.layout.record_columns(i)[layout.n_own :]]
-            for i in range(len(problem.records))
-        ]
-    )
+    free = np.array([layout.parameters(unknowns, i) for i in range(len(problem.records))])
     at = model.with_values(_means(model, layout.free_names, free))
     for index, record in enumerate(problem.records):
         values = problem.values(unknowns, index)
@@ -164,7 +163,7 @@ def summarise_filtered(
         dataset=problem.dataset,
         estimator=estimator,
         names=layout.shared_names,
-        estimates=unknowns[shared].copy(),
+        estimates=estimates,
         information=information,
         covariance=information.covariance,
         coloured=False,
@@ -186,7 +185,21 @@ def summarise_filtered(
             np.where(seen, np.sqrt(np.maximum(part.variances, 1e-300)), 1.0)
             for part, seen in zip(passes, measured, strict=True)
         ),
+        start_states=_described(problem.known_starts, model),
     )
+
+
+def _described(
+    starts: KnownStarts | None, model: Model
+) -> tuple[dict[str, tuple[float, float]], ...]:
+    return () if starts is None else starts.described(model)
+
+
+def _free_positions(problem: Filtered, first: int, stop: int) -> np.ndarray:
+    """Unknowns from ``first`` to ``stop`` that are estimated; levels count as such."""
+    held = problem.limits.held.copy()
+    held[problem.layout.levels] = False
+    return first + np.flatnonzero(~held[first:stop])
 
 
 def eliminate(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -219,7 +232,7 @@ def _level_errors(solution: FilteredSolution, matrix: np.ndarray) -> dict[str, f
     if not len(levels):
         return {}
     where = np.arange(block.start, block.stop)
-    others = np.arange(block.start)
+    others = _free_positions(problem, 0, block.start)
     reduced = eliminate(matrix, where, others)
     open_ = np.diag(reduced) > 0
     errors = np.full(len(where), np.inf)

@@ -303,9 +303,9 @@ def _prior(model: Model, names: Sequence[str]) -> np.ndarray:
     prior = np.zeros((len(names), 2))
     for position, name in enumerate(names):
         parameter = model.parameter(name)
-        if parameter.prior_std is not None and parameter.prior_mean is not None:
+        if parameter.prior_spread is not None and parameter.prior_mean is not None:
             prior[position] = 1.0, parameter.prior_mean - parameter.value
-            prior[position] /= parameter.prior_std
+            prior[position] /= parameter.prior_spread
     return prior
 
 

@@ -36,6 +36,7 @@ from oed_sysid.report.force_plots import (
 from oed_sysid.report.improvement_page import improvement_page
 from oed_sysid.report.improvement_plots import plot_error_fall, plot_located, plot_ranking
 from oed_sysid.report.live_plots import LiveParameters, plot_history
+from oed_sysid.report.multistart_plots import plot_waterfall
 from oed_sysid.report.numbers_page import numbers_page
 from oed_sysid.report.page import Page, Picture, Section, Table, style_sheet
 from oed_sysid.report.polar_plots import plot_polar
@@ -95,6 +96,7 @@ __all__ = [
     "plot_residual_force",
     "plot_sensitivity",
     "plot_track",
+    "plot_waterfall",
     "plot_zigzag",
     "ranking_page",
     "style_sheet",

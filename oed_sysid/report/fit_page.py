@@ -113,8 +113,8 @@ def _estimates(fit: Fit) -> Section:
         parameter, error = fit.model.parameter(name), fit.std_errors[name]
         low, high = fit.interval(name)
         prior = "" if parameter.prior_mean is None else f"{parameter.prior_mean:.4g}"
-        if parameter.prior_std is not None:
-            prior += f" ± {parameter.prior_std:.2g}"
+        if parameter.prior_spread is not None:
+            prior += f" ± {parameter.prior_spread:.2g}"
         share = f"{100 * error / abs(value):.2g} %" if value and np.isfinite(error) else ""
         interval = f"{low:.4g} to {high:.4g}" if np.isfinite(error) else "unbounded"
         rows.append((name, f"{value:.5g}", f"{error:.2g}", share, interval, prior, parameter.unit))
@@ -196,9 +196,9 @@ def residual_section(fit: Fit, *, style: int = 0) -> Section:
 def _surprise(fit: Fit, name: str) -> float:
     """Distance of an estimate from its prior mean, in standard deviations of the prior."""
     parameter = fit.model.parameter(name)
-    if parameter.prior_std is None or parameter.prior_mean is None:
+    if parameter.prior_spread is None or parameter.prior_mean is None:
         return 0.0
-    return abs(fit.values[name] - parameter.prior_mean) / parameter.prior_std
+    return abs(fit.values[name] - parameter.prior_mean) / parameter.prior_spread
 
 
 def _effective(fit: Fit) -> float:

@@ -295,10 +295,10 @@ def _draw_priors(
     """Grey bars: 95 % of the prior of each parameter that has one."""
     for name, row in zip(names, rows, strict=True):
         parameter = fit.model.parameter(name) if name in fit.model.parameter_names else None
-        if parameter is None or parameter.prior_std is None or parameter.prior_mean is None:
+        if parameter is None or parameter.prior_spread is None or parameter.prior_mean is None:
             continue
         centre = parameter.prior_mean / scale[name]
-        half = TWO_SIDED_95 * parameter.prior_std / abs(scale[name])
+        half = TWO_SIDED_95 * parameter.prior_spread / abs(scale[name])
         ax.barh(row, 2 * half, left=centre - half, height=0.7, color=NEUTRAL, alpha=0.3,
                 lw=0, label="believed before (95 %)", zorder=0.5)  # fmt: skip
 

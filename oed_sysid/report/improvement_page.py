@@ -154,8 +154,8 @@ def _estimates(improvement: Improvement) -> Section:
         name, value, error = one["name"], one["value"], one["std_error"]
         prior = improvement.model.parameter(name)
         known = "" if prior.prior_mean is None else f"{prior.prior_mean:.4g}"
-        if prior.prior_std is not None:
-            known += f" ± {prior.prior_std:.2g}"
+        if prior.prior_spread is not None:
+            known += f" ± {prior.prior_spread:.2g}"
         rows.append(
             (
                 name,

@@ -117,7 +117,7 @@ def run_factor(
     weights = np.zeros(len(columns))
     weights[: len(unknown)] = own_weights[unknown]
     for position, index in enumerate(local, start=len(unknown)):
-        std = free[index - n_own].prior_std
+        std = free[index - n_own].prior_spread
         weights[position] = 0.0 if std is None else 1.0 / std
     if weights.any():
         rows = np.vstack([rows, np.diag(weights)[weights > 0]])
@@ -179,7 +179,7 @@ def prior_factor(
                 f"priors is {priors!r}. Choose 'model', None, standard deviations by name, or an "
                 "Information."
             )
-        stds = {p.name: p.prior_std for p in model.free_parameters if p.prior_std is not None}
+        stds = {p.name: p.prior_spread for p in model.free_parameters if p.prior_spread is not None}
         return np.diag([1.0 / stds[name] if name in stds else 0.0 for name in names])
     for name, std in priors.items():
         if name not in names or not std > 0:

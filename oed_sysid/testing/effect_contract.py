@@ -115,17 +115,20 @@ def _words(effect: Effect) -> list[str]:
 # -- units -------------------------------------------------------------------------
 
 
-def _stated(unit: str) -> Dimension | None:
-    """Dimension of a stated unit; an empty one is unknown."""
-    return dimension(unit) if unit else None
+def stated(unit: str) -> Dimension | None:
+    """Dimension of a stated unit; an empty one, or one with roots (V^0.5/s), is unknown."""
+    try:
+        return dimension(unit) if unit else None
+    except OedSysidError:
+        return None
 
 
 def _units(effect: Effect, model: Model) -> list[str]:
     """Terms whose dimension is not that of what they are added to or replace."""
     known: dict[str, Dimension | None] = {"t": dimension("s"), "h": dimension("s")}
     for listed in (model.states, model.inputs, model.all_parameters, effect.parameters):
-        known |= {item.name: _stated(item.unit) for item in listed}
-    known |= {state.name: _stated(state.unit) for state in effect.states}
+        known |= {item.name: stated(item.unit) for item in listed}
+    known |= {state.name: stated(state.unit) for state in effect.states}
     broken: list[str] = []
 
     def derive(text: str, expected: Dimension | None = None) -> Dimension | None:
@@ -140,7 +143,7 @@ def _units(effect: Effect, model: Model) -> list[str]:
 
     for name, text in (*model.actuator_signals.items(), *model.signals.items()):
         known[name] = derive(text)
-    outputs = {output.name: _stated(output.unit) for output in model.outputs}
+    outputs = {output.name: stated(output.unit) for output in model.outputs}
     if effect.stage == "sensor":
         known |= outputs
     for memory in effect.memory:

@@ -9,8 +9,18 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from oed_sysid import Experiment, Force, Input, Limits, Model, Output, Parameter, Problem, State
-from oed_sysid.manoeuvres import ZigZagLike
+from oed_sysid import (
+    Experiment,
+    Force,
+    Input,
+    Limits,
+    Model,
+    Output,
+    Parameter,
+    Problem,
+    State,
+    ZigZagLike,
+)
 
 GRAVITY = 9.81  # m/s2, turns the stated weight into a mass
 

@@ -11,8 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from oed_sysid import Experiment, Limits, Problem
-from oed_sysid.manoeuvres import TurningCircle, ZigZag
+from oed_sysid import Experiment, Limits, Problem, TurningCircle, ZigZag
 
 from .heading import FIRST_ORDER, SECOND_ORDER, heading_effects
 from .manoeuvring import MMG

@@ -8,8 +8,18 @@ from __future__ import annotations
 
 import math
 
-from oed_sysid import Experiment, Force, Input, Limits, Model, Output, Parameter, Problem, State
-from oed_sysid.manoeuvres import ZigZag
+from oed_sysid import (
+    Experiment,
+    Force,
+    Input,
+    Limits,
+    Model,
+    Output,
+    Parameter,
+    Problem,
+    State,
+    ZigZag,
+)
 
 ESSO = "van Berlekom & Goddard 1972, bis system, linearised at 80 rpm"
 

@@ -20,10 +20,11 @@ from oed_sysid import (
     Parameter,
     Problem,
     State,
+    ThreeTwoOneOne,
+    ZigZagLike,
     read_csv,
 )
 from oed_sysid.effects.vocabulary import diving_plane_effects
-from oed_sysid.manoeuvres import ThreeTwoOneOne, ZigZagLike
 
 RELATIVE_PRIOR = 0.08  # the derivatives are believed to about eight per cent
 

@@ -8,9 +8,21 @@ from __future__ import annotations
 
 import math
 
-from oed_sysid import Experiment, Force, Input, Limits, Model, Output, Parameter, Problem, State
+from oed_sysid import (
+    Combined,
+    Experiment,
+    Force,
+    Input,
+    Limits,
+    Model,
+    Output,
+    Parameter,
+    Piecewise,
+    Problem,
+    State,
+    ZigZag,
+)
 from oed_sysid.effects.derivatives import hull_derivatives
-from oed_sysid.manoeuvres import Combined, Piecewise, ZigZag
 
 GRAVITY = 9.81  # m/s2
 

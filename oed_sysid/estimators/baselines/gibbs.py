@@ -312,11 +312,11 @@ class GibbsRegression:
         parameters = [model.parameter(name) for name in own]
         precision = np.array(
             [
-                (unit / p.prior_std) ** 2 if p.prior_std is not None else WIDE**-2
+                (unit / p.prior_spread) ** 2 if p.prior_spread is not None else WIDE**-2
                 for p, unit in zip(parameters, units, strict=True)
             ]
         )
-        mean = [0.0 if p.prior_std is None else float(p.prior_mean or 0.0) for p in parameters]
+        mean = [0.0 if p.prior_spread is None else float(p.prior_mean or 0.0) for p in parameters]
         chains = sample_posterior(
             features * units / size,
             targets / size,

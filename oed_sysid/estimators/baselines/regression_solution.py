@@ -138,11 +138,11 @@ def _blanked(regressors: Sequence[np.ndarray], residuals: Sequence[np.ndarray]) 
 
 def _priors(model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Priors as whitened rows ``(n_priors, n_free)`` and targets."""
-    known = [(i, p) for i, p in enumerate(model.free_parameters) if p.prior_std is not None]
+    known = [(i, p) for i, p in enumerate(model.free_parameters) if p.prior_spread is not None]
     rows = np.zeros((len(known), len(model.free_parameters)))
     targets = np.zeros(len(known))
     for row, (index, parameter) in enumerate(known):
-        rows[row, index] = 1.0 / float(parameter.prior_std or 1.0)
+        rows[row, index] = 1.0 / float(parameter.prior_spread or 1.0)
         targets[row] = float(parameter.prior_mean or 0.0) * rows[row, index]
     return rows, targets
 

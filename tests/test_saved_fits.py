@@ -1,0 +1,73 @@
+"""Fits that earlier versions have saved."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from oed_sysid import Fit
+from oed_sysid.errors import DataError
+
+FOLDER = Path(__file__).parent / "saved_fits"
+OLD = FOLDER / "nomoto_format_1.json"
+
+
+@pytest.fixture
+def old() -> Fit:
+    """The fit, loaded by this version."""
+    return Fit.load(OLD)
+
+
+@pytest.fixture
+def numbers() -> dict[str, Any]:
+    """What the version that made it said."""
+    return json.loads((FOLDER / "nomoto_format_1_numbers.json").read_text(encoding="utf-8"))
+
+
+def test_the_file_is_an_old_one() -> None:
+    """None of the later fields is in the file, so that the test means something."""
+    fields = json.loads(OLD.read_text(encoding="utf-8"))["fit"]["fields"]
+    assert not fields.keys() & {"noise", "noise_std", "innovations", "start_states"}
+
+
+def test_numbers_and_report_are_those_of_the_time(old: Fit, numbers: dict[str, Any]) -> None:
+    """Values, errors, likelihood and every line of the report are the same."""
+    assert old.values == numbers["values"]
+    assert old.std_errors == pytest.approx(numbers["std_errors"], rel=1e-12)
+    assert old.log_likelihood == pytest.approx(numbers["log_likelihood"], rel=1e-12)
+    assert old.aic == pytest.approx(numbers["aic"], rel=1e-12)
+    assert old.n_unknowns == numbers["n_unknowns"]
+    assert old.rms == pytest.approx(numbers["rms"], rel=1e-12)
+    assert old.report() == numbers["report"]
+
+
+def test_what_is_new_has_a_meaning_for_it(old: Fit, tmp_path: Path) -> None:
+    """It has white noise and free start states, predicts, and is saved in today's form."""
+    assert old.noise is not None
+    assert old.noise.is_white
+    assert old.noise.white == pytest.approx(old.sigma)
+    assert old.start_states == ()
+    assert not any(p.log for p in old.model.all_parameters)
+    assert old.model.integrator == "explicit"
+    prediction = old.predict(old.dataset)
+    for found, stored in zip(prediction.outputs, old.predictions, strict=True):
+        assert np.abs((found - stored) / old.sigma).max() < 0.5
+    old.save(tmp_path / "again.json")
+    assert Fit.load(tmp_path / "again.json").report() == old.report()
+
+
+@pytest.mark.parametrize(("change", "words"), [("add", "newer"), ("remove", "fit again")])
+def test_what_cannot_be_read_says_what_to_do(tmp_path: Path, change: str, words: str) -> None:
+    """Unknown fields are those of a newer version; missing ones without default need a new fit."""
+    content = json.loads(OLD.read_text(encoding="utf-8"))
+    if change == "add":
+        content["fit"]["fields"]["colour_of_the_ship"] = "red"
+    else:
+        del content["fit"]["fields"]["covariance"]
+    (tmp_path / "fit.json").write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(DataError, match=words):
+        Fit.load(tmp_path / "fit.json")

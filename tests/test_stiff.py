@@ -1,0 +1,209 @@
+"""Implicit steps for stiff models, compiled and interpreted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
+from oed_sysid.compiled.kernels import Kernel
+from oed_sysid.effects import actuator_lag, sensor_lag
+from oed_sysid.errors import ModelError
+from oed_sysid.fitting.gauss_newton import solve
+from oed_sysid.fitting.shooting import Shooting
+from oed_sysid.fitting.step_error import with_step_advice
+
+# Robertson's kinetics: rates apart by nine decades.
+ROBERTSON = Model(
+    "Robertson",
+    (State("A", "1"), State("B", "1", scale=1e-5), State("C", "1")),
+    (),
+    (Output("A", "1"), Output("B", "1"), Output("C", "1")),
+    {
+        "A": "-k1*A + k3*B*C",
+        "B": "k1*A - k3*B*C - k2*B**2",
+        "C": "k2*B**2",
+    },
+    parameters=(Parameter("k1", 0.04), Parameter("k2", 3e7), Parameter("k3", 1e4)),
+    step=0.05,
+    integrator="implicit",
+)
+# A slow body with a fin drive of five milliseconds, commanded by ramps, stepped by a tenth.
+DRIVE = Model(
+    "fast drive",
+    (State("q", "rad/s"), State("ds", "rad")),
+    (Input("command", "rad", interpolation="linear"),),
+    (Output("q", "rad/s", noise_std=1e-3), Output("ds", "rad", noise_std=1e-3)),
+    {"q": "-q/T + M_ds*ds - D*q*abs(q)", "ds": "(command - ds)/tau + s*(command - ds)**3"},
+    parameters=(
+        Parameter("T", 2.0, "s"),
+        Parameter("M_ds", -1.0, "1/s^2"),
+        Parameter("D", 0.3),
+        Parameter("tau", 0.005, "s", lower=1e-4),
+        Parameter("s", 10.0, fixed=True),
+    ),
+    step=0.1,
+    integrator="implicit",
+)
+
+
+def run(model: Model, times: np.ndarray, inputs: np.ndarray, own: np.ndarray, **options: object):
+    """Trajectory of a model, with options of the kernel's run."""
+    code = Kernel(model, compiled=options.pop("compiled", None))  # type: ignore[arg-type]
+    z, _ = code.start(own, inputs[0], model.value_vector, times[0])
+    return code.run(times, inputs, model.value_vector, z, **options)  # type: ignore[arg-type]
+
+
+def test_robertson_agrees_with_radau() -> None:
+    """To ten seconds all three species follow SciPy's Radau within 1e-5 of their sizes."""
+    times = np.linspace(0.0, 10.0, 101)
+    found = run(ROBERTSON, times, np.zeros((101, 0)), np.array([1.0, 0.0, 0.0]))
+
+    def rates(t: float, y: np.ndarray) -> np.ndarray:
+        k1, k2, k3 = 0.04, 3e7, 1e4
+        slow, fast, merge = k1 * y[0], k2 * y[1] ** 2, k3 * y[1] * y[2]
+        return np.array([-slow + merge, slow - merge - fast, fast])
+
+    exact = solve_ivp(
+        rates, (0.0, 10.0), [1.0, 0.0, 0.0], "Radau", times, rtol=1e-10, atol=1e-14
+    ).y.T
+    assert found.ok
+    # The first steps cross the initial layer; after them the error is that of smooth motion.
+    assert np.all(np.abs(found.outputs[2:] - exact[2:]) < 1e-5 * exact[2:].max(axis=0))
+    assert found.outputs.sum(axis=1) == pytest.approx(1.0, abs=1e-12)
+    explicit = replace(ROBERTSON, integrator="explicit")
+    assert not run(explicit, times, np.zeros((101, 0)), np.array([1.0, 0.0, 0.0])).ok
+
+
+def drive_inputs(times: np.ndarray) -> np.ndarray:
+    """Ramps between commands."""
+    return np.round(np.sin(0.9 * times), 1)[:, None] * 0.2
+
+
+def test_a_fast_drive_is_followed_with_large_steps_where_explicit_ones_explode() -> None:
+    """Twenty time constants in a step: within 2e-4 of Radau, where the explicit way diverges."""
+    times = np.arange(0.0, 10.0, 0.1)
+    inputs, own = drive_inputs(times), np.array([0.1, 0.0])
+    found = run(DRIVE, times, inputs, own)
+    p = DRIVE.values
+
+    def rates(t: float, y: np.ndarray) -> np.ndarray:
+        away = np.interp(t, times, inputs[:, 0]) - y[1]
+        q = -y[0] / p["T"] + p["M_ds"] * y[1] - p["D"] * y[0] * abs(y[0])
+        return np.array([q, away / p["tau"] + p["s"] * away**3])
+
+    exact = solve_ivp(
+        rates, (0.0, times[-1]), own, "Radau", times, rtol=1e-9, atol=1e-11, max_step=0.01
+    ).y.T
+    assert np.abs(found.outputs[:, 0] - exact[:, 0]).max() < 2e-4
+    assert np.abs(found.outputs[:, 1] - exact[:, 1]).max() < 2e-3
+    explicit = run(replace(DRIVE, integrator="explicit"), times, inputs, own)
+    assert not np.nanmax(np.abs(explicit.outputs)) < 1e3
+
+
+def test_the_order_is_three() -> None:
+    """Half the step leaves an eighth of the error of a smooth motion."""
+    smooth = replace(DRIVE, kinematics={"q": "-q/T - D*q**3", "ds": "q - ds"})
+    smooth = smooth.with_values({"T": 1.0, "D": 2.0})
+    times, own = np.array([0.0, 2.0]), np.array([1.0, 0.2])
+    ends = [
+        run(replace(smooth, step=step), times, np.zeros((2, 1)), own).states[-1]
+        for step in (0.025, 0.0125, 0.00625)
+    ]
+    order = np.log2(np.abs(ends[1] - ends[0]) / np.abs(ends[2] - ends[1]))
+    assert np.all((order > 2.85) & (order < 3.15))
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_sensitivities_equal_finite_differences(compiled: bool) -> None:
+    """By start states and parameters, through actuator and sensor memory and linear inputs."""
+    model = DRIVE + actuator_lag("lag", "command", value=0.3) + sensor_lag("slow", "q", value=0.4)
+    assert {"E_lag", "E_slow"} <= set(model.free_names)
+    times = np.arange(0.0, 3.0, 0.15)
+    inputs, own = drive_inputs(times), np.array([0.2, 0.1])
+    code = Kernel(model, compiled=compiled)
+    values = model.value_vector
+    z, _ = code.start(own, inputs[0], values, 0.0)
+    found = code.run(times, inputs, values, z, sensitivities=True)
+    assert found.output_sensitivities is not None
+    free = [model.parameter_names.index(name) for name in model.free_names]
+    for column in range(code.n_columns):
+        ends = []
+        for sign in (1, -1):
+            moved, there = z.copy(), values.copy()
+            if column < code.n_full:
+                step = 1e-5
+                moved[column] += sign * step
+            else:
+                step = 1e-5 * max(abs(values[free[column - code.n_full]]), 1e-3)
+                there[free[column - code.n_full]] += sign * step
+            ends.append(code.run(times, inputs, there, moved).outputs)
+        slope = (ends[0] - ends[1]) / (2 * step)
+        size = np.abs(slope).max() + 1e-6
+        assert found.output_sensitivities[:, :, column] == pytest.approx(slope, abs=2e-6 * size)
+
+
+def test_compiled_and_interpreted_steps_agree() -> None:
+    """Both ways give the same trajectory and derivatives."""
+    times = np.arange(0.0, 3.0, 0.15)
+    inputs, own = drive_inputs(times), np.array([0.2, 0.1])
+    one, two = (
+        run(DRIVE, times, inputs, own, sensitivities=True, compiled=how) for how in (True, False)
+    )
+    assert one.outputs == pytest.approx(two.outputs, rel=1e-12, abs=1e-14)
+    assert one.output_sensitivities == pytest.approx(two.output_sensitivities, rel=1e-9, abs=1e-11)
+
+
+@pytest.mark.parametrize("disturbances", ["none", ("q",)])
+def test_a_stiff_model_is_fitted(disturbances: str | tuple[str, ...]) -> None:
+    """White and filtered fits find the parameters of the slow motion."""
+    rng = np.random.default_rng(1)
+    times = np.arange(0.0, 60.0, 0.1)
+    inputs = drive_inputs(times)
+    gust = np.zeros((len(times), 1))
+    if disturbances != "none":  # a random force of 0.05 rad/s2 and 0.5 s
+        for k in range(1, len(times)):
+            gust[k] = np.exp(-0.2) * gust[k - 1] + 0.05 * np.sqrt(1 - np.exp(-0.4)) * rng.normal()
+    shaken = replace(
+        DRIVE,
+        inputs=(*DRIVE.inputs, Input("gust", "rad/s^2")),
+        kinematics={**DRIVE.kinematics, "q": DRIVE.kinematics["q"] + " + gust"},
+    )
+    clean = run(shaken, times, np.hstack([inputs, gust]), np.array([0.1, 0.0])).outputs
+    noisy = clean + 1e-3 * rng.normal(size=clean.shape)
+    data = Dataset((Record("run", times, inputs, noisy, DRIVE.channels),))
+    start = DRIVE.with_values({"T": 2.6, "M_ds": -0.7}).fix("tau", "D")
+    fit = MultipleShooting(noise="given", disturbances=disturbances).fit(start, data)
+    assert fit.status.ok
+    for name in ("T", "M_ds"):
+        assert abs(fit.values[name] - DRIVE.values[name]) < 4 * fit.std_errors[name]
+    limit = 0.01 if disturbances == "none" else 0.06
+    assert fit.std_errors["M_ds"] < limit
+    if disturbances != "none":
+        assert fit.noise is not None
+        assert fit.noise.force[0] == pytest.approx(0.05, rel=0.2)
+
+
+def test_the_structure_knows_the_integrator_and_advice_names_it() -> None:
+    """Another integrator is other code; explicit expressions and unknown names are refused."""
+    explicit = replace(DRIVE, integrator="explicit")
+    assert explicit.structure_key() != DRIVE.structure_key()
+    with pytest.raises(ModelError, match="explicit, or implicit"):
+        replace(DRIVE, integrator="magic")
+    times = np.arange(0.0, 5.0, 0.1)
+    inputs = drive_inputs(times)
+    outputs = run(DRIVE, times, inputs, np.array([0.1, 0.0])).outputs
+    data = Dataset((Record("run", times, inputs, outputs, DRIVE.channels),))
+    with pytest.raises(ModelError, match="only explicit steps"):
+        MultipleShooting(noise="given", solver="ipopt").fit(DRIVE, data)
+    # Fast, yet not unstable with this step: the trajectory hangs on it.
+    slow = explicit.with_values({"tau": 0.045, "s": 0.0})
+    shooting = Shooting(slow, data, np.array([1e-3, 1e-3]))
+    solution = solve(shooting, shooting.start_point(), max_iterations=1)
+    assert solution is not None
+    fit = MultipleShooting(noise="given", disturbances="none", max_iterations=1).fit(slow, data)
+    advised = with_step_advice(fit, shooting, solution)
+    assert "integrator='implicit'" in advised.status.advice
