@@ -16,7 +16,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
 QUICK = ("kernel", "information", "startup", "score", "growth", "swarm", "fit_speed")
-PARTS = ("__init__", "__main__", "measure", "design_systems")
+PARTS = ("__init__", "__main__", "measure", "design_systems", "compatibility_logs")
 
 
 def benchmarks() -> dict[str, str]:

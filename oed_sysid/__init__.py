@@ -19,6 +19,10 @@ _HOME = {
     "Inertia": "effects",
     "Memory": "effects",
     "Sensor": "effects",
+    "InputNoise": "effects",
+    "RandomForce": "effects",
+    "SensorDrift": "effects",
+    "NoiseModel": "noise.model",
     "Channels": "channels",
     "Input": "channels",
     "Output": "channels",
@@ -47,6 +51,8 @@ _HOME = {
     "GOptimal": "design",
     "ModifiedE": "design",
     "VOptimal": "design",
+    "check": "compatibility",
+    "quick_check": "compatibility",
     "compare": "diagnosis.compare",
     "diagnose": "diagnosis.diagnose",
     "improve": "diagnosis.improve",
@@ -75,6 +81,7 @@ def __dir__() -> list[str]:
 
 if TYPE_CHECKING:
     from oed_sysid.channels import Channels, Input, Output, State
+    from oed_sysid.compatibility import check, quick_check
     from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
     from oed_sysid.design import (
         AOptimal,
@@ -92,12 +99,24 @@ if TYPE_CHECKING:
     from oed_sysid.diagnosis.compare import compare
     from oed_sysid.diagnosis.diagnose import diagnose
     from oed_sysid.diagnosis.improve import improve
-    from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
+    from oed_sysid.effects import (
+        Actuator,
+        Environment,
+        ExtraState,
+        Force,
+        Inertia,
+        InputNoise,
+        Memory,
+        RandomForce,
+        Sensor,
+        SensorDrift,
+    )
     from oed_sysid.errors import OedSysidError
     from oed_sysid.estimators import MultipleShooting
     from oed_sysid.experiment import Experiment, Limits
     from oed_sysid.fitting.fit import Fit
     from oed_sysid.model import Model
+    from oed_sysid.noise.model import NoiseModel
     from oed_sysid.parameters import Parameter
     from oed_sysid.predictions.speed_polar import speed_polar
     from oed_sysid.predictions.turning_circle import turning_circle

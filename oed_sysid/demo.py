@@ -62,7 +62,7 @@ def tanker(out: Path) -> Improvement | None:
     from oed_sysid.data.dataset import Dataset
     from oed_sysid.data.third_party import data_folder, registered
     from oed_sysid.problem import load_problem
-    from oed_sysid.report import new_figure, plot_zigzag
+    from oed_sysid.report import new_figure, plot_zigzag, save_figure
 
     folder = data_folder()
     if not all((folder / path).is_file() for path in registered(TANKER_DATA)):
@@ -84,7 +84,7 @@ def tanker(out: Path) -> Improvement | None:
     for ax, record in zip(axes[:, 0], test, strict=True):
         # Positive rudder has its trailing edge to port here; the diagram shows it as logged.
         plot_zigzag(record, predictions, rudder="delta", labels=labels, ax=ax)
-    figure.savefig(out / "zigzag.png", dpi=130)
+    save_figure(figure, out / "zigzag.png", dpi=130)
     return found
 
 
@@ -104,10 +104,9 @@ def _introduce(problem: Problem, train: Dataset, test: Dataset) -> None:
 def _search(
     problem: Problem, train: Dataset, test: Dataset, *, known_noise: bool, max_effects: int = 4
 ) -> tuple[Improvement, Comparison]:
-    """Improve the model, then judge plain fits before and after on the untouched records."""
+    """Improve the model, then judge the fits before and after on the validation records."""
     from oed_sysid.diagnosis.compare import compare
     from oed_sysid.diagnosis.improve import improve
-    from oed_sysid.estimators import MultipleShooting
 
     found = improve(
         problem.model,
@@ -120,8 +119,7 @@ def _search(
     )
     print()
     print(found.report())
-    models = {"as believed": problem.model} | ({"improved": found.model} if found.steps else {})
-    fits = {name: MultipleShooting().fit(model, train) for name, model in models.items()}
+    fits = {"nominal": found.base_fit} | ({"improved": found.fit} if found.steps else {})
     return found, compare(fits, test)
 
 
@@ -168,7 +166,7 @@ def _write(
         labels=[part.label for part in comparison.models],
     )
     for name, figure in drawn.items():
-        figure.savefig(out / f"{name}.png", dpi=130)
+        report.save_figure(figure, out / f"{name}.png", dpi=130)
     print(f"\nReport    {written.resolve()}\nPictures  {out.resolve()}/*.png")
 
 

@@ -15,6 +15,10 @@ class DataError(OedSysidError):
     """A measured record cannot be used as it is."""
 
 
+class FileError(OedSysidError):
+    """A file cannot be written, or not be trusted."""
+
+
 class ModelError(OedSysidError):
     """A model, effect or expression is inconsistent."""
 
@@ -29,3 +33,7 @@ class SimulationError(OedSysidError):
 
 class DesignError(OedSysidError):
     """An experiment cannot be designed within the limits that were given."""
+
+
+class PrecisionWarning(UserWarning):
+    """A calculation has lost so many digits to rounding that its result is not to be believed."""

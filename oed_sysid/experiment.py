@@ -49,11 +49,17 @@ class Limits:
     signals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for kind in ("inputs", "signals", "rates"):
+            if not isinstance(getattr(self, kind), Mapping):
+                raise DesignError(
+                    f"Limits of {kind} are a {type(getattr(self, kind)).__name__}, expected a "
+                    "mapping such as {'fin': (-0.3, 0.3)}."
+                )
         for kind in ("inputs", "signals"):
             ranges = {n: _range(kind, n, r) for n, r in getattr(self, kind).items()}
             object.__setattr__(self, kind, ranges)
         for name, rate in self.rates.items():
-            if not rate > 0:
+            if isinstance(rate, str | None) or not np.ndim(rate) == 0 or not rate > 0:
                 raise DesignError(
                     f"Limit of the rate of {name!r} is {rate}; it must be above zero. "
                     "Leave the name out for no limit."
@@ -158,7 +164,13 @@ class Experiment:
             excitation = None if not parts else parts[0] if len(parts) == 1 else Combined(parts)
         object.__setattr__(self, "manoeuvre", excitation)
         for key in ("constants", "initial", "noise"):
-            given = {name: float(value) for name, value in getattr(self, key).items()}
+            try:
+                given = {name: float(value) for name, value in getattr(self, key).items()}
+            except (AttributeError, TypeError, ValueError):
+                raise DesignError(
+                    f"Experiment {self.name!r} has {key} {getattr(self, key)!r:.60}. Expected a "
+                    "mapping from names to numbers."
+                ) from None
             object.__setattr__(self, key, given)
         if self.duration is None:
             object.__setattr__(self, "duration", excitation.duration if excitation else None)
@@ -171,6 +183,11 @@ class Experiment:
                 f"{owner} has no duration, and its manoeuvre has no natural end. "
                 "Give duration in seconds."
             )
+        for key in ("duration", "sample_time"):
+            if isinstance(getattr(self, key), str | bool) or np.ndim(getattr(self, key)):
+                raise DesignError(f"{owner} has {key} {getattr(self, key)!r:.40}. Give seconds.")
+        if not isinstance(self.name, str):
+            raise DesignError(f"{owner} is named by a {type(self.name).__name__}. Give text.")
         if not (self.sample_time > 0 and math.isfinite(self.sample_time)):
             raise DesignError(f"{owner} has sample_time {self.sample_time}. Give seconds above 0.")
         if not (self.duration >= self.sample_time and math.isfinite(self.duration)):
@@ -341,7 +358,10 @@ class Experiment:
 
 
 def _range(kind: str, name: str, given: Sequence[float]) -> tuple[float, float]:
-    pair = tuple(float(bound) for bound in given)
+    try:
+        pair = tuple(float(bound) for bound in given)
+    except (TypeError, ValueError):
+        pair = ()
     if len(pair) != 2 or not pair[0] < pair[1]:
         raise DesignError(
             f"Limit of {kind[:-1]} {name!r} is {given}; expected (lower, upper) with lower below "

@@ -16,6 +16,7 @@ from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.effects import Effect
 from oed_sysid.errors import ModelError
 from oed_sysid.language import expressions
+from oed_sysid.model_parts import settle_parts
 from oed_sysid.parameters import Parameter, check_unique
 
 RESERVED = ("t", "h")
@@ -92,10 +93,7 @@ class Model:
     step: float = 0.1
 
     def __post_init__(self) -> None:
-        for name in ("states", "inputs", "outputs", "effects", "parameters"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
-        for name in ("kinematics", "axes", "inertia", "actuators", "signals"):
-            object.__setattr__(self, name, dict(getattr(self, name)))
+        settle_parts(self)
         _validate(self)
 
     # -- what the model is made of -------------------------------------------------

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from oed_sysid.channels import check_signal
 from oed_sysid.errors import ModelError
 
 
@@ -55,6 +58,15 @@ class Parameter:
     description: str = ""
 
     def __post_init__(self) -> None:
+        check_signal("Parameter", self.name, self.unit)
+        for field in ("value", "lower", "upper", "prior_mean", "prior_std", "scale"):
+            given = getattr(self, field)
+            if given is None and field not in ("value", "lower", "upper"):
+                continue
+            if isinstance(given, bool) or not isinstance(given, int | float | np.number):
+                raise ModelError(
+                    f"Parameter {self.name!r} has {field} {given!r:.40}. Expected a number."
+                )
         for field in ("value", "lower", "upper"):
             if math.isnan(getattr(self, field)):
                 raise ModelError(f"Parameter {self.name!r} has {field} NaN. Give a number.")
@@ -70,13 +82,22 @@ class Parameter:
                 f"Parameter {self.name!r} starts at {self.value:g}, outside its bounds "
                 f"[{self.lower:g}, {self.upper:g}]. Move the start value or widen the bounds."
             )
-        if self.prior_std is not None and not self.prior_std > 0:
+        if self.prior_mean is not None and not math.isfinite(self.prior_mean):
+            raise ModelError(
+                f"Parameter {self.name!r} has prior_mean {self.prior_mean}. Give a number."
+            )
+        if self.prior_std is not None and not 0 < self.prior_std < math.inf:
             raise ModelError(
                 f"Parameter {self.name!r} has prior_std {self.prior_std}. "
                 "Give a positive number, or fixed=True for a known value."
             )
         if self.prior_std is not None and self.prior_mean is None:
             object.__setattr__(self, "prior_mean", self.value)
+        if self.prior_mean is not None and not self.lower <= self.prior_mean <= self.upper:
+            raise ModelError(
+                f"Parameter {self.name!r} has its prior at {self.prior_mean:g}, outside its bounds "
+                f"[{self.lower:g}, {self.upper:g}]. Move the prior or widen the bounds."
+            )
         if self.scale is not None and not self.scale > 0:
             raise ModelError(
                 f"Parameter {self.name!r} has scale {self.scale}. Give a positive one."

@@ -17,12 +17,14 @@ PACKAGE = ROOT / "oed_sysid"
 # Bottom to top: a module imports from layers before its own, or from its own folder.
 LAYERS = (
     "errors",
+    "files",
     "batch",
     "language",
     "channels",
     "parameters",
     "data",
     "effects",
+    "model_parts",
     "model",
     "compiled",
     "manoeuvres",
@@ -33,6 +35,7 @@ LAYERS = (
     "projection",
     "noise",
     "fitting",
+    "compatibility",
     "estimators",
     "predictions",
     "sensitivity",
@@ -50,6 +53,7 @@ USES_PUBLIC_API = ("testing", "demo", "app", "cli")
 CASADI_LAYERS = (
     "language",
     "effects",
+    "model_parts",
     "model",
     "compiled",
     "simulate",

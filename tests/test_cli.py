@@ -158,7 +158,7 @@ def test_fit_that_does_not_converge_has_its_own_code(ferry: Path, tmp_path: Path
     """A record without any excitation and a hopeless model give no usable result: code 1."""
     text = (ferry / "problem.py").read_text()
     # A growing mode of 1/s cannot follow 80 s of a stable ship from any start state.
-    hopeless = text.replace("(K*rudder - r)/T", "(K*rudder - r)/T + 8*r + 30*r**3")
+    hopeless = text.replace("(K*rudder - r)/T", "(K*rudder - r)/T + 100*r/T + 3*T*r**3")
     file = tmp_path / "one.csv"
     assert main(["simulate", str(ferry), "--experiment", "zigzag_20", "--out", str(file)]) == DONE
     (ferry / "problem.py").write_text(hopeless)

@@ -61,7 +61,7 @@ def test_row_numbers(tmp_path: Path) -> None:
         ((HEADER, "0;1;2", "1;2"), "Row 3 of dive.csv has 2 cells, but the header has 3"),
         ((HEADER, "0;1;2;3"), "Row 2 of dive.csv has 4 cells, but the header has 3"),
         ((HEADER,), "holds no rows of numbers"),
-        (("",), "holds no rows of numbers"),
+        (("",), "is empty"),
         (("0;1;2", "1;1;2"), "holds numbers, not headers"),
         (("0;0;0", "1;0;0"), "holds numbers, not headers"),
         (("t [s];z [m];z [m]", "0;1;2"), r"two columns 'z \[m\]'"),

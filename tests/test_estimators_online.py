@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
 from oed_sysid import Dataset, load_problem
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, PrecisionWarning
 from oed_sysid.estimators import (
     EquationStream,
     IncrementalLSSVM,
@@ -196,3 +198,32 @@ def test_machines_must_learn_before_they_tell() -> None:
     for machine in (IncrementalLSSVM(), RecursiveLSSVM()):
         with pytest.raises(ModelError, match="learnt nothing"):
             _ = machine.bias
+
+
+def test_published_recursion_warns_when_its_digits_are_lost() -> None:
+    """With a weight beyond its digits the inverse warns and errs; Cholesky is silent and right."""
+    first, second = (IncrementalLSSVM(C=1e14, method=way) for way in ("inverse", "cholesky"))
+    batch = train(FEATURES, TARGETS, C=1e14)
+    for machine in (first, second):
+        machine.start(FEATURES[:2], TARGETS[:2])
+        for row, target in zip(FEATURES[2:], TARGETS[2:], strict=True):
+            machine.update(row, target)
+    with pytest.warns(PrecisionWarning, match="lost its digits"):
+        lost = gap(first.coefficients, batch.coefficients)
+    assert first.residual > 1e-3
+    assert lost > 0.01
+    assert second.residual < 1e-3
+    assert gap(second.coefficients, batch.coefficients) < 1e-3
+
+
+def test_published_recursion_is_silent_where_it_is_sound() -> None:
+    """At the published weight the residual is rounding, and nothing is said."""
+    machine = IncrementalLSSVM(C=3e5, method="inverse")
+    machine.start(FEATURES[:2], TARGETS[:2])
+    for row, target in zip(FEATURES[2:], TARGETS[2:], strict=True):
+        machine.update(row, target)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        coefficients = machine.coefficients
+    assert machine.residual < 1e-6
+    assert gap(coefficients, train(FEATURES, TARGETS, C=3e5).coefficients) < 1e-7

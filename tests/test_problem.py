@@ -27,11 +27,11 @@ MODEL = Model(
 )
 DRAG = Force("drag", {"r": "-E*r*abs(r)"}, (Parameter("E", 0.0, "1/rad"),))
 SOURCE = """\
-from oed_sysid import Input, Model, Output, Problem, State
+from oed_sysid import Input, Model, Output, Parameter, Problem, State
 
 model = Model(
     "barge", (State("r", "rad/s"),), (Input("rudder", "rad"),), (Output("r", "rad/s"),),
-    {"r": "rudder - r"},
+    {"r": "(rudder/T - r)/T"}, parameters=(Parameter("T", 1.0, "s"),),
 )
 problem = Problem("barge", model)
 """
@@ -130,7 +130,7 @@ def test_folder_or_file_without_problem(tmp_path: Path) -> None:
         ("x = 1\ny = x / 0\n", r"problem\.py, line 2: ZeroDivisionError: division by zero"),
         ("import oed_sysid\n\nx = (\n", r"problem\.py, line 3: .*never closed"),
         ("import no_such_thing_here\n", r"problem\.py, line 1: ModuleNotFoundError"),
-        (SOURCE.replace('"rudder - r"', '"ruder - r"'), r"line 3: ModelError: .*ruder"),
+        (SOURCE.replace('"(rudder/T', '"(ruder/T'), r"line 3: ModelError: .*ruder"),
         (SOURCE.replace('"barge", model', '"a barge", model'), r"line 7: Problem name 'a barge'"),
         (SOURCE.replace("problem =", "barge ="), r"a Problem called 'barge': rename it"),
         ("problem = 3\n", r"its 'problem' is a int"),
@@ -246,12 +246,14 @@ def test_starter_never_overwrites(tmp_path: Path) -> None:
 
 
 PARTS = """\
-from oed_sysid import Model, Output, Problem, State
+from oed_sysid import Model, Output, Parameter, Problem, State
 
 from .physics import RATE
 
-tank = Model("tank", (State("z", "m"),), (), (Output("z", "m"),), {"z": RATE})
-dial = Model("dial", (State("z", "m"),), (), (Output("level", "m", expression="z"),), {"z": RATE})
+RATES = (Parameter("a", 1.0, "1/s"),)
+tank = Model("tank", (State("z", "m"),), (), (Output("z", "m"),), {"z": RATE}, parameters=RATES)
+dial = Model("dial", (State("z", "m"),), (), (Output("level", "m", expression="z"),), {"z": RATE},
+             parameters=RATES)
 problem = Problem("tank", tank, others={"dial": Problem("tank_dial", dial)})
 """
 
@@ -261,10 +263,10 @@ def test_a_folder_may_have_modules_of_its_own(tmp_path: Path) -> None:
     folder = tmp_path / "my tank"
     folder.mkdir()
     (folder / "problem.py").write_text(PARTS, encoding="utf-8")
-    (folder / "physics.py").write_text('RATE = "-z"\n', encoding="utf-8")
-    assert load_problem(folder).model.kinematics == {"z": "-z"}
-    (folder / "physics.py").write_text('RATE = "-0.25*z"\n', encoding="utf-8")
-    assert load_problem(folder).model.kinematics == {"z": "-0.25*z"}
+    (folder / "physics.py").write_text('RATE = "-a*z"\n', encoding="utf-8")
+    assert load_problem(folder).model.kinematics == {"z": "-a*z"}
+    (folder / "physics.py").write_text('RATE = "-0.25*a*z"\n', encoding="utf-8")
+    assert load_problem(folder).model.kinematics == {"z": "-0.25*a*z"}
 
 
 def test_a_variant_may_have_other_channels(tmp_path: Path) -> None:
@@ -272,7 +274,7 @@ def test_a_variant_may_have_other_channels(tmp_path: Path) -> None:
     folder = tmp_path / "tank"
     folder.mkdir()
     (folder / "problem.py").write_text(PARTS, encoding="utf-8")
-    (folder / "physics.py").write_text('RATE = "-z"\n', encoding="utf-8")
+    (folder / "physics.py").write_text('RATE = "-a*z"\n', encoding="utf-8")
     assert load_problem(folder).variants == ("default", "dial")
     assert load_problem(folder, variant="dial").channels.output_names == ("level",)
     with pytest.raises(ProblemError, match="It has default, dial"):

@@ -39,7 +39,8 @@ def test_saturated_readings_are_missing(split: tuple[Dataset, Dataset]) -> None:
 def test_gravity_outflow_leads_from_linear_to_square_root(problem: Problem) -> None:
     """With amplitude 1 the lower tank's balance is that of square-root outflows."""
     effect = problem.effect("gravity_outflow")
-    scope = {"E_gravity": 1.0, "drain_upper": 0.3, "drain_lower": 0.2, "upper": 7.0, "lower": 2.0}
+    scope = {**problem.model.values, "E_gravity": 1.0, "upper": 7.0, "lower": 2.0}
+    scope |= {"drain_upper": 0.3, "drain_lower": 0.2}
     linear = 0.3 * 7.0 - 0.2 * 2.0
     root = 0.3 * np.sqrt(5.0 * 7.0) - 0.2 * np.sqrt(5.0 * 2.0)
     assert linear + to_numpy(effect.terms["lower"], scope) == pytest.approx(root)

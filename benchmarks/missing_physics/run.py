@@ -20,6 +20,7 @@ from joblib import Parallel, delayed
 from benchmarks.missing_physics.cases import Draw, draws, simulate_draws
 from benchmarks.missing_physics.judge import judge
 from benchmarks.missing_physics.measures import as_markdown, measures
+from oed_sysid.files import write_text
 
 RESULTS = Path(__file__).resolve().parent.parent / "results" / "missing_physics.jsonl"
 PLAN = (
@@ -83,6 +84,7 @@ def run(
         Measures, see :func:`benchmarks.missing_physics.measures.measures`.
     """
     results.parent.mkdir(parents=True, exist_ok=True)
+    mend(results)
     done = {entry["key"] for entry in load(results)}
     wanted = draws(plan)
     left = [draw for draw in wanted if draw.key not in done]
@@ -114,6 +116,14 @@ def _entries(left: Sequence[Draw], n_jobs: int) -> Iterator[dict[str, Any]]:
                 for draw, (case, records) in zip(batch, simulate_draws(batch), strict=True)
             )
             yield from workers(jobs)
+
+
+def mend(results: Path) -> None:
+    """Cut off the part of a line that a killed run may have left."""
+    text = results.read_text(encoding="utf-8") if results.exists() else ""
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        write_text(results, whole)
 
 
 def load(results: Path) -> list[dict[str, Any]]:
@@ -160,7 +170,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     text = as_markdown(found)
     print(text)
     if options.table:
-        options.table.write_text(page(text, options.table), encoding="utf-8")
+        write_text(options.table, page(text, options.table))
 
 
 def page(table: str, path: Path) -> str:

@@ -81,9 +81,7 @@ def improve(study: Study, max_effects: int, tell: Tell) -> Outcome:
         max_effects=max_effects,
         progress=tell,
     )
-    # As any user would fit them: plain fits, judged on the same records.
-    models = {BELIEVED: problem.model} | ({"improved": result.model} if result.steps else {})
-    fits = {name: fitted(study, model, tell) for name, model in models.items()}
+    fits = {BELIEVED: result.base_fit} | ({"improved": result.fit} if result.steps else {})
     tell("predicting")
     comparison = compare_models(fits, study.test or train)
     tell(DRAWING)

@@ -1,22 +1,24 @@
 """Finished calculations on disk, one file each.
 
 Safe against several writers (a file appears whole or not at all, and equal
-cells have equal results) and against torn files (a digest heads every file;
-what does not fit it is calculated again).
+cells have equal results), against torn files, and against files from elsewhere:
+results are pickled, and to read a pickle is to run it, so a digest made with the
+user's secret key (:func:`oed_sysid.files.secret_key`) heads every file. What does
+not fit it is never unpickled; it is calculated again.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
+import hmac
 import pickle
-import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from oed_sysid.errors import DataError
+from oed_sysid.files import secret_key, write_bytes
 
 _SUFFIX = ".cell"
 
@@ -25,7 +27,8 @@ _SUFFIX = ".cell"
 class CellStore:
     """A folder of results by name.
 
-    Results are pickled: open only folders that you or your cluster have written.
+    Only results that this user's processes wrote are read back; to carry a store to
+    another machine, carry the key of the private cache as well.
 
     Parameters
     ----------
@@ -60,18 +63,7 @@ class CellStore:
     def write(self, key: str, result: Any) -> None:
         """Keep a result."""
         content = pickle.dumps((key, result), protocol=pickle.HIGHEST_PROTOCOL)
-        self.folder.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=self.folder, suffix=".part")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(hashlib.sha256(content).digest())
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(name, self.path(key))
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
+        write_bytes(self.path(key), _digest(content) + content)
 
     def keys(self) -> Iterator[str]:
         """Yield the names of all intact results."""
@@ -82,13 +74,21 @@ class CellStore:
 
     @staticmethod
     def _entry(path: Path) -> tuple[str, Any] | None:
-        """Name and result in a file; None where it is missing or torn."""
+        """Name and result in a file; None where it is missing, torn or not from this user."""
         try:
             content = path.read_bytes()
-        except FileNotFoundError:
+        except OSError:
             return None
         digest, body = content[:32], content[32:]
-        if hashlib.sha256(body).digest() != digest:
+        if not hmac.compare_digest(_digest(body), digest):
             return None
-        key, result = pickle.loads(body)
+        try:
+            key, result = pickle.loads(body)
+        except Exception:  # a class that has since been renamed or changed
+            return None
         return key, result
+
+
+def _digest(content: bytes) -> bytes:
+    """Digest that only who knows the user's key can make."""
+    return hmac.new(secret_key(), content, hashlib.sha256).digest()

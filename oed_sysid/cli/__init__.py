@@ -4,7 +4,7 @@
 exit code   meaning
 ==========  =============================================================
 0           done
-1           ended without a usable result (a fit did not converge)
+1           ended without a usable result (a fit did not converge, a log is suspect)
 2           the command line, a file or a problem has to be corrected
 3           an unexpected error: a fault of this program
 130         interrupted
@@ -38,12 +38,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     given = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in given
+    stated = tuple(given)  # for results that say how they were made
     given = limit_options([argument for argument in given if argument != "--debug"])
     given = spread(given, SEVERAL)
     with warnings.catch_warnings():
         warnings.showwarning = _say_warning
         try:
-            app(args=given, prog_name="oed-sysid")
+            app(args=given, prog_name="oed-sysid", obj=stated)
         except SystemExit as end:
             return int(end.code or 0)
         except OedSysidError as error:

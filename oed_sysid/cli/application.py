@@ -9,6 +9,7 @@ import typer
 from oed_sysid.cli import (
     commands_app,
     commands_benchmark,
+    commands_check,
     commands_data,
     commands_fit,
     commands_improve,
@@ -17,8 +18,8 @@ from oed_sysid.cli import (
 
 EPILOG = (
     "Exit codes: 0 done; 1 the work ended without a usable result, such as a fit that did not "
-    "converge; 2 the command line, a file or a problem has to be corrected; 3 an unexpected "
-    "error; 130 interrupted.\n\n"
+    "converge or a log that is suspect; 2 the command line, a file or a problem has to be "
+    "corrected; 3 an unexpected error; 130 interrupted.\n\n"
     "The whole path in Python and on the command line: README.md."
 )
 
@@ -54,7 +55,14 @@ def _settings(
     pass  # --debug is taken out of the command line before, in oed_sysid.cli.main
 
 
-for module in (commands_data, commands_plan, commands_fit, commands_improve, commands_app):
+for module in (
+    commands_data,
+    commands_check,
+    commands_plan,
+    commands_fit,
+    commands_improve,
+    commands_app,
+):
     for command in module.COMMANDS:
         app.command(no_args_is_help=command.__name__ not in ("problems", "app"))(command)
 app.add_typer(commands_benchmark.app)

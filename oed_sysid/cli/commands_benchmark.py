@@ -79,6 +79,7 @@ def estimators(
     [bold]Example[/bold]: oed-sysid benchmark estimators --problems online_ship --noise 0.5 1
     """
     from oed_sysid.benchmark import CONTESTANTS, PROBLEMS, QUICK, benchmark
+    from oed_sysid.report import save_figure
     from oed_sysid.report.benchmark_plots import figure_benchmark
 
     chosen = list(CONTESTANTS) if names == ["all"] else names or list(QUICK)
@@ -99,7 +100,7 @@ def estimators(
     write(text, out / "benchmark.md")
     write(result.to_csv(), out / "benchmark.csv")
     if any(row.noise > 0 and not row.refused for row in result.rows):
-        figure_benchmark(result).savefig(out / "benchmark.png", dpi=110)
+        save_figure(figure_benchmark(result), out / "benchmark.png", dpi=110)
         note(f"Written: {out / 'benchmark.png'}")
     store(result.to_dict(), json_file)
 

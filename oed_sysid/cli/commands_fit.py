@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from oed_sysid.cli.options import HtmlFile, JsonFile, KnownNoise, ProblemName, Test, Train, Variant
-from oed_sysid.cli.terminal import note, progress, say, store
+from oed_sysid.cli.terminal import invocation, note, progress, say, store
+from oed_sysid.errors import DataError
 
 if TYPE_CHECKING:
     from oed_sysid.model import Model
@@ -53,10 +54,10 @@ def fit(
     with progress("Fitting") as show:
         result = MultipleShooting(noise=noise, progress=show.iteration).fit(chosen.model, dataset)
     say(result.report())
-    store(result.to_dict(), json_file)
+    store(result.to_dict(), json_file, records=[dataset])
     if save is not None:
-        save.parent.mkdir(parents=True, exist_ok=True)
-        result.save(save)
+        command, settings = invocation()
+        result.save(save, command=command, settings=settings)
         note(f"Written: {save}")
     if html_file is not None:
         from oed_sysid.report import fit_page
@@ -107,7 +108,7 @@ def compare(
     stopped = {name: fit for name, fit in fits.items() if not fit.status.ok}
     for name, fit in stopped.items():
         note(f"The fit of {name} ended as {fit.status}")
-    store(result.to_dict(), json_file)
+    store(result.to_dict(), json_file, records=[training, untouched])
     if html_file is not None:
         from oed_sysid.report import comparison_page
 
@@ -120,7 +121,9 @@ def report(
     saved: Annotated[
         Path,
         typer.Argument(
-            metavar="FIT", help="What `oed-sysid fit --save FIT` kept.", show_default=False
+            metavar="FIT",
+            help="What `oed-sysid fit --save FIT` kept, or the numbers of --json.",
+            show_default=False,
         ),
     ],
     out: Annotated[
@@ -143,9 +146,26 @@ def report(
     from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.compare import compare as compare_models
     from oed_sysid.fitting.fit import Fit
-    from oed_sysid.report import fit_page
+    from oed_sysid.fitting.saved import is_numbers_of_fit, read_json, read_result
+    from oed_sysid.report import fit_page, numbers_page
 
+    content = read_json(saved)
+    if is_numbers_of_fit(content):
+        note(f"Written: {numbers_page(content).write(out)}")
+        note(
+            f"{saved} holds the numbers of a fit only. For pictures and predictions repeat the fit "
+            "with --save FILE and report on that file."
+        )
+        if test:
+            raise DataError(
+                f"{saved} holds no model, so it predicts nothing. Repeat the fit with --save FILE, "
+                "or leave out --test."
+            )
+        return
     kept = Fit.load(saved)
+    made = read_result(saved, "fit")[1]
+    if made.get("command"):
+        note(f"Made by oed_sysid {made.get('version')}: {made['command']}")
     comparison = None
     if test:
         comparison = compare_models({kept.model.name: kept}, read_csv(test, kept.model.channels))

@@ -31,7 +31,7 @@ def diagnose(
     with progress("Looking"):
         result = look(chosen.model, records, candidates=chosen.effects, known_noise=known_noise)
     say(result.report())
-    store(result.to_dict(), json_file)
+    store(result.to_dict(), json_file, records=[records])
     if html_file is not None:
         from oed_sysid.report import diagnosis_page
 
@@ -46,7 +46,7 @@ def improve(
         typer.Option(
             "--test",
             metavar="CSV...",
-            help="Untouched records to test the claim with; without them there is no test.",
+            help="Validation records to test the claim with; without them there is no test.",
             show_default=False,
         ),
     ] = None,
@@ -55,17 +55,20 @@ def improve(
     max_effects: Annotated[
         int, typer.Option("--max-effects", min=1, help="Most effects to add.")
     ] = 4,
+    save: Annotated[
+        str | None,
+        typer.Option("--save", metavar="FILE", help="Keep the fit of the improved model."),
+    ] = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
 ) -> None:
-    """Find the effects that a model lacks, and test the claim on untouched records.
+    """Find the effects that a model lacks, and test the claim on validation records.
 
     [bold]Example[/bold]: oed-sysid improve remus_diving_plane --train train_*.csv --test test_*.csv
     """
     from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.compare import compare
     from oed_sysid.diagnosis.improve import improve
-    from oed_sysid.estimators import MultipleShooting
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
@@ -82,16 +85,14 @@ def improve(
             progress=show.say,
         )
     say(result.report())
-    store(result.to_dict(), json_file)
+    store(result.to_dict(), json_file, records=[training, untouched])
+    if save is not None:
+        result.fit.save(save)
+        note(f"Written: {save}")
     if html_file is not None:
         from oed_sysid.report import improvement_page
 
-        # As any user would fit them: the same plain fits that the errors above are from.
-        models = {"as believed": chosen.model} | (
-            {"improved": result.model} if result.steps else {}
-        )
-        plain = MultipleShooting(noise="given" if known_noise else "auto")
-        fits = {name: plain.fit(one, training) for name, one in models.items()}
+        fits = {"nominal": result.base_fit} | ({"improved": result.fit} if result.steps else {})
         comparison = compare(fits, untouched or training)
         page = improvement_page(result, comparison, train=training, title=chosen.title)
         note(f"Written: {page.write(html_file)}")

@@ -201,7 +201,7 @@ def design(
         found = design_experiment(
             Fit.load(after) if after else chosen.model,
             limits=limits,
-            duration=duration or float(pattern.duration or 0.0),
+            duration=float(pattern.duration or 0.0) if duration is None else duration,
             sample_time=pattern.sample_time,
             rng=np.random.default_rng(seed),
             criterion=_criterion(chosen, criterion, discriminate or []),
@@ -242,8 +242,9 @@ def design(
 
 
 def _draw(figure: Any, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150, bbox_inches="tight")
+    from oed_sysid.report import save_figure
+
+    save_figure(figure, path, dpi=150, bbox_inches="tight")
     note(f"Written: {path}")
 
 

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oed_sysid.errors import OedSysidError
+from oed_sysid.files import write_text
 
 if TYPE_CHECKING:
+    from oed_sysid.data.dataset import Dataset
     from oed_sysid.fitting.gauss_newton import Progress
 
 
@@ -94,25 +96,51 @@ def progress(what: str) -> Iterator[Shown]:
         yield Shown(lambda text: bar.update(task, description=text), what)
 
 
-def store(result: Mapping[str, Any], path: Path | None) -> None:
-    """Write a result as JSON where the user asked for it.
+def store(
+    result: Mapping[str, Any], path: Path | None, *, records: Iterable[Dataset | None] = ()
+) -> None:
+    """Write a result as JSON where the user asked for it, and beside it how it was made.
 
     Numbers that JSON cannot hold (NaN, infinity) become ``null``.
+
+    Parameters
+    ----------
+    result : mapping
+        The result.
+    path : Path or None
+        The file; ``None`` writes nothing.
+    records : iterable of Dataset or None
+        What the result depends on; their hashes are written.
     """
     if path is None:
         return
-    write(json.dumps(_plain(result), indent=2, allow_nan=False) + "\n", path)
+    from oed_sysid.fitting.saved import made_by
+
+    command, settings = invocation()
+    present = [dataset for dataset in records if dataset is not None]
+    made = made_by(present, command=command, settings=settings)
+    text = json.dumps(_plain({**result, "oed_sysid": made}), indent=2, allow_nan=False)
+    write(text + "\n", path)
+
+
+def invocation() -> tuple[str, dict[str, Any]]:
+    """Return the command line that is being worked on, and every option of it."""
+    try:  # typer carries its own copy of click since 0.20
+        from typer._click.globals import get_current_context
+    except ImportError:
+        from click import get_current_context  # type: ignore[no-redef]
+
+    context = get_current_context(silent=True)
+    if context is None:
+        return "", {}
+    settings = {name: _plain(value) for name, value in context.params.items()}
+    given = context.find_root().obj or ()
+    return shlex.join(["oed-sysid", *given]), settings
 
 
 def write(text: str, path: Path) -> None:
     """Write a text file and say so."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OedSysidError(
-            f"{str(path)!r} cannot be written: {error.strerror}. Give another place."
-        ) from error
+    write_text(path, text)
     note(f"Written: {path}")
 
 

@@ -1,7 +1,9 @@
 """Compile a model's kernel once and keep it on disk.
 
 Safe against processes that compile the same model at the same time, and
-against torn files: a library is loaded only when its digest is right.
+against torn files: a library is loaded only when its digest is right. Libraries
+run with the user's rights, so they are loaded only from a folder and from files
+that nobody else can write to (:func:`oed_sysid.files.private`).
 """
 
 from __future__ import annotations
@@ -25,15 +27,11 @@ import numpy as np
 
 from oed_sysid.compiled.generate import source
 from oed_sysid.compiled.graph import build
+from oed_sysid.errors import FileError
+from oed_sysid.files import cache_folder, private, private_cache, write_text
 from oed_sysid.model import Model
 
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w")
-
-
-def cache_folder() -> Path:
-    """Folder that keeps compiled kernels."""
-    stated = os.environ.get("OED_SYSID_CACHE")
-    return Path(stated) if stated else Path.home() / ".cache" / "oed_sysid"
 
 
 @lru_cache(maxsize=1)
@@ -130,18 +128,22 @@ def load_source(
         return None
     shape = (_machine_digest(), flags, made_by or write())
     digest = hashlib.sha256(repr(shape).encode()).hexdigest()[:16]
-    library = cache_folder() / f"{key}-{digest}.so"
-    if not _intact(library):
-        try:
+    try:
+        library = private_cache() / f"{key}-{digest}.so"
+        if not _intact(library):
             _compile(write, what, compiler, flags, library)
-        except OSError as error:
-            _say_interpreted(f"{cache_folder()} cannot be written ({error})")
-            return None
-        except subprocess.CalledProcessError as error:
-            text = (error.stderr or b"").decode(errors="replace").strip().splitlines()
-            _say_interpreted(f"{compiler} failed: {text[-1] if text else error}")
-            return None
-    return ctypes.CDLL(str(library))
+    except (OSError, FileError) as error:
+        _say_interpreted(f"{cache_folder()} cannot be written ({error})")
+        return None
+    except subprocess.CalledProcessError as error:
+        text = (error.stderr or b"").decode(errors="replace").strip().splitlines()
+        _say_interpreted(f"{compiler} failed: {text[-1] if text else error}")
+        return None
+    try:
+        return ctypes.CDLL(str(library))
+    except OSError as error:  # a disk from which nothing may be run
+        _say_interpreted(f"{library} cannot be loaded ({error})")
+        return None
 
 
 def call(function: Callable[..., int], sizes: Sequence[int], *arrays: np.ndarray) -> int:
@@ -155,7 +157,9 @@ def call(function: Callable[..., int], sizes: Sequence[int], *arrays: np.ndarray
 
 
 def _intact(library: Path) -> bool:
-    """Whether a cached library is the one that was written: a torn file would crash."""
+    """Whether a cached library is the one that was written, by this user and whole."""
+    if not (private(library) and private(library.with_suffix(".sha256"))):
+        return False
     try:
         stated = library.with_suffix(".sha256").read_text()
         return hashlib.sha256(library.read_bytes()).hexdigest() == stated
@@ -166,7 +170,6 @@ def _intact(library: Path) -> bool:
 def _compile(
     write: Callable[[], str], what: str, compiler: str, flags: tuple[str, ...], library: Path
 ) -> None:
-    library.parent.mkdir(parents=True, exist_ok=True)
     print(
         f"oed_sysid: compiling {what} (once; kept in {library.parent})",
         file=sys.stderr,
@@ -181,9 +184,15 @@ def _compile(
             capture_output=True,
         )
         # Digest first, library last: a reader that sees both sees a matching pair.
-        digest = Path(folder) / "kernel.sha256"
-        digest.write_text(hashlib.sha256(built.read_bytes()).hexdigest())
-        os.replace(digest, library.with_suffix(".sha256"))
+        built.chmod(0o700)
+        digest = hashlib.sha256(built.read_bytes()).hexdigest()
+        stated = library.with_suffix(".sha256")
+        # What is not ours is replaced, not followed: it may be a link.
+        for place in (stated, library):
+            if place.is_symlink() or not private(place):
+                place.unlink(missing_ok=True)
+        write_text(stated, digest)
+        stated.chmod(0o600)
         os.replace(built, library)
 
 

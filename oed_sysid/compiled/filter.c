@@ -96,7 +96,7 @@ size_t kernel_filter_work(int na, int nq, int ncol, int nx, int nl)
  * n, times, inputs, p0, h_max as of kernel_run; h_sub, longest step of the noise;
  * z0 (NZ); na, uncertain (na), positions of the uncertain components of the full state;
  * nx columns of X of which the last np are parameters; in the rows of sensitivities those stand
- * from c_parameter, disturbances from c_disturbance; columns (NF), read with SELECT only, maps
+ * from c_parameter, disturbances from c_disturbance; columns (NF) maps
  * each free parameter to its place in these rows or to -1; x0 (na x nx) start of X;
  * nq, q_index (nq) positions of the disturbances in p, q_variance, q_time (nq);
  * white (NY) variances; ncol, c_output (ncol), c_variance, c_time (ncol);
@@ -131,11 +131,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
     sparse_t hs;
     double sum_log = 0.0, sum_square = 0.0, product_s = 1.0, last_length = -1.0;
     active_width(c_disturbance + nq);
-#ifdef SELECT
     column_of = columns;
-#else
-    (void)columns;
-#endif
     memset(work, 0, sizeof(double) * (size_t)(gram - work));
     memset(gram, 0, sizeof(double) * (size_t)wide * wide);
     memcpy(z, z0, sizeof(double) * NZ);

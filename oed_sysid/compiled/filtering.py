@@ -24,7 +24,6 @@ import numpy as np
 from oed_sysid.compiled.compile import load
 from oed_sysid.compiled.interpreter import interpreted
 from oed_sysid.compiled.kernels import Kernel
-from oed_sysid.errors import ModelError
 from oed_sysid.model import Model
 
 FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME = range(5)
@@ -112,19 +111,16 @@ class FilterKernel:
     Parameters
     ----------
     model : Model
-        Some of its free parameters are disturbances, at value zero.
-    selectable : bool
-        One library for every choice of columns; otherwise columns are those of all
-        free parameters but the disturbances, which are the last ones.
+        Some of its free parameters are disturbances, at value zero. Columns
+        are chosen at run time, so that one library serves every sub-model.
     """
 
-    def __init__(self, model: Model, *, selectable: bool = False) -> None:
+    def __init__(self, model: Model) -> None:
         self.model = model
         self.plain = Kernel(model, compiled=False)
-        self.selectable = selectable
         self._free = {name: i for i, name in enumerate(model.free_names)}
         self._position = {name: i for i, name in enumerate(model.parameter_names)}
-        self._library = load(model, selectable=selectable, filtered=True)
+        self._library = load(model, selectable=True, filtered=True)
         if self._library is not None:
             self._library.kernel_filter_work.restype = ctypes.c_size_t
 
@@ -241,14 +237,9 @@ class FilterKernel:
             )  # fmt: skip
             return found.done(failed)
         columns = np.full(max(plain.n_free, 1), -1, dtype=np.intc)
-        if self.selectable:
-            parameter, disturbance = len(kept), len(kept) + len(chosen)
-            columns[chosen] = parameter + np.arange(len(chosen))
-            columns[random] = disturbance + np.arange(len(random))
-        else:  # all free parameters have columns, disturbances last
-            parameter, disturbance = self.n_full, self.n_full + plain.n_free - len(random)
-            if chosen not in ([], list(range(plain.n_free - len(random)))):
-                raise ModelError("Columns of some parameters need a selectable filter.")
+        parameter, disturbance = len(kept), len(kept) + len(chosen)
+        columns[chosen] = parameter + np.arange(len(chosen))
+        columns[random] = disturbance + np.arange(len(random))
         kept = np.ascontiguousarray(kept, dtype=np.intc)
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
         coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
@@ -470,12 +461,12 @@ def _at(array: np.ndarray | None) -> ctypes.c_void_p | None:
     return None if array is None else ctypes.c_void_p(array.ctypes.data)
 
 
-_CACHE: dict[tuple[str, float, bool], FilterKernel] = {}
+_CACHE: dict[tuple[str, float], FilterKernel] = {}
 
 
-def filter_kernel(model: Model, *, selectable: bool = False) -> FilterKernel:
+def filter_kernel(model: Model) -> FilterKernel:
     """Return the filter of a model, compiled at most once per structure."""
-    key = (model.structure_key(), model.step, selectable)
+    key = (model.structure_key(), model.step)
     if key not in _CACHE:
-        _CACHE[key] = FilterKernel(model, selectable=selectable)
+        _CACHE[key] = FilterKernel(model)
     return _CACHE[key]

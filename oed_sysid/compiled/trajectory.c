@@ -18,6 +18,14 @@
 
 #define MAX1(n) ((n) > 0 ? (n) : 1)
 
+/* With the filter many loops call the same stages: compiled once, they cost a call, and half the
+ * time of compilation is saved. */
+#ifdef FILTER
+#define ONCE __attribute__((noinline))
+#else
+#define ONCE
+#endif
+
 /* Rows are padded with zeros to whole vectors. */
 #define WIDTH ((NC + 3) / 4 * 4)
 typedef double row_t[WIDTH] __attribute__((aligned(32)));
@@ -110,7 +118,7 @@ static void rates_stage(const double *x, const double *d, const double *p, doubl
 }
 
 /* One integration step of length h; z and s are replaced. */
-static void advance_step(double *z, row_t *s, const double *start, const double *end,
+static ONCE void advance_step(double *z, row_t *s, const double *start, const double *end,
                          const double *p, double t, double h, int with_sensitivities)
 {
     double input[MAX1(NU)], d0[MAX1(ND)], dm[MAX1(ND)], d1[MAX1(ND)], memory[MAX1(NA)];
@@ -163,7 +171,7 @@ static void advance_step(double *z, row_t *s, const double *start, const double 
 }
 
 /* One measurement; sensor memory in z and s is replaced. */
-static void sample_step(double *z, row_t *s, const double *input, const double *p, double t,
+static ONCE void sample_step(double *z, row_t *s, const double *input, const double *p, double t,
                         double h, double *y, row_t *sy, int with_sensitivities)
 {
     double d[MAX1(ND)], discard[MAX1(NA)], next[MAX1(NS)];

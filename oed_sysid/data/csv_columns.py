@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,20 @@ from oed_sysid.errors import DataError
 from oed_sysid.language.units import dimension, parse_header, to_si
 
 TIME_NAMES = ("t", "time", "times", "timestamp")
+# Seconds since 1970 of the years 2000 to 2100: a time there counts from 1970.
+EPOCH = (946_684_800.0, 4_102_444_800.0)
+# A log that steps by more seconds may count milliseconds.
+SUSPICIOUS_STEP = 20.0
+# What no vehicle reaches, by SI unit.
+SUSPICIOUS_SIZE = {"rad/s": 50.0, "m/s": 500.0, "m/s^2": 1e4, "m": 1e8}
+# Beyond this a number is no measurement, and its square soon no number.
+LARGEST = 1e50
+# Numbers that loggers write where they have no sample.
+SENTINELS = (
+    *(-99.0, -999.0, -9999.0, -99999.0, -999999.0, 999.0, 9999.0, 99999.0, 999999.0),
+    *(9999999.0, -999.25, -32768.0, 32767.0, 65535.0, -2147483648.0, 2147483647.0),
+    *(4294967295.0, 1e20, -1e20, 1e30, -1e30, 1e35, 1e37, 9.969209968386869e36, -1e34),
+)
 # An angle beyond three turns that is declared in rad is most likely in degrees.
 SUSPICIOUS_ANGLE = 20.0
 
@@ -72,7 +88,7 @@ class Columns:
                 f"{self.path.name} has {what} time column. {self.found} Call it 't [s]', or "
                 "name it with time=..."
             )
-        times = self._convert(matches[0], Input("time", "s"))
+        times = self._times(matches[0])
         fault = time_fault(times)
         if fault is not None:
             index, what = fault
@@ -80,6 +96,44 @@ class Columns:
             raise DataError(
                 f"Row {self.table.row_numbers[index]} of {self.path.name}: time "
                 f"{self._cell(index, matches[0])}{before} {what}. {TIME_ADVICE}"
+            )
+        return times
+
+    def _times(self, index: int) -> np.ndarray:
+        """Times in s as they are, or since the first row where the log counts from elsewhere."""
+        header, values = self.table.headers[index], self.table.values[:, index]
+        if index in self.table.stamps:
+            self._used.add(index)
+            self.suspicions.append(
+                f"Column {header!r} of {self.path.name} holds times of a clock: t = 0 is "
+                f"{self.table.stamps[index]}."
+            )
+            return values
+        times = self._convert(index, Input("time", "s"))
+        first = values[0]
+        unit = self.parsed[index][1] or "s"
+        if not np.isfinite(first) or not np.all(np.isfinite(times)):
+            return times
+        seconds = to_si(1.0, unit)[0]
+        if EPOCH[0] < first * seconds < EPOCH[1]:
+            moment = datetime.fromtimestamp(float(first * seconds), UTC)
+            self.suspicions.append(
+                f"Column {header!r} of {self.path.name} counts from 1970: t = 0 is "
+                f"{moment:%Y-%m-%dT%H:%M:%S.%fZ}."
+            )
+            return np.asarray((values - first) * seconds)
+        for factor, other in ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
+            if unit == "s" and EPOCH[0] < first * factor < EPOCH[1]:
+                raise DataError(
+                    f"Column {header!r} of {self.path.name} starts at {first:.12g}, which is no "
+                    f"time in s but looks like {other} since 1970. Write the header as "
+                    f"'t [{other}]'."
+                )
+        step = float(np.median(np.diff(times))) if times.size > 1 else 0.0
+        if step >= SUSPICIOUS_STEP and unit == "s":
+            self.suspicions.append(
+                f"Column {header!r} of {self.path.name} steps by {step:.4g} s. If it is in "
+                f"milliseconds, write the header as 't [ms]'."
             )
         return times
 
@@ -112,8 +166,39 @@ class Columns:
         """Return an output in SI, shape ``(n_rows,)``; all NaN without a column."""
         index = self._find(channel)
         if index is None:
+            self._say_near(channel)
             return np.full(self.table.values.shape[0], np.nan)
-        return self._convert(index, channel)
+        values = self._convert(index, channel)
+        infinite = np.flatnonzero(np.isinf(values))
+        if infinite.size:
+            raise DataError(
+                f"Row {self.table.row_numbers[infinite[0]]} of {self.path.name}, column "
+                f"{self.table.headers[index]!r}: output {channel.name!r} is infinite "
+                f"({infinite.size} such rows). Leave the cell empty for a missing sample."
+            )
+        present = values[np.isfinite(values)]
+        if present.size > 1 and np.ptp(present) == 0.0:
+            self.suspicions.append(
+                f"Column {self.table.headers[index]!r} of {self.path.name} is {present[0]:.6g} in "
+                f"all {present.size} rows: it tells nothing. Is the sensor connected?"
+            )
+        return values
+
+    def has(self, channel: Output) -> bool:
+        """Whether an output has a column, be it empty."""
+        return self._find(channel) is not None
+
+    def _say_near(self, channel: Output) -> None:
+        """Note a column that may be meant where an output has none."""
+        wanted = (channel.column or channel.name).lower()
+        for index, (name, _) in enumerate(self.parsed):
+            first = re.match(r"\w*", name.strip().lower())
+            if index not in self._used and first is not None and first.group() == wanted:
+                self.suspicions.append(
+                    f"{self.path.name} has no column {channel.column or channel.name!r}, but "
+                    f"{self.table.headers[index]!r}, which is not read. Names are compared letter "
+                    "by letter: rename it, or set Output(column=...)."
+                )
 
     def _find(self, channel: Input | Output) -> int | None:
         """Column of a channel: by whole header, then by name without unit."""
@@ -137,11 +222,18 @@ class Columns:
     def _convert(self, index: int, channel: Input | Output) -> np.ndarray:
         """One column in SI, with the sign of the channel; shape ``(n_rows,)``."""
         self._used.add(index)
+        if index in self.table.faults:
+            raise DataError(self.table.faults[index])
         header, (name, unit) = self.table.headers[index], self.parsed[index]
         if header == channel.name:
             # The channel is called so as a whole: "delta_s" is no delta in seconds.
             name, unit = header, None
         where = f"Column {header!r} of {self.path.name}"
+        if index in self.table.stamps:
+            raise DataError(
+                f"{where} holds times of a clock, but channel {channel.name} needs numbers in "
+                f"[{channel.unit}]. Choose another column with column=..."
+            )
         given = next((self.units[k] for k in (channel.name, header, name) if k in self.units), None)
         needed = dimension(channel.unit)
         if not np.isclose(to_si(1.0, channel.unit)[0], 1.0, rtol=1e-12):
@@ -169,13 +261,44 @@ class Columns:
                 "unit that converts to it. Correct the unit in the header, as "
                 f"'{name} [{channel.unit}]', or choose another column with column=..."
             )
+        self._check_plausible(index, where)
         values, si_unit = to_si(self.table.values[:, index], unit)
         if si_unit == "rad" and unit == "rad" and np.any(np.abs(values) > SUSPICIOUS_ANGLE):
             self.suspicions.append(
                 f"{where} reaches {np.nanmax(np.abs(values)):.3g} rad, more than three turns. If "
                 f"it is in degrees, write the header as '{name} [deg]'."
             )
+        limit = SUSPICIOUS_SIZE.get(si_unit)
+        if limit is not None and np.any(np.abs(values) > limit):
+            self.suspicions.append(
+                f"{where} reaches {np.nanmax(np.abs(values)):.3g} {si_unit}, which no vehicle "
+                f"does. Check that [{unit}] is its unit."
+            )
         return channel.sign * values
+
+    def _check_plausible(self, index: int, where: str) -> None:
+        """Refuse numbers that stand for something else, or are too large to be squared."""
+        values = self.table.values[:, index]
+        size = np.abs(values[np.isfinite(values)])
+        if size.size and size.max() > LARGEST:
+            row = int(np.nanargmax(np.where(np.isfinite(values), np.abs(values), -1.0)))
+            raise DataError(
+                f"Row {self.table.row_numbers[row]} of {self.path.name}, column "
+                f"{self.table.headers[index]!r}: {values[row]:.3g} is no measurement. Leave the "
+                "cell empty for a missing sample, or check the unit."
+            )
+        # Such a mark is the largest of all, so that no other has to be looked for.
+        largest = size.max() if size.size else 0.0
+        for mark in (mark for mark in SENTINELS if abs(mark) == largest):
+            rows = np.flatnonzero(values == mark)
+            others = values[np.isfinite(values) & (values != mark)]
+            if rows.size and others.size and np.abs(others).max() * 5 < abs(mark):
+                raise DataError(
+                    f"{where} holds {mark:g} in {rows.size} rows, first in row "
+                    f"{self.table.row_numbers[rows[0]]}; all others are between {others.min():.4g} "
+                    f"and {others.max():.4g}. It seems to mark missing samples: leave those cells "
+                    "empty."
+                )
 
     def check_units_used(self, channels: Channels) -> None:
         """Refuse units for something that is neither a channel nor a column."""

@@ -7,6 +7,7 @@ converted to SI here; after this border nothing has another unit.
 from __future__ import annotations
 
 import glob
+import hashlib
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -52,6 +53,10 @@ class Dataset:
         if not self.records:
             raise DataError("A dataset needs at least one record.")
         for index, record in enumerate(self.records):
+            if not isinstance(record, Record):
+                raise DataError(
+                    f"A dataset holds records, but one of these is a {type(record).__name__}."
+                )
             if record.name in self.names[:index]:
                 raise DataError(
                     f"Two records are called {record.name!r}. Give one another name with rename()."
@@ -99,6 +104,12 @@ class Dataset:
     def n_samples(self) -> int:
         """Number of times in all records together."""
         return sum(record.n_samples for record in self.records)
+
+    @property
+    def content_hash(self) -> str:
+        """Digest of the records' values, whatever their names and order."""
+        parts = sorted(record.content_hash for record in self.records)
+        return hashlib.sha256(" ".join(parts).encode()).hexdigest()
 
     def split(self, test: str | Iterable[str]) -> tuple[Dataset, Dataset]:
         """Divide into the records to learn from and those to judge with.
@@ -178,6 +189,10 @@ def read_csv(
     2.5 0.1745
     >>> folder.cleanup()
     """
+    if not isinstance(channels, Channels):
+        raise DataError(
+            f"channels is a {type(channels).__name__}, expected problem.channels or model.channels."
+        )
     files = _files(paths)
     if name is not None and len(files) > 1:
         raise DataError(
@@ -191,9 +206,9 @@ def read_csv(
     ]
     records = []
     for file, default in zip(files, names, strict=True):
-        columns = Columns(read_table(file), units or {})
+        columns = Columns(read_table(file, columns_of_text=True), units or {})
         records.append(_read_record(columns, name or default, channels, time))
-        for suspicion in columns.suspicions:
+        for suspicion in (*columns.suspicions, *records[-1].notes):
             warnings.warn(suspicion, UserWarning, stacklevel=2)
     return Dataset(tuple(records))
 
@@ -222,12 +237,15 @@ def write_csv(record: Record, path: str | Path) -> None:
 
 def _files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     """Expand folders and patterns; the order is that of names within each."""
-    entries = [paths] if isinstance(paths, str | Path) else list(paths)
+    try:
+        entries = [paths] if isinstance(paths, str | Path) else [Path(one) for one in paths]
+    except TypeError:
+        raise DataError(f"{paths!r:.60} names no files. Give a path, or a list of paths.") from None
     files: list[Path] = []
     for entry in entries:
         path = Path(entry).expanduser()
         if path.is_dir():
-            found = sorted(path.glob("*.csv"))
+            found = sorted(p for p in path.glob("*.csv") if not p.name.startswith("."))
         elif path.exists():
             found = [path]
         else:
@@ -253,6 +271,11 @@ def _read_record(columns: Columns, name: str, channels: Channels, time: str | No
     ]
     if len(missing) == len(outputs):
         wanted = ", ".join(channel.column or channel.name for channel in channels.outputs)
+        if any(columns.has(channel) for channel in channels.outputs):
+            raise DataError(
+                f"{columns.path.name} holds no sample of any output: all cells of {wanted} are "
+                "empty."
+            )
         raise DataError(
             f"{columns.path.name} has none of the outputs {wanted}. {columns.found} "
             "Rename a header, or set Output(column=...)."

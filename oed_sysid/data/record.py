@@ -7,14 +7,17 @@ missing is NaN; a fault is an error that says where.
 from __future__ import annotations
 
 import difflib
+import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from oed_sysid.channels import Channels
+from oed_sysid.data.angles import TURN, clear_wraps, unwrapped
 from oed_sysid.errors import DataError
 
 MINIMUM_SAMPLES = 5
@@ -48,6 +51,11 @@ class Record:
         Outputs that were not measured at all; their columns are NaN.
     ignored_columns : tuple of str
         Columns of the source that no channel asked for.
+    continuous : tuple of str
+        Outputs with ``wrap=True`` that have been made continuous; filled in when the record is
+        made from a log.
+    notes : tuple of str
+        What was done to the numbers on the way, in sentences.
 
     Raises
     ------
@@ -72,15 +80,18 @@ class Record:
     source: str = ""
     missing_outputs: tuple[str, ...] = ()
     ignored_columns: tuple[str, ...] = field(default=(), repr=False)
+    continuous: tuple[str, ...] = field(default=(), repr=False)
+    notes: tuple[str, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
-        times = np.array(self.times, dtype=float)
+        times = self._numbers("times", self.times)
         if times.ndim != 1:
             raise DataError(
                 f"Record {self.name!r} has times of shape {times.shape}. Expected (n_samples,)."
             )
         inputs = self._columns("inputs", self.inputs, times.size, self.channels.input_names)
         outputs = self._columns("outputs", self.outputs, times.size, self.channels.output_names)
+        self._make_continuous(outputs)
         for key, array in (("times", times), ("inputs", inputs), ("outputs", outputs)):
             array.setflags(write=False)
             object.__setattr__(self, key, array)
@@ -88,11 +99,20 @@ class Record:
         self._check_times()
         self._check_values()
 
+    def _numbers(self, kind: str, values: ArrayLike) -> np.ndarray:
+        try:
+            return np.array(values, dtype=float)
+        except (TypeError, ValueError):
+            raise DataError(
+                f"Record {self.name!r} has {kind} that are no real numbers: {values!r:.60}. "
+                "Give an array of numbers, NaN where a sample is missing."
+            ) from None
+
     def _columns(
         self, kind: str, values: ArrayLike, n_samples: int, names: tuple[str, ...]
     ) -> np.ndarray:
         """Copy as ``(n_samples, n_signals)``; a single signal may come as a vector."""
-        array = np.array(values, dtype=float)
+        array = self._numbers(kind, values)
         if array.ndim == 1 and len(names) == 1:
             array = array[:, np.newaxis]
         if not names and array.size == 0:
@@ -108,6 +128,46 @@ class Record:
                 f"{kind} ({', '.join(names)}). Mark missing samples with NaN."
             )
         return array
+
+    def _make_continuous(self, outputs: np.ndarray) -> None:
+        """Unwrap the angles that are declared to wrap; refuse others that do. Works in place."""
+        notes, done = list(self.notes), list(self.continuous)
+        for column, output in enumerate(self.channels.outputs):
+            if output.unit != "rad" or output.name in done:
+                continue
+            values = outputs[:, column]
+            if output.wrap:
+                whole = unwrapped(values)
+                jumps = int(np.sum(np.abs(np.diff((whole - values)[np.isfinite(values)])) > 1.0))
+                if jumps:
+                    turns = "turn" if jumps == 1 else "turns"
+                    notes.append(
+                        f"{output.name} of record {self.name!r} was unwrapped: {jumps} full "
+                        f"{turns} added where the log jumps."
+                    )
+                outputs[:, column] = whole
+                done.append(output.name)
+                continue
+            found = clear_wraps(values)
+            if found is not None:
+                raise DataError(self._wrap_fault(output.name, values, *found))
+        object.__setattr__(self, "continuous", tuple(done))
+        object.__setattr__(self, "notes", tuple(notes))
+
+    def _wrap_fault(self, name: str, values: np.ndarray, period: float, after: np.ndarray) -> str:
+        """Sentences about an angle that jumps by a full turn without being declared to."""
+        index = int(after[0])
+        before = values[:index][np.isfinite(values[:index])][-1]
+        where = (
+            f"Record {self.name!r}: output {name!r} jumps by a full turn {after.size} times, first "
+            f"at index {index} (from {before:.4g} to {values[index]:.4g})."
+        )
+        if period == TURN:
+            return f'{where} It is wrapped: declare it as Output("{name}", "rad", wrap=True).'
+        return (
+            f"{where} The jump is 360 rad: the values are degrees. Write the header as "
+            f'"{name} [deg]" and declare Output("{name}", "rad", wrap=True).'
+        )
 
     def _check_times(self) -> None:
         if self.n_samples < MINIMUM_SAMPLES:
@@ -162,6 +222,24 @@ class Record:
             )
         if len(empty) == len(names):
             raise DataError(f"Record {self.name!r} has no measured output. At least one is needed.")
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Digest (SHA-256) of times, values, names and units; name and source excluded.
+
+        Equal for two records exactly if they hold the same numbers of the same
+        channels, on every machine.
+        """
+        digest = hashlib.sha256()
+        named = [(one.name, one.unit) for one in self.channels.inputs]
+        named += [(one.name, one.unit) for one in self.channels.outputs]
+        digest.update(repr(named).encode())
+        for array in (self.times, self.inputs, self.outputs):
+            # One kind of zero, one kind of NaN, one order of bytes.
+            plain = np.where(np.isnan(array), np.nan, array + 0.0).astype("<f8")
+            digest.update(repr(plain.shape).encode())
+            digest.update(plain.tobytes())
+        return digest.hexdigest()
 
     @property
     def n_samples(self) -> int:

@@ -10,7 +10,6 @@ reads: comma-separated, units in the headers.
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import tempfile
 from collections.abc import Callable
@@ -18,8 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-import numpy as np
-
+from oed_sysid.data.originals import (
+    convert_captive,
+    convert_hsva,
+    convert_roll_decay,
+    convert_tanks,
+)
 from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError
 
@@ -187,55 +190,6 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-# -- from the originals to what this package reads ---------------------------------
-
-
-def _table(headers: str, columns: np.ndarray, form: str) -> bytes:
-    text = io.StringIO()
-    np.savetxt(text, columns, fmt=form, delimiter=",", header=headers, comments="")
-    return text.getvalue().encode()
-
-
-def convert_hsva(raw: bytes) -> bytes:
-    """Free-running tests of HSVA: name the columns, add velocities along the ship.
-
-    The original has four lines of text and twelve columns without names. The
-    velocity columns are earth-fixed, although the report calls them u and v:
-    they equal the derivatives of the positions.
-    """
-    lines = raw.decode("latin-1").splitlines()[4:]
-    data = np.array([line.split() for line in lines if line.strip()], dtype=float)
-    psi = np.radians(data[:, 3])
-    dx, dy = data[:, 4], data[:, 5]
-    u = dx * np.cos(psi) + dy * np.sin(psi)
-    v = -dx * np.sin(psi) + dy * np.cos(psi)
-    headers = (
-        "t_s,x0_m,y0_m,psi_deg,dx0_mps,dy0_mps,r_degps,phi_deg_inferred,delta_deg,n_rps,"
-        "thrust_N,torque_Nm,u_mps_derived,v_mps_derived"
-    )
-    return _table(headers, np.column_stack([data, u, v]), "%.8g")
-
-
-def convert_roll_decay(raw: bytes) -> bytes:
-    """Roll decay tests of SSPA: units in the headers, seven digits."""
-    data = np.loadtxt(io.BytesIO(raw), delimiter=",", skiprows=1)
-    return _table("t_s,x_m,y_m,z_m,phi_rad,theta_rad,psi_rad", data, "%.7g")
-
-
-def convert_captive(raw: bytes) -> bytes:
-    """Captive tests of HMRI: the rows with a drift angle or a rudder angle, not both."""
-    return b"".join(
-        row for row in raw.splitlines(keepends=True) if b"drift + rudder angle" not in row
-    )
-
-
-def convert_tanks(raw: bytes) -> bytes:
-    """Cascaded tanks: the estimation half, with times."""
-    data = np.genfromtxt(io.BytesIO(raw), delimiter=",", names=True, deletechars='"')
-    u, y = data["uEst"], data["yEst"]
-    return _table("t_s,u_V,y_V", np.column_stack([4.0 * np.arange(len(u)), u, y]), "%.5g")
-
-
 # -- registry ----------------------------------------------------------------------
 
 
@@ -277,6 +231,35 @@ _HSVA_FILES = {
     "30_05": "f6c11fe3eff940d10f78d5452c2cb4e5d313b6e86d9a11073e6cf2a50202b7fa",
 }
 
+_ESSO = ("NAOE-5thLab/FRT-DS-ESSO", "e694dfd62932bff755f3bc975b5863d649023bc0")
+_ESSO_LICENCE = (
+    "CC BY-NC 4.0 (its file LICENSE: CC BY-NC-SA 4.0), not for commercial use; cite Wakita et al. "
+    "(2022) and Miyauchi et al. (2022), J. Mar. Sci. Technol. 27"
+)
+# By kind of run and day, then by time of day.
+_ESSO_FILES = {
+    "random_06-Aug-2020": {
+        "16_24_25_4": "61dcab5b97f0a039ce59ff18a5b6d6a67f1d35e0b1cdff536ac9192b8c89cc52",
+        "16_24_25_5": "402ce69616c48f99f086a491811efd59cf26cc0a1f154c7ceeec844312eabcd4",
+        "16_24_25_6": "875dfed9570e83b50e4ecbfe52ef18f12b3cfb18f0f8f4f71f0332691d128eba",
+    },
+    "turn_14-Sep-2020": {
+        "13_39_32": "aedb10b620e00008acb2332ec180ca17a355cb9e2acba72244ebbfb167a9c7df",
+        "14_16_04": "b7075a503a922d58ab0da91c3ee15b55bb9cede0d51ed5f4fb26277fac506775",
+    },
+    "turn_cut_14-Sep-2020": {
+        "15_58_08": "7045db0012e33603955580c070522dc8a06d67e9a50972448acc3dbd86498ee7",
+        "16_09_02": "c5620305b7f3e52f67e84cababff7c67f59ec2ca175b803b6dc2e17621b0c94a",
+    },
+    "zigzag_31-Jul-2020": {
+        "13_22_52": "47d317d8405f88c524fc3e6646224ab4500c9b05184339dd35d14200a71cd8ff",
+        "13_29_19": "72523ffd6240cd441a9ab32c0a0ab8dfb52b120b7e7e9be365ff3e51cced022d",
+        "13_50_28": "e04f52593cc350281dc2d0b39750a48253fff9e35b3be11d28fc8fa157bbdffa",
+        "13_57_45": "6047e035a67745103aa56924e500c3eeb4486f82476e6933e563ca9589db4b68",
+        "14_03_39": "d6b7e81950d278c77b21f05f58c8b67a86a1e0f6d43ec57781bb8b9620e01480",
+    },
+}
+
 
 def _hosted(
     path: str,
@@ -293,6 +276,12 @@ def _hosted(
     return DataFile(
         path, sha256, source, licence, url, convert, raw_sha256=None if convert else sha256
     )
+
+
+def _kind_of_run(run: str) -> str:
+    """Folder of a run of Esso Osaka: turning, zigzag or random."""
+    kind = run.partition("_")[0]
+    return "turning" if kind == "turn" else kind
 
 
 _FILES = (
@@ -336,6 +325,17 @@ _FILES = (
         "data/processed/roll decay KVLCC2/model_test_21337.csv",
         "MIT (same data: doi:10.17632/2stvkyngj9.1)",
         convert_roll_decay,
+    ),
+    *(
+        _hosted(
+            f"esso_osaka/{day}_{time}.csv",
+            sha256,
+            _ESSO,
+            f"data/{_kind_of_run(day)}/{day}_{time}.csv",
+            _ESSO_LICENCE,
+        )
+        for day, files in _ESSO_FILES.items()
+        for time, sha256 in files.items()
     ),
     _hosted(
         "cascaded_tanks/estimation.csv",

@@ -1,1 +1,19 @@
-"""After data: where a model fails, which effect it lacks, and whether what is left is noise."""
+r"""After data: where a model fails, which effect it lacks, and what is left.
+
+A claim needs three things: a gain :math:`2\Delta\log L` on the training records that chance
+rarely gives; a gain on the validation records, judged with noise levels and start states estimated
+there and the parameters' uncertainty taken along; and an error there that is finite and does not
+rise. What remains has a kind and a size: noise of the sensors, random forces, or structure.
+
+=============================== ===========================================================
+module                          question
+=============================== ===========================================================
+``compare``, ``forecasts``      how far are models from records: where, when, in which regime
+``study``                       what stays the same while models are compared
+``locate``                      at which place of the chain does it fail
+``score``, ``rank``             which effect would explain it
+``propose``, ``dictionary``     which term would, if no known effect does
+``improve``, ``improvement``    the loop, and its result
+``remainder``                   what is left
+=============================== ===========================================================
+"""

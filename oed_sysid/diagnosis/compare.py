@@ -11,6 +11,7 @@ import numpy as np
 from oed_sysid.batch.threads import single_threaded
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.overlap import check_disjoint
 from oed_sysid.diagnosis.forecasts import Forecasts, forecasts
 from oed_sysid.diagnosis.misfit import OutputMisfit, output_misfit
 from oed_sysid.diagnosis.regimes import Signal, regimes
@@ -19,6 +20,7 @@ from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.fitting.noise_levels import credible_levels, given_levels
 from oed_sysid.fitting.prediction import WAYS, Initial, Prediction, predict
 from oed_sysid.model import Model
+from oed_sysid.noise.model import NoiseModel
 
 TWO_SIDED_95 = 1.959964
 # An estimated noise level this far above what the fastest wiggles show is suspect.
@@ -223,11 +225,23 @@ def compare(
     if not horizon > 0:
         raise DataError(f"horizon is {horizon} s. Give a length above zero.")
     sigma, notes = _levels(given, dataset)
+    notes = (*_training_notes(given, dataset), *notes)
     parts = tuple(
         _misfit(label, item, dataset, sigma, initial, horizon)
         for label, item in zip(labels, given, strict=True)
     )
     return Comparison(dataset, parts, sigma, notes)
+
+
+def _training_notes(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[str, ...]:
+    """Say so where a fit is judged on records that it was fitted to, whatever they are called."""
+    trained = [item for item in given if isinstance(item, Fit)]
+    try:
+        for fit in trained:
+            check_disjoint(fit.dataset, dataset)
+    except DataError as error:
+        return (f"this is no validation: {error}",)
+    return ()
 
 
 def _misfit(
@@ -239,12 +253,15 @@ def _misfit(
     horizon: float,
 ) -> ModelMisfit:
     model = _model(item)
+    noise: NoiseModel | np.ndarray = sigma
     if isinstance(item, Fit):
         covariance = item.covariance
+        if item.noise is not None and not item.noise.is_white:
+            noise = item.noise  # what start states may be bent by is what the fit admits
     else:
         n_shared = sum(not p.per_record for p in model.free_parameters)
         covariance = np.zeros((n_shared, n_shared))
-    prediction = predict(model, dataset, covariance, sigma, initial=initial)
+    prediction = predict(model, dataset, covariance, noise, initial=initial)
     states = _states(model, dataset, prediction)
     times = [record.times for record in dataset]
     signals = _signals(model, dataset, states)

@@ -17,7 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.batch.threads import single_threaded
+from oed_sysid.compatibility import LogCheck, quick_check
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.overlap import check_disjoint
 from oed_sysid.diagnosis.improvement import (
     Improvement,
     Step,
@@ -76,6 +78,7 @@ class _State:
     added: tuple[_Added, ...]
     fit: FilteredSolution
     path: tuple[FilteredSolution, ...]
+    replaced: tuple[str, ...] = ()
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -129,6 +132,9 @@ def improve(
         raise DataError(
             "There is no candidate effect. Give problem.effects, or effects of your own."
         )
+    if test is not None:
+        check_disjoint(train, test)
+    log = quick_check(train if test is None else Dataset((*train, *test)), model)
     tell("fitting the nominal model")
     study, base = Study.begin(model, train, test, candidates, known_noise=known_noise)
     state = _State(study, (), base, (base,))
@@ -154,7 +160,7 @@ def improve(
     if left is None:
         left = Remains(np.inf, None)
     tell("fits and errors of every step")
-    return _result(state, base, first, location, rejected, proposals, left, notes)
+    return _result(state, base, first, location, rejected, proposals, left, notes, log)
 
 
 def _search(
@@ -357,7 +363,9 @@ def _with_term(
     option = replace(option, added=(*option.added[:-1], last), fit=option.study.settle(found))
     if len(option.added) > max_effects + 1:
         return state, None, tied
-    return _rebuilt(option), proposals, ()
+    present = {one.effect.name for one in option.added}
+    gone = tuple(one.effect.name for one in state.added if one.effect.name not in present)
+    return _rebuilt(replace(option, replaced=gone)), proposals, ()
 
 
 def _without_imitations(
@@ -412,6 +420,7 @@ def _result(
     proposals: Proposals | None,
     left: Remains,
     notes: list[str],
+    log: LogCheck,
 ) -> Improvement:
     study = state.study
     label = "improve, random forces"
@@ -454,7 +463,7 @@ def _result(
     }
     term = None
     if proposals is not None and proposals.best is not None:
-        term = Term.of(proposals, steps[-1], state, base)
+        term = Term.of(proposals, steps[-1], state.replaced)
     return Improvement(
         model=fits[-1].model,
         base=base_fit.model,
@@ -464,7 +473,7 @@ def _result(
         base_error=errors[0],
         final_error=errors[-1],
         location=location,
-        remains=replace(left, shares=shares),
+        remains=replace(left, shares=shares, suspect=_suspect(log, steps)),
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
         yardstick=yardstick,
@@ -473,8 +482,16 @@ def _result(
         ),
         proposed=() if term is None else (term.to_dict(),),
         notes=tuple(notes),
+        log=log,
         skipped=study.skipped,
     )
+
+
+def _suspect(log: LogCheck, steps: Sequence[Step]) -> str:
+    """Why the log is not to be trusted; empty where it is, or where a sensor was put right."""
+    if not log.suspect or any(step.effect.stage == "sensor" for step in steps):
+        return ""
+    return log.verdict
 
 
 def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:

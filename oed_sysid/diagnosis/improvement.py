@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.channels import Output
+from oed_sysid.compatibility import LogCheck
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.locate import Located
 from oed_sysid.diagnosis.propose import Proposals
@@ -112,12 +113,10 @@ class Term:
     content: Mapping[str, Any]
 
     @classmethod
-    def of(cls, proposals: Proposals, step: Step, state: Any, base: Any) -> Term:
-        """The term of the last step."""
+    def of(cls, proposals: Proposals, step: Step, replaces: Sequence[str]) -> Term:
+        """The term of the last step, and the known effects whose place it takes."""
         best = proposals[0]
         parameter = step.effect.parameters[0]
-        present = {one.effect.name for one in state.added}
-        before = {e.name for e in state.path[-2].problem.model.effects} if state.path[1:] else set()
         return cls(
             {
                 "term": best.text,
@@ -130,7 +129,7 @@ class Term:
                 "evidence": step.evidence,
                 "test_gain": None if np.isnan(step.test_gain) else step.test_gain,
                 "group": list(proposals.group),
-                "replaces": sorted(before - present),
+                "replaces": list(replaces),
             }
         )
 
@@ -222,6 +221,7 @@ class Improvement:
     rejected: tuple[str, ...] = ()
     proposed: tuple[Mapping[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
+    log: LogCheck | None = None
     skipped: tuple[str, ...] = ()
 
     @property
@@ -342,7 +342,9 @@ class Improvement:
 
     def _opening(self) -> list[str]:
         error = self.base_error
+        warning = "" if self.log is None else self.log.warning()
         return [
+            *([warning, ""] if warning else []),
             f"{self.base.name}",
             f"  nominal model: error on the training records {error['train']:.2f} x noise"
             + (

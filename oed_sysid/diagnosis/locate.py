@@ -223,12 +223,23 @@ def along_fit(fit: FilteredSolution, unit: NoiseModel, *, pieces: int = 1) -> tu
     dataset = Dataset(tuple(records))
     model = problem.model.with_values(fit.values)
     try:
-        linear = along(model, model.free_names, dataset, nodes, fit.noise, unit, local)
+        noise = forces_only(fit.noise, len(unit.force))
+        linear = along(model, model.free_names, dataset, nodes, noise, unit, local)
     except SimulationError:
         if pieces >= MOST_PIECES or min(r.n_samples for r in records) < 40:
             raise
         return along_fit(fit, unit, pieces=2 * pieces)
     return linear, dataset
+
+
+def forces_only(noise: NoiseModel, count: int) -> NoiseModel:
+    """The first disturbances of a noise model: the forces of the equations."""
+    return replace(
+        noise,
+        force=noise.force[:count],
+        force_time=noise.force_time[:count],
+        places=noise.places[:count],
+    )
 
 
 def _piece(record: Record, first: int, stop: int, number: int) -> Record:

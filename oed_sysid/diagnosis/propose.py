@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.diagnosis.dictionary import Signals, Term, signals_along, terms
-from oed_sysid.diagnosis.locate import along_fit
+from oed_sysid.diagnosis.locate import along_fit, forces_only
 from oed_sysid.diagnosis.rank import GROUP_WIDTH, threshold
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
@@ -228,7 +228,7 @@ def propose(study: Study, fit: FilteredSolution, *, n_refits: int = N_REFITS) ->
         # and its noise is small: seen from there, a rival may be better still.
         best = found[0]
         again = linear.system.at(best.fit.values).linearise(
-            [s.states for s in linear.stretches], best.fit.noise
+            [s.states for s in linear.stretches], forces_only(best.fit.noise, len(study.unit.force))
         )
         second = term_scores(again, signals)
         own = next((s.statistic for s in second.scores if s.term == best.term), 0.0)

@@ -86,6 +86,8 @@ class Remains:
         Error of the model on its own, as a share of each signal's spread.
     tied : tuple of str
         Terms or effects that would explain what is left but were not confirmed.
+    suspect : str
+        Why the log contradicts itself; empty where it does not.
     """
 
     forces: float
@@ -93,15 +95,18 @@ class Remains:
     random: tuple[RandomForceFound, ...] = ()
     shares: Mapping[str, float] | None = None
     tied: tuple[str, ...] = ()
+    suspect: str = ""
 
     @property
     def is_noise(self) -> bool:
-        """Whether no disturbance is needed any more."""
-        return self.forces < REMAINDER_LIMIT
+        """Whether no disturbance is needed any more, in a log that can be trusted."""
+        return self.forces < REMAINDER_LIMIT and not self.suspect
 
     @property
     def kind(self) -> str:
-        """``"adequate"``, ``"random forces"`` or ``"structure missing"``."""
+        """``"adequate"``, ``"random forces"``, ``"structure missing"`` or ``"log suspect"``."""
+        if self.suspect:
+            return "log suspect"
         if self.is_noise or not self.random:
             return "adequate"
         if self.tied or not all(force.is_the_same_elsewhere for force in self.random):
@@ -112,6 +117,8 @@ class Remains:
     @property
     def sentence(self) -> str:
         """What is left, with its size."""
+        if self.suspect:
+            return f"log suspect: {self.suspect} Nothing is certified before that is put right."
         colour = (
             ""
             if self.sensor_time is None

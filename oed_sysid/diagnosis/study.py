@@ -40,12 +40,14 @@ from oed_sysid.fitting.random_forces import (
     fit_disturbed,
     score_test,
     with_colour,
+    with_input_noise,
     with_own_times,
 )
 from oed_sysid.fitting.shooting import Point, Shooting
 from oed_sysid.fitting.summary import eliminate, summarise_filtered
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import chosen_places
+from oed_sysid.noise.disturbances import places as every_place
 from oed_sysid.noise.levels import Levels
 from oed_sysid.noise.model import NoiseModel
 
@@ -126,16 +128,17 @@ class Study:
                 "missing."
             ) from error
         free = np.full(len(white), not known_noise)
-        setting = Setting.of(train, places, white, free, colour=not known_noise)
+        inputs = [place for place in every_place(model) if place.stage == "actuator"]
+        setting = Setting.of(train, places, white, free, colour=not known_noise, inputs=inputs)
         effects, skipped = fitting_candidates(model, candidates)
         wide = disturbed_model(model + effects, setting.disturbances)
-        kernel = filter_kernel(wide, selectable=True)
+        kernel = filter_kernel(wide)
         found = MultipleShooting(max_iterations=40, coloured="never", disturbances="none")
         plain = found.fit(model, train)
         starts = [_nominal_start(model, train, white)]
         if np.isfinite(plain.cost):
             starts.append(Start(plain.model.values, plain.initial_states, plain.local_values))
-        test = _best_test(model, train, setting, starts)
+        test = _best_test(model, train, setting, starts, kernel)
         study = cls(
             base=model,
             candidates=effects,
@@ -160,7 +163,7 @@ class Study:
         """The same study with more candidates, compiled anew."""
         joined, skipped = fitting_candidates(self.base, (*self.candidates, *effects))
         wide = disturbed_model(self.base + joined, self.setting.disturbances)
-        kernel = filter_kernel(wide, selectable=True)
+        kernel = filter_kernel(wide)
         return replace(self, candidates=joined, skipped=skipped, kernel=kernel)
 
     # -- fits ------------------------------------------------------------------------
@@ -199,7 +202,7 @@ class Study:
 
     def levels(self, noise: NoiseModel, dataset: Dataset) -> Levels:
         """All levels unknown, begun at a noise model."""
-        own = len(set(noise.force_time[noise.force > 0])) > 1
+        own = len(set(noise.force_time[(noise.force > 0) & (noise.force_time > 0)])) > 1
         return self.setting.levels(dataset, noise, self.unit, noise.colour > 0, own_times=own)
 
     def estimate(
@@ -248,11 +251,14 @@ class Study:
         """Estimate once more, colours of sensors and own times of disturbances admitted."""
         again = solve_filtered(found.problem, found.point, max_iterations=25, polish=0)
         again = found if again is None or again.objective > found.objective else again
-        return with_own_times(with_colour(again, self.setting), self.setting)
+        again = with_input_noise(with_colour(again, self.setting), self.setting)
+        return with_own_times(again, self.setting)
 
     def loosened(self, noise: NoiseModel) -> NoiseModel:
         """Noise levels from which a vanished disturbance can come back."""
-        return replace(noise, force=np.maximum(noise.force, 0.5 * self.unit.force))
+        known = dict(zip(self.unit.places, self.unit.force, strict=True))
+        least = np.array([known.get(place, 0.0) for place in noise.places])
+        return replace(noise, force=np.maximum(noise.force, 0.5 * least))
 
     def polished(self, found: FilteredSolution) -> FilteredSolution:
         """A fit at the optimum of the filter as it is, with errors of that."""
@@ -385,7 +391,11 @@ def _nominal_start(model: Model, dataset: Dataset, white: np.ndarray) -> Start:
 
 
 def _best_test(
-    model: Model, train: Dataset, setting: Setting, starts: Sequence[Start]
+    model: Model,
+    train: Dataset,
+    setting: Setting,
+    starts: Sequence[Start],
+    kernel: FilterKernel,
 ) -> ScoreTest:
     """Levels to begin with: from the start that explains the records better."""
     tests = []
@@ -393,7 +403,7 @@ def _best_test(
     for start in starts:
         at = model.with_values(dict(start.values))
         try:
-            tests.append(score_test(at, train, setting, start.initial, start.local))
+            tests.append(score_test(at, train, setting, start.initial, start.local, kernel))
         except SimulationError as error:
             problem = error
     if not tests:

@@ -49,6 +49,7 @@ from oed_sysid.effects.propulsion import (
     thrust_decay,
     thrust_speed_loss,
 )
+from oed_sysid.effects.random import InputNoise, RandomForce, SensorDrift
 from oed_sysid.effects.restoring import (
     cg_offset,
     cubic_restoring,
@@ -137,6 +138,9 @@ __all__ = [
     "backlash",
     "stall",
     "saturation",
+    "InputNoise",
+    "RandomForce",
+    "SensorDrift",
     "sensor_bias",
     "sensor_scale",
     "sensor_misalignment",

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from oed_sysid.channels import check_kinds, check_signal
 from oed_sysid.errors import ModelError
 from oed_sysid.language import expressions
 from oed_sysid.parameters import Parameter, check_unique
@@ -41,6 +42,9 @@ class ExtraState:
     initial: str
     unit: str = ""
 
+    def __post_init__(self) -> None:
+        check_signal("State", self.name, self.unit)
+
 
 @dataclass(frozen=True)
 class Memory:
@@ -59,6 +63,31 @@ class Memory:
     name: str
     update: str
     initial: str
+
+
+@dataclass(frozen=True)
+class RandomProcess:
+    """First-order Gauss-Markov process that drives an effect.
+
+    Parameters
+    ----------
+    place : str
+        Where it acts, ``"force Z"``, ``"actuator ds"`` or ``"sensor q"``.
+    parameter : str
+        Parameter of the effect that is random; its value is the mean, zero.
+    level : float
+        Standard deviation.
+    time : float
+        Correlation time, s; zero is white from sample to sample.
+    known : bool
+        Whether level and time are known rather than estimated.
+    """
+
+    place: str
+    parameter: str
+    level: float
+    time: float
+    known: bool = False
 
 
 @dataclass(frozen=True)
@@ -88,6 +117,9 @@ class Effect:
         Words and citation.
     needs : str
         What a manoeuvre must contain for the effect to show.
+    noise : RandomProcess or None
+        Level and time of what is random about the effect; see
+        :mod:`oed_sysid.effects.random`.
     """
 
     name: str
@@ -101,15 +133,22 @@ class Effect:
     description: str = ""
     source: str = ""
     needs: str = ""
+    noise: RandomProcess | None = None
 
     stage: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         if type(self) is Effect:
             raise ModelError("Use one of Actuator, Environment, Force, Inertia or Sensor.")
-        object.__setattr__(self, "parameters", tuple(self.parameters))
-        object.__setattr__(self, "states", tuple(self.states))
-        object.__setattr__(self, "memory", tuple(self.memory))
+        where = f"Effect {self.name!r:.60}"
+        if not isinstance(self.name, str) or not isinstance(self.terms, Mapping):
+            raise ModelError(f"{where}: expected a name and a mapping of terms, {{'Z': 'E*w'}}.")
+        for what, kind in (("parameters", Parameter), ("states", ExtraState), ("memory", Memory)):
+            parts = getattr(self, what)
+            if isinstance(parts, kind):
+                raise ModelError(f"{where}: {what} is one {kind.__name__}; write it as (...,).")
+            object.__setattr__(self, what, tuple(parts))
+            check_kinds(where, what, getattr(self, what), kind)
         check_unique(self.parameters, owner=f"Effect {self.name!r}")
         if not self.terms and not self.states:
             raise ModelError(f"Effect {self.name!r} contributes nothing: give at least one term.")
@@ -123,8 +162,13 @@ class Effect:
                     f"Effect {self.name!r} names the amplitude {name!r}, which is not one of its "
                     f"parameters: {', '.join(p.name for p in self.parameters)}."
                 )
-        for text in (*self.terms.values(), *self.definitions.values()):
-            expressions.parse(text)
+        for name, table in self.tables.items():
+            _check_table(f"{where}, table {name!r}", table)
+        texts = [*self.terms.values(), *self.definitions.values()]
+        texts += [text for state in self.states for text in (state.rate, state.initial)]
+        texts += [text for memory in self.memory for text in (memory.update, memory.initial)]
+        for text in texts:
+            expressions.check_calls(text, where=where, tables=self.tables)
 
     @property
     def amplitude_names(self) -> tuple[str, ...]:
@@ -168,6 +212,21 @@ class Effect:
                 for name, (x, y) in self.tables.items()
             ),
             tuple(p.name for p in self.parameters),
+        )
+
+
+def _check_table(where: str, table: Any) -> None:
+    """Refuse a table that is not two rows of numbers over increasing abscissae."""
+    try:
+        abscissae, ordinates = (np.asarray(one, dtype=float) for one in table)
+        good = abscissae.ndim == 1 and abscissae.shape == ordinates.shape and abscissae.size > 1
+        good = good and bool(np.all(np.isfinite(ordinates)) and np.all(np.diff(abscissae) > 0))
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise ModelError(
+            f"{where} is {table!r:.80}. Expected (abscissae, ordinates), two or more numbers each, "
+            "finite, abscissae increasing."
         )
 
 

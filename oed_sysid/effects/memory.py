@@ -15,7 +15,7 @@ def fluid_memory(
     axis: str,
     state: str,
     *,
-    state_unit: str = "m/s",
+    state_unit: str | None = None,
     time_constant: float = 2.0,
     scale: float | None = None,
     value: float = 0.0,
@@ -34,6 +34,7 @@ def fluid_memory(
     size = amplitude(name, notation.unit(f"{axis}_{state}"), scale=scale, value=value)
     tau = Parameter(f"tau_{name}", time_constant, "s", lower=0.05, upper=60.0, fixed=True)
     slow = f"mu_{name}"
+    state_unit = state_unit or ("m/s" if axis in "XYZ" else "rad/s")
     rate = f"({state} - {slow})/{tau.name}"
     return Force(
         name,

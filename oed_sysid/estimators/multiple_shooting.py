@@ -10,7 +10,10 @@ from functools import partial
 import numpy as np
 
 from oed_sysid.batch.threads import one_thread
+from oed_sysid.compiled.filtering import filter_kernel
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.effects.base import RandomProcess
+from oed_sysid.effects.random import random_effects
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.estimators.losses import loss_by_name
 from oed_sysid.estimators.nonlinear_program import NonlinearProgram
@@ -25,6 +28,7 @@ from oed_sysid.fitting.beginning import (
     warm_point,
     wide_start,
 )
+from oed_sysid.fitting.filtered import disturbed_model
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import Progress, Solution, solve
 from oed_sysid.fitting.noise_levels import (
@@ -46,6 +50,8 @@ from oed_sysid.fitting.step_error import with_step_advice
 from oed_sysid.fitting.summary import summarise, summarise_filtered
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import chosen_places
+from oed_sysid.noise.disturbances import places as every_place
+from oed_sysid.noise.model import NoiseModel
 
 # Most alternations between noise levels and parameters; three or four suffice as a rule.
 NOISE_ROUNDS = 12
@@ -227,7 +233,7 @@ class MultipleShooting:
             shooting, solution, estimated, self.name, iterations, began, coloured=self.coloured
         )
         fit = with_step_advice(fit, shooting, solution)
-        if self.disturbances == "none":
+        if self.disturbances == "none" and not random_effects(model.effects):
             return fit
         if self._white_only or fit.status.code == "interrupted":
             return fit
@@ -237,16 +243,32 @@ class MultipleShooting:
         self, fit: Fit, model: Model, dataset: Dataset, estimated: np.ndarray, began: float
     ) -> Fit:
         """Go on from a white fit with random forces and coloured sensors, where they act."""
+        declared = [e.noise for e in random_effects(model.effects) if e.noise is not None]
+        auto = self.disturbances == "auto" and not declared
         asked = "all" if self.disturbances == "auto" else self.disturbances
+        chosen = self.disturbances not in ("auto", "all")
         try:
-            places = chosen_places(model, asked)
+            places = () if asked == "none" else chosen_places(model, asked)
         except ModelError:
-            if self.disturbances == "auto":  # no equation in which a force could act
-                return fit
-            raise
+            if self.disturbances == "auto" and not declared:
+                return fit  # no equation in which a force could act
+            if not declared:
+                raise
+            places = ()
+        own = chosen_places(model, [process.place for process in declared])
+        places = tuple(dict.fromkeys((*places, *own)))
         floor, _ = credible_levels(dataset)
         white = np.where(estimated, np.minimum(fit.sigma, floor), fit.sigma)
-        setting = Setting.of(dataset, places, white, estimated)
+        inputs = [place for place in every_place(model) if place.stage == "actuator"]
+        setting = Setting.of(
+            dataset,
+            places,
+            white,
+            estimated,
+            inputs=() if chosen else inputs,
+            known=[process.place for process in declared if process.known],
+        )
+        kernel = filter_kernel(disturbed_model(model, setting.disturbances))
         starts = [Start(fit.model.values, fit.initial_states, fit.local_values)]
         if not np.isfinite(fit.cost):
             begin = Shooting(model, dataset, white)
@@ -257,13 +279,20 @@ class MultipleShooting:
         first = starts[0]
         at = model.with_values(dict(first.values))
         try:
-            test = score_test(at, dataset, quiet, first.initial, first.local)
+            test = score_test(at, dataset, quiet, first.initial, first.local, kernel)
         except SimulationError:  # the model itself leaves the numbers: the status says so
             return fit
-        if self.disturbances == "auto" and test.gain < CLEAR:
+        if auto and test.gain < CLEAR:
             return replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
+        test = replace(test, noise=_declared_levels(test.noise, declared))
         solution = fit_disturbed(
-            model, dataset, setting, starts, test, max_iterations=self.max_iterations,
+            model,
+            dataset,
+            setting,
+            starts,
+            test,
+            kernel=kernel,
+            max_iterations=self.max_iterations,
             progress=self.progress,
         )  # fmt: skip
         if solution is None:
@@ -273,9 +302,9 @@ class MultipleShooting:
             solution, estimated, name, fit.iterations + solution.iterations, began
         )
         extras = {**found.extras, "disturbance_test": test.gain}
-        if self.disturbances == "auto" and _no_likelier(found, fit):
+        if auto and _no_likelier(found, fit):
             return replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
-        return replace(found, extras=extras)
+        return replace(found, extras=extras, model=with_levels(found.model, found.noise))
 
     def _estimate_noise(
         self,
@@ -339,6 +368,31 @@ class MultipleShooting:
             return None, 0
         best = min(found, key=lambda s: (s.reason != "converged", s.cost))
         return best, sum(s.iterations for s in found)
+
+
+def with_levels(model: Model, noise: NoiseModel | None) -> Model:
+    """The model with its random effects at the levels and times of a noise model."""
+    if noise is None:
+        return model
+    effects = []
+    for effect in model.effects:
+        process = effect.noise
+        if process is not None and process.place in noise.places:
+            level, time = noise.level(process.place)
+            effect = replace(effect, noise=replace(process, level=level, time=time))
+        effects.append(effect)
+    return replace(model, effects=tuple(effects))
+
+
+def _declared_levels(noise: NoiseModel, declared: Sequence[RandomProcess]) -> NoiseModel:
+    """Levels to begin with, those that a model's random effects state among them."""
+    force, time = noise.force.copy(), noise.force_time.copy()
+    for process in declared:
+        index = noise.places.index(process.place)
+        if process.level > 0:
+            force[index] = process.level
+        time[index] = process.time
+    return replace(noise, force=force, force_time=time)
 
 
 def _no_likelier(disturbed: Fit, white: Fit) -> bool:

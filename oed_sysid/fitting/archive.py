@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, is_dataclass
-from typing import Any
+from dataclasses import MISSING, fields, is_dataclass
+from types import UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, OedSysidError
 
 
 def encode(value: Any) -> Any:
@@ -55,30 +56,167 @@ def decode(data: Any, classes: Iterable[type]) -> Any:
         As JSON returns it.
     classes : iterable of type
         Dataclasses that may be built.
+
+    Raises
+    ------
+    DataError
+        If the data is not what :func:`encode` returns, or holds what the classes
+        refuse; the message says where.
+
+    Examples
+    --------
+    >>> decode({"array": [1.0, None], "shape": [2], "dtype": "float64"}, ())
+    array([ 1., nan])
     """
-    known = {cls.__name__: cls for cls in classes}
+    return _Builder({cls.__name__: cls for cls in classes}).build(data, "")
 
-    def build(item: Any) -> Any:
+
+class _Builder:
+    """One pass over encoded data; the place is kept for messages."""
+
+    def __init__(self, known: Mapping[str, type]) -> None:
+        self.known = known
+
+    def build(self, item: Any, place: str) -> Any:
+        """Rebuild what stands at a place of the file."""
         if not isinstance(item, dict):
-            return item
-        if "number" in item:
-            return float(item["number"])
-        if "array" in item:
-            flat = [_number(entry) for entry in item["array"]]
-            return np.array(flat, dtype=item["dtype"]).reshape(item["shape"])
-        if "tuple" in item:
-            return tuple(map(build, item["tuple"]))
-        if "mapping" in item:
-            return {build(key): build(entry) for key, entry in item["mapping"]}
-        if item.get("class") not in known:
-            raise DataError(
-                f"The file holds a {item.get('class')!r}, which this version does not know. It was "
-                "written by another version, or is not a saved fit."
-            )
-        content = {name: build(entry) for name, entry in item["fields"].items()}
-        return known[item["class"]](**content)
+            if item is None or isinstance(item, str | bool | int | float):
+                return item
+            raise _damage(place, f"a {type(item).__name__} without a kind")
+        for kind in ("number", "array", "tuple", "mapping", "class"):
+            if kind in item:
+                return getattr(self, f"_{kind}")(item, place)
+        raise _damage(place, f"an object with {_listed(item)}, of no known kind")
 
-    return build(data)
+    def _number(self, item: dict, place: str) -> float:
+        try:
+            return float(item["number"])
+        except (TypeError, ValueError):
+            raise _damage(place, f"{item['number']!r:.40} in place of a number") from None
+
+    def _array(self, item: dict, place: str) -> np.ndarray:
+        flat, shape, kind = item["array"], item.get("shape"), item.get("dtype")
+        if not isinstance(flat, list) or kind not in _DTYPES:
+            raise _damage(place, f"an array of {kind!r:.40}; expected one of {', '.join(_DTYPES)}")
+        if not isinstance(shape, list) or not all(type(n) is int and n >= 0 for n in shape):
+            raise _damage(place, f"an array of shape {shape!r:.40}")
+        if len(shape) > 8 or math.prod(shape) != len(flat):
+            raise _damage(place, f"{len(flat)} numbers for an array of shape {tuple(shape)}")
+        try:
+            return np.array([_number(entry) for entry in flat], dtype=kind).reshape(shape)
+        except (TypeError, ValueError, OverflowError):
+            raise _damage(place, f"an array of {kind} with something else in it") from None
+
+    def _tuple(self, item: dict, place: str) -> tuple:
+        if not isinstance(item["tuple"], list):
+            raise _damage(place, "a tuple that is no list")
+        return tuple(self.build(one, f"{place}[{i}]") for i, one in enumerate(item["tuple"]))
+
+    def _mapping(self, item: dict, place: str) -> dict:
+        pairs = item["mapping"]
+        if not isinstance(pairs, list) or not all(
+            isinstance(p, list) and len(p) == 2 for p in pairs
+        ):
+            raise _damage(place, "a mapping that is no list of pairs")
+        result = {}
+        for key, entry in pairs:
+            built = self.build(key, f"{place} key")
+            try:
+                result[built] = self.build(entry, f"{place}[{built!r:.40}]")
+            except TypeError:  # unhashable
+                raise _damage(place, "a key that cannot be one") from None
+        return result
+
+    def _class(self, item: dict, place: str) -> Any:
+        name, entries = item["class"], item.get("fields")
+        if not isinstance(name, str) or name not in self.known:
+            raise DataError(
+                f"The file holds a {name!r:.60}{_at(place)}, which this version does not know. It "
+                "was written by another version, or is not a saved fit."
+            )
+        cls = self.known[name]
+        expected = {f.name: f for f in fields(cls) if f.init}
+        if not isinstance(entries, dict):
+            raise _damage(place, f"a {name} without fields")
+        if extra := [key for key in entries if key not in expected]:
+            raise _damage(
+                place,
+                f"a {name} with {extra[0]!r:.40}, which this version of the package does not know",
+            )
+        required = [
+            key
+            for key, f in expected.items()
+            if f.default is MISSING and f.default_factory is MISSING
+        ]
+        if lost := [key for key in required if key not in entries]:
+            raise _damage(place, f"a {name} without its {lost[0]}")
+        content = {
+            key: self.build(entry, f"{place}.{key}".lstrip(".")) for key, entry in entries.items()
+        }
+        hints = get_type_hints(cls)
+        for key, value in content.items():
+            if not _fits(value, hints[key]):
+                raise _damage(
+                    f"{place}.{key}".lstrip("."),
+                    f"{value!r:.40}, which is no {getattr(hints[key], '__name__', hints[key])}",
+                )
+        try:
+            return cls(**content)
+        except OedSysidError as error:
+            raise DataError(
+                f"The file holds a {name}{_at(place)} that is refused: {error}"
+            ) from None
+        except (TypeError, ValueError, KeyError, AttributeError, IndexError) as error:
+            raise _damage(place, f"a {name} that cannot be built ({error})") from None
+
+
+_DTYPES = ("float64", "float32", "int64", "int32", "bool")
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a value is of the kind that a field is declared with."""
+    if hint is Any or isinstance(hint, TypeVar):
+        return True
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return any(_fits(value, one) for one in arguments)
+    if hint is float:
+        return isinstance(value, int | float)
+    if hint is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    if hint is np.ndarray or origin is np.ndarray:
+        return isinstance(value, np.ndarray) or (
+            isinstance(value, tuple) and all(_fits(one, float | np.ndarray) for one in value)
+        )
+    if origin is tuple:
+        if not isinstance(value, tuple):
+            return False
+        if len(arguments) == 2 and arguments[1] is ...:
+            return all(_fits(one, arguments[0]) for one in value)
+        return len(value) == len(arguments) and all(map(_fits, value, arguments))
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return isinstance(value, Mapping) and all(
+            _fits(key, arguments[0]) and _fits(one, arguments[1]) for key, one in value.items()
+        )
+    if hint is type(None):
+        return value is None
+    return isinstance(value, hint) if isinstance(hint, type) else True
+
+
+def _at(place: str) -> str:
+    return f" at {place}" if place else ""
+
+
+def _listed(item: Mapping) -> str:
+    return ", ".join(f"{key!r:.30}" for key in list(item)[:4]) or "nothing in it"
+
+
+def _damage(place: str, found: str) -> DataError:
+    """Error about something that :func:`encode` does not write."""
+    return DataError(
+        f"The file is damaged, or was changed by hand: it holds {found}{_at(place)}. Use a copy "
+        "of it, or make it again."
+    )
 
 
 def _finite(item: Any) -> Any:

@@ -322,9 +322,16 @@ class Filtered:
 
 
 def disturbed_model(model: Model, disturbances: Sequence[str]) -> Model:
-    """The model with disturbances as its last free parameters, all else as it is."""
+    """The model with disturbances as free parameters, all else as it is.
+
+    Random effects that the model holds already are only let loose.
+    """
     effects: list[Effect] = []
+    present = [name for name in disturbances if name in model.parameter_names]
+    model = model.free(*present)
     for name in disturbances:
+        if name in present:
+            continue
         stage, _, signal = name.removeprefix("disturbance_").partition("_")
         effects.append(disturbance(Place(stage, signal)))
     return model + effects

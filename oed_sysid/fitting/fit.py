@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,9 +13,10 @@ from scipy.special import ndtri
 from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
-from oed_sysid.errors import DataError
-from oed_sysid.fitting.archive import decode, encode
+from oed_sysid.effects.base import RandomProcess
+from oed_sysid.fitting.archive import encode
 from oed_sysid.fitting.prediction import Initial, Prediction, predict
+from oed_sysid.fitting.saved import check_fit, decode_result, made_by, write_result
 from oed_sysid.information import Information, Whiteness, whiteness
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import places
@@ -84,7 +84,8 @@ class Fit:
     local_values : tuple of mapping
         Values of per-record parameters, per record.
     cost : float
-        Half the weighted sum of squares, priors included.
+        Half the sum of squares of the one-step errors in units of their standard
+        deviation, priors included.
     status : Status
         How the estimation ended.
     iterations : int
@@ -259,25 +260,21 @@ class Fit:
         covariance[np.ix_(known, known)] = self.covariance[np.ix_(columns, columns)]
         return predict(self.model, dataset, covariance, self.noise, initial=initial)
 
-    def save(self, path: str | Path) -> None:
-        """Write the fit, its model and its data to a JSON file; :meth:`load` reads it."""
-        Path(path).write_text(json.dumps({"format": 1, "fit": encode(self)}), encoding="utf-8")
+    def save(self, path: str | Path, **made: Any) -> None:
+        """Write the fit, its model and its data to a JSON file; :meth:`load` reads it.
+
+        The file appears whole or not at all. ``command=`` and ``settings=`` say how the
+        fit was made; see :func:`oed_sysid.fitting.saved.made_by`.
+        """
+        settings = {"estimator": self.estimator, **made.pop("settings", {})}
+        made_of = made_by([self.dataset], settings=settings, **made)
+        write_result(path, "fit", encode(self), made_of)
 
     @staticmethod
     def load(path: str | Path) -> Fit:
-        """Read a fit from a file that :meth:`save` wrote."""
-        try:
-            content = json.loads(Path(path).read_text(encoding="utf-8"))
-            data = content["fit"]
-        except OSError as error:
-            raise DataError(f"The fit {path} cannot be read: {error.strerror}.") from None
-        except (ValueError, KeyError, TypeError):
-            raise DataError(
-                f"{path} does not hold a saved fit. Write it with fit.save()."
-            ) from None
-        fit = decode(data, ARCHIVED)
-        if not isinstance(fit, Fit):
-            raise DataError(f"{path} holds a {type(fit).__name__}, expected a fit.")
+        """Read a fit that :meth:`save` wrote, also of an older version."""
+        fit = decode_result(path, "fit", ARCHIVED)
+        check_fit(fit, str(path))
         return fit
 
     # -- words ---------------------------------------------------------------------
@@ -458,4 +455,5 @@ def align(rows: Sequence[Sequence[str]]) -> list[str]:
 ARCHIVED: tuple[type, ...] = (
     *(Fit, Status, Information, NoiseModel, Model, Parameter, Dataset, Record, Channels),
     *(State, Input, Output, Actuator, Environment, Force, Inertia, Sensor, ExtraState, Memory),
+    RandomProcess,
 )

@@ -36,7 +36,7 @@ from oed_sysid.fitting.noise_levels import credible_levels
 from oed_sysid.fitting.shooting import Point
 from oed_sysid.information import autocorrelation
 from oed_sysid.model import Model
-from oed_sysid.noise.disturbances import Place, disturbance
+from oed_sysid.noise.disturbances import DISTURBANCE, Place, disturbance
 from oed_sysid.noise.levels import LONGEST, SHORTEST, Levels
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.projection import bounded_step
@@ -75,6 +75,10 @@ class Setting:
         What the fastest wiggles show is there, whatever disturbances could explain of it.
     colour : bool
         Whether sensors may have coloured noise.
+    inputs : tuple of Place
+        Logged inputs, which may be noisy: white from sample to sample, let in where it pays.
+    known : tuple of str
+        Places whose level and time are known.
     """
 
     places: tuple[Place, ...]
@@ -82,6 +86,8 @@ class Setting:
     estimated: np.ndarray
     least_white: np.ndarray
     colour: bool = True
+    inputs: tuple[Place, ...] = ()
+    known: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -92,16 +98,19 @@ class Setting:
         estimated: np.ndarray,
         *,
         colour: bool = True,
+        inputs: Sequence[Place] = (),
+        known: Sequence[str] = (),
     ) -> Setting:
         """Setting of some records."""
         floor, seen = credible_levels(dataset)
         least = np.where(seen, LEAST_SEEN * np.minimum(floor, white), 0.0)
-        return cls(tuple(places), white, estimated, least, colour)
+        return cls(tuple(places), white, estimated, least, colour, tuple(inputs), tuple(known))
 
     @property
     def disturbances(self) -> tuple[str, ...]:
-        """Parameters that are the disturbances."""
-        return tuple(disturbance(place).name for place in self.places)
+        """Parameters of the filtered model that may be disturbances."""
+        own = (place for place in self.inputs if place not in self.places)
+        return tuple(disturbance(place).name for place in (*self.places, *own))
 
     def times(self, dataset: Dataset) -> tuple[float, float]:
         """Shortest and longest correlation time, s."""
@@ -116,7 +125,7 @@ class Setting:
             nothing,
             np.zeros(len(self.places)),
             time,
-            time,
+            np.array([0.0 if place.stage == "actuator" else time for place in self.places]),
             model.output_names,
             tuple(place.name for place in self.places),
         )
@@ -131,14 +140,19 @@ class Setting:
         own_times: bool = False,
     ) -> Levels:
         """Unknown levels, begun at a noise model, some outputs coloured."""
+        known = dict(zip(unit.places, unit.force, strict=True))
+        sizes = [
+            known.get(place, max(level, 1e-9))
+            for place, level in zip(noise.places, noise.force, strict=True)
+        ]
         return Levels.of(
             noise,
-            unit,
-            self.disturbances,
+            replace(unit, force=np.array(sizes), force_time=1.0, places=noise.places),
+            [f"{DISTURBANCE}{place.replace(' ', '_', 1)}" for place in noise.places],
             # Where colour is let in, the white level has to make room for it.
             white=self.estimated | colour,
             colour=colour,
-            force=np.ones(len(self.places), dtype=bool),
+            force=np.array([place not in self.known for place in noise.places], dtype=bool),
             own_times=own_times,
             least_white=self.least_white,
             times=self.times(dataset),
@@ -173,6 +187,7 @@ def score_test(
     setting: Setting,
     initial: Sequence[np.ndarray],
     local: Sequence[Mapping[str, float]],
+    kernel: FilterKernel | None = None,
 ) -> ScoreTest:
     """Test at a white fit whether forces act or sensors are coloured.
 
@@ -186,11 +201,13 @@ def score_test(
         Start states, per record.
     local : sequence of mapping
         Values of per-record parameters.
+    kernel : FilterKernel, optional
+        Of a larger model.
     """
     sample = float(np.median([record.sample_time for record in dataset]))
     best: ScoreTest | None = None
     for count in TIMES:
-        found = _score_at(model, dataset, setting, initial, local, count * sample)
+        found = _score_at(model, dataset, setting, initial, local, count * sample, kernel)
         if best is None or found.gain > best.gain:
             best = found
     assert best is not None
@@ -199,7 +216,7 @@ def score_test(
     # The model on its own leaves the numbers: sizes from where it has not yet done so.
     for length in HEADS:
         heads = Dataset(tuple(_head(record, length) for record in dataset))
-        found = _score_at(model, heads, setting, initial, local, TIMES[0] * sample)
+        found = _score_at(model, heads, setting, initial, local, TIMES[0] * sample, kernel)
         if np.isfinite(found.gain):
             return replace(found, gain=np.inf)
     raise SimulationError(
@@ -223,6 +240,7 @@ def _score_at(
     initial: Sequence[np.ndarray],
     local: Sequence[Mapping[str, float]],
     time: float,
+    kernel: FilterKernel | None,
 ) -> ScoreTest:
     quiet = setting.noise(model, time)
     n_forces, n_outputs = len(quiet.force), len(quiet.white)
@@ -230,12 +248,12 @@ def _score_at(
     levels = Levels.of(
         quiet,
         one,
-        setting.disturbances,
+        [disturbance(place).name for place in setting.places],
         white=np.ones(n_outputs, dtype=bool),
         colour=np.full(n_outputs, setting.colour),
         force=np.ones(n_forces, dtype=bool),
     )
-    problem = Filtered(model, dataset, levels)
+    problem = Filtered(model, dataset, levels, kernel=kernel)
     point = problem.point(initial, local)
     found = problem.passes(point.unknowns)
     vast = ScoreTest(np.inf, time, quiet, one)
@@ -315,7 +333,11 @@ def fit_disturbed(
     begin = replace(
         test.noise,
         colour=np.zeros_like(test.noise.colour),
-        force=np.maximum(test.noise.force, LEAST_START * unit.force),
+        force=np.where(
+            [place in setting.known for place in test.noise.places],
+            test.noise.force,
+            np.maximum(test.noise.force, LEAST_START * unit.force),
+        ),
     )
     nowhere = np.zeros(len(setting.white), dtype=bool)
     tried: list[FilteredSolution] = []
@@ -342,6 +364,7 @@ def fit_disturbed(
         )
         best = again if again is not None and again.cost < best.cost else best
     best = with_colour(best, setting, max_iterations=max_iterations)
+    best = with_input_noise(best, setting)
     best = with_own_times(best, setting)
     if polish:
         again = solve_filtered(best.problem, best.point, max_iterations=3, polish=polish)
@@ -380,11 +403,71 @@ def with_colour(
     return found
 
 
+def with_input_noise(found: FilteredSolution, setting: Setting) -> FilteredSolution:
+    """Let noise on logged inputs in where the records ask for it, and estimate again.
+
+    A logged angle is a measurement too: what moves the vehicle is the angle without the noise of
+    its sensor, white from sample to sample.
+    """
+    noise = found.noise
+    new = [place for place in setting.inputs if place.name not in noise.places]
+    if not new:
+        return found
+    wide = replace(
+        noise,
+        force=np.append(noise.force, np.zeros(len(new))),
+        force_time=np.append(noise.force_time, np.zeros(len(new))),
+        places=(*noise.places, *(place.name for place in new)),
+    )
+    unit = found.problem.levels.unit
+    unit = replace(
+        unit,
+        force=np.append(unit.force, np.ones(len(new))),
+        force_time=1.0,
+        places=wide.places,
+    )
+    coloured = noise.colour > 0
+    own = not found.problem.levels.shares_a_time
+    still = moved(found, setting, wide, coloured, own_times=own, max_iterations=0, unit=unit)
+    if still is None:
+        return found
+    block = still.problem.layout.levels
+    matrix, right = still.matrix[block, block], still.right[block]
+    limits, here = still.problem.limits, still.point.unknowns[block]
+    lower, upper = limits.lower[block] - here, limits.upper[block] - here
+    matrix = matrix + np.diag(limits.prior_weight[block])
+    step = bounded_step(matrix, right, lower, upper, 0.0)
+    if 2.0 * right @ step - step @ matrix @ step < WORTH_COLOUR:
+        return found
+    level = np.sqrt(np.maximum(step, 0.0))
+    begin = wide.force.copy()
+    for (kind, index), size in zip(still.problem.levels.entries, level, strict=True):
+        if kind == FORCE_VARIANCE and index >= len(noise.places):
+            begin[index] = size
+    asked = begin > 0
+    asked[: len(noise.places)] = True
+    begun = replace(
+        wide,
+        force=begin[asked],
+        force_time=wide.force_time[asked],
+        places=tuple(p for p, a in zip(wide.places, asked, strict=True) if a),
+    )
+    natural = np.where(np.arange(len(begin)) < len(noise.places), unit.force, begin)
+    unit = replace(unit, force=natural[asked], force_time=1.0, places=begun.places)
+    again = moved(found, setting, begun, coloured, own_times=own, unit=unit)
+    if again is None or found.objective - again.objective < WORTH_COLOUR:
+        return found
+    return again
+
+
 def with_own_times(found: FilteredSolution, setting: Setting) -> FilteredSolution:
     """Give every disturbance a time of its own where that is clearly likelier."""
     problem = found.problem
     noise = problem.noise(found.point.unknowns)
-    if not problem.levels.shares_a_time or np.sum(noise.force > 0) + problem.levels.n_coloured < 2:
+    if (
+        not problem.levels.shares_a_time
+        or np.sum((noise.force > 0) & (noise.force_time > 0)) + problem.levels.n_coloured < 2
+    ):
         return found
     coloured = noise.colour > 0
     again = moved(found, setting, noise, coloured, own_times=True, max_iterations=0)
@@ -416,10 +499,12 @@ def moved(
     *,
     own_times: bool = False,
     max_iterations: int = 40,
+    unit: NoiseModel | None = None,
 ) -> FilteredSolution | None:
     """Estimate again from a solution with other levels unknown."""
     old = found.problem
-    levels = setting.levels(old.dataset, noise, old.levels.unit, colour, own_times=own_times)
+    unit = old.levels.unit if unit is None else unit
+    levels = setting.levels(old.dataset, noise, unit, colour, own_times=own_times)
     problem = Filtered(old.model, old.dataset, levels, kernel=old.kernel)
     unknowns = np.concatenate([found.point.unknowns[: old.layout.levels.start], levels.vector()])
     return solve_filtered(problem, Point(unknowns, ()), max_iterations=max_iterations, polish=0)

@@ -175,7 +175,7 @@ def summarise_filtered(
         states=tuple(states),
         initial_states=tuple(initial),
         local_values=tuple(local),
-        cost=solution.cost,
+        cost=0.5 * sum(part.square for part in passes) + problem.prior_cost(unknowns),
         status=Status(solution.reason, _ADVICE[solution.reason]),
         iterations=iterations,
         seconds=time.perf_counter() - began,

@@ -16,6 +16,7 @@ from oed_sysid.language import expressions
 from oed_sysid.language.units import Dimension
 
 _GUARD = 1e-6
+LARGEST_POWER = 100
 _SAME = ("abs", "min", "max", "where")
 _RATIO = ("atan2",)
 
@@ -87,11 +88,17 @@ class _Walk:
             if left is None or left.is_dimensionless:
                 return left
             try:
-                return left ** float(ast.literal_eval(node.right))
-            except ValueError:
+                power = float(ast.literal_eval(node.right))
+            except (ValueError, TypeError, SyntaxError, OverflowError):
                 raise ModelError(
                     f"In {self.expression!r}, {left} has an exponent that is not a number."
                 ) from None
+            if not abs(power) <= LARGEST_POWER:
+                raise ModelError(
+                    f"In {self.expression!r}, {left} has the exponent {power:g}: expected one "
+                    f"between -{LARGEST_POWER} and {LARGEST_POWER}."
+                )
+            return left**power
         if left is None or right is None:
             return None
         return left * right if isinstance(node.op, ast.Mult) else left / right

@@ -68,7 +68,16 @@ FUNCTIONS = tuple(_CASADI)
 _ARGUMENT_COUNT = {"atan2": 2, "min": 2, "max": 2, "where": 3}
 
 
-@lru_cache(maxsize=4096)
+# Beyond these a text is not what a person wrote, and would exhaust the stack.
+MOST_CHARACTERS, DEEPEST = 20_000, 150
+_INSTEAD = {
+    ast.BitXor: "Write ** for a power.",
+    ast.Mod: "Write where(...) or a sine for what repeats.",
+    ast.FloorDiv: "Write / for a quotient.",
+    ast.MatMult: "Write * for a product.",
+}
+
+
 def parse(expression: str) -> ast.expr:
     """Parse one expression.
 
@@ -87,13 +96,38 @@ def parse(expression: str) -> ast.expr:
     ModelError
         If the text is not an expression of the allowed kind.
     """
+    if not isinstance(expression, str):
+        raise ModelError(
+            f"An expression is text, but this is a {type(expression).__name__}: "
+            f"{expression!r:.60}. Put it in quotation marks."
+        )
+    return _parse(expression)
+
+
+@lru_cache(maxsize=4096)
+def _parse(expression: str) -> ast.expr:
+    shown = f"Expression {expression!r:.200}"
+    if len(expression) > MOST_CHARACTERS:
+        raise ModelError(
+            f"{shown} has {len(expression)} characters, more than {MOST_CHARACTERS}. Name parts of "
+            "it in definitions or signals."
+        )
     try:
         tree = ast.parse(expression.strip(), mode="eval").body
-    except SyntaxError as error:
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise ModelError(
-            f"Expression {expression!r} cannot be read ({error.msg}). "
+            f"{shown} cannot be read ({getattr(error, 'msg', error)}). "
             "Write ordinary arithmetic, for instance 'Z_absww*w*abs(w)'."
         ) from None
+    level, depth = [tree], 0
+    while level:
+        depth += 1
+        level = [child for node in level for child in ast.iter_child_nodes(node)]  # type: ignore[misc]
+    if depth > DEEPEST:
+        raise ModelError(
+            f"{shown} is nested {depth} deep, more than {DEEPEST}. Name parts of it in definitions "
+            "or signals."
+        )
     for node in ast.walk(tree):
         if not isinstance(
             node,
@@ -114,18 +148,67 @@ def parse(expression: str) -> ast.expr:
             )
         if isinstance(node, ast.Call) and (not isinstance(node.func, ast.Name) or node.keywords):
             raise ModelError(f"Expression {expression!r} calls something that is not a function.")
-        if isinstance(node, ast.Constant) and not isinstance(node.value, int | float):
+        if isinstance(node, ast.Constant) and type(node.value) not in (int, float):
             raise ModelError(f"Expression {expression!r} holds {node.value!r}: expected numbers.")
+        _check_operator(node, shown)
+    _constant(tree, shown)
     return tree
 
 
-@lru_cache(maxsize=4096)
+def _check_operator(node: ast.AST, shown: str) -> None:
+    """Refuse operators that look like arithmetic and are none here."""
+    if isinstance(node, ast.BinOp) and type(node.op) not in _BINARY:
+        raise ModelError(
+            f"{shown} uses the operator {type(node.op).__name__}, which is no arithmetic of "
+            f"numbers. {_INSTEAD.get(type(node.op), 'Use + - * / and **.')}"
+        )
+    if isinstance(node, ast.UnaryOp) and not isinstance(node.op, ast.USub | ast.UAdd):
+        raise ModelError(f"{shown} uses {type(node.op).__name__}. Use + - * / and **.")
+    if isinstance(node, ast.Compare) and (len(node.ops) != 1 or type(node.ops[0]) not in _COMPARE):
+        raise ModelError(
+            f"{shown}: write one comparison at a time, with <, <=, > or >=, for instance "
+            "(a < b)*(b < c)."
+        )
+
+
+def _constant(node: ast.AST, shown: str) -> float | None:
+    """Value of a part without names; refused where it is no finite real number."""
+    parts = [
+        _constant(child, shown)
+        for child in ast.iter_child_nodes(node)
+        if isinstance(child, ast.expr) and child is not getattr(node, "func", None)
+    ]
+    if isinstance(node, ast.Name) or any(part is None for part in parts):
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div) and parts[1] == 0.0:
+            raise ModelError(f"{shown} divides by zero.")
+        return None
+    if isinstance(node, ast.Call) and node.func.id not in FUNCTIONS:  # type: ignore[attr-defined]
+        return None
+    try:
+        with np.errstate(all="ignore"):
+            value = _walk(node, {}, _NUMPY)  # type: ignore[arg-type]
+        number = complex(value)
+    except (ArithmeticError, TypeError, ValueError):  # the number of arguments is checked later
+        number = complex("nan") if not isinstance(node, ast.Call) else 0j
+    if number.imag or not np.isfinite(number.real):
+        raise ModelError(
+            f"{shown} contains {ast.unparse(node):.60}, which is no finite real number."
+        )
+    return number.real
+
+
 def names(expression: str) -> frozenset[str]:
     """Names that an expression refers to, functions excluded.
 
     >>> sorted(names("Z_absww*w*abs(w)"))
     ['Z_absww', 'w']
     """
+    parse(expression)
+    return _names(expression)
+
+
+@lru_cache(maxsize=4096)
+def _names(expression: str) -> frozenset[str]:
     tree = parse(expression)
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     return frozenset(
@@ -135,6 +218,7 @@ def names(expression: str) -> frozenset[str]:
 
 def functions(expression: str) -> frozenset[str]:
     """Names of the functions that an expression calls."""
+    parse(expression)
     return frozenset(name for name, _ in _calls(expression))
 
 
@@ -158,6 +242,11 @@ def check(expression: str, known: Iterable[str], *, where: str, tables: Iterable
             f"{where}: expression {expression!r} uses the unknown name {name!r}.{hint} "
             f"Known here: {', '.join(sorted(known))}."
         )
+    check_calls(expression, where=where, tables=tables)
+
+
+def check_calls(expression: str, *, where: str, tables: Iterable[str] = ()) -> None:
+    """Raise :class:`ModelError` if an expression calls what is no function, or wrongly."""
     for name in sorted(functions(expression) - set(FUNCTIONS) - set(tables)):
         raise ModelError(
             f"{where}: expression {expression!r} calls the unknown function {name!r}. "
@@ -261,7 +350,9 @@ def to_numpy(
     library = dict(_NUMPY)
     for name, (abscissae, ordinates) in (tables or {}).items():
         library[name] = lambda x, a=abscissae, o=ordinates: _interpolate(x, a, o)
-    return np.asarray(_walk(parse(expression), scope, library))
+    # As arrays, so that a division by zero gives infinity and no exception.
+    numbers = {name: np.asarray(value) for name, value in scope.items()}
+    return np.asarray(_walk(parse(expression), numbers, library))
 
 
 def to_text(expression: str) -> str:

@@ -57,6 +57,8 @@ _GREEK = frozenset(
     | {"mu", "nu", "xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}
 )
 _SYMBOLS = "|".join(sorted(FACTOR_UNITS, key=len, reverse=True))
+# No derivative of a tenth order has been measured.
+MOST_CHARACTERS = 60
 _FACTOR = re.compile(rf"(abs)?({_SYMBOLS})")
 _NAME = re.compile(rf"([XYZKMN])_(?:0|((?:(?:abs)?(?:{_SYMBOLS}))+?)(dot)?)")
 
@@ -191,6 +193,11 @@ def parse(name: str) -> Derivative:
     >>> parse("Z_wdot").is_dot, parse("X_uu").factors[1]
     (True, Factor(symbol='u', absolute=False))
     """
+    if not isinstance(name, str) or len(name) > MOST_CHARACTERS:
+        raise ModelError(
+            f"{name!r:.60} is not the name of a hydrodynamic derivative: expected text of at most "
+            f"{MOST_CHARACTERS} characters, for instance Z_absww."
+        )
     match = _NAME.fullmatch(name)
     if match is None:
         raise ModelError(

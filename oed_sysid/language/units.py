@@ -11,7 +11,6 @@ can tell ``rad/s`` from revolutions ``1/s``.
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oed_sysid.errors import DataError
+from oed_sysid.language.unit_table import OFFSETS, SPELLINGS, UNITS
 
 _BASES = ("kg", "m", "s", "A", "K")
 
@@ -46,14 +46,17 @@ class Dimension:
 
     def __mul__(self, other: Dimension) -> Dimension:
         pairs = zip(self.exponents, other.exponents, strict=True)
-        return Dimension(tuple(a + b for a, b in pairs), self.radian + other.radian)
+        # Most exponents are zero, and sums of fractions take their time.
+        return Dimension(
+            tuple(a + b if a and b else a or b for a, b in pairs), self.radian + other.radian
+        )
 
     def __truediv__(self, other: Dimension) -> Dimension:
         return self * other**-1
 
     def __pow__(self, power: float | Fraction) -> Dimension:
         exact = Fraction(power).limit_denominator(1000)
-        return Dimension(tuple(a * exact for a in self.exponents), self.radian * exact)
+        return Dimension(tuple(a and a * exact for a in self.exponents), self.radian * exact)
 
     @property
     def is_dimensionless(self) -> bool:
@@ -102,37 +105,12 @@ _NAMED_DIMENSIONS: dict[tuple[Fraction, ...], dict[str, Fraction]] = {
     _DIMENSIONS["V"].exponents: {"V": Fraction(1)},
 }
 
-# unit: (factor to SI, SI unit). Factors are exact by definition of the unit.
-_DEGREE = math.pi / 180.0
-_KNOT = 1852.0 / 3600.0
-_UNITS: dict[str, tuple[float, str]] = {
-    **{symbol: (1.0, symbol) for symbol in _DIMENSIONS},
-    **{"1": (1.0, "1"), "-": (1.0, "1"), "%": (0.01, "1"), "percent": (0.01, "1")},
-    **{"um": (1e-6, "m"), "mm": (1e-3, "m"), "cm": (1e-2, "m"), "dm": (0.1, "m")},
-    **{"km": (1e3, "m"), "nmi": (1852.0, "m"), "ft": (0.3048, "m")},
-    **{"us": (1e-6, "s"), "ms": (1e-3, "s"), "min": (60.0, "s"), "h": (3600.0, "s")},
-    **{"g": (1e-3, "kg"), "t": (1e3, "kg")},
-    **{"deg": (_DEGREE, "rad"), "°": (_DEGREE, "rad"), "mrad": (1e-3, "rad"), "rev": (1.0, "1")},
-    **{"kn": (_KNOT, "m/s"), "kt": (_KNOT, "m/s"), "mps": (1.0, "m/s")},
-    **{"mmps": (1e-3, "m/s"), "cmps": (1e-2, "m/s"), "kmh": (1 / 3.6, "m/s")},
-    **{"mps2": (1.0, "m/s^2"), "radps": (1.0, "rad/s"), "degps": (_DEGREE, "rad/s")},
-    **{"mradps": (1e-3, "rad/s"), "radps2": (1.0, "rad/s^2"), "degps2": (_DEGREE, "rad/s^2")},
-    **{"rps": (1.0, "1/s"), "rpm": (1 / 60.0, "1/s"), "kHz": (1e3, "Hz"), "mHz": (1e-3, "Hz")},
-    **{"mN": (1e-3, "N"), "kN": (1e3, "N"), "MN": (1e6, "N"), "kgf": (9.80665, "N")},
-    **{"Nm": (1.0, "N m"), "mNm": (1e-3, "N m"), "kNm": (1e3, "N m"), "MNm": (1e6, "N m")},
-    **{"hPa": (1e2, "Pa"), "kPa": (1e3, "Pa"), "MPa": (1e6, "Pa")},
-    **{"mbar": (1e2, "Pa"), "dbar": (1e4, "Pa"), "bar": (1e5, "Pa")},
-    **{"cc": (1e-6, "m^3"), "ml": (1e-6, "m^3"), "l": (1e-3, "m^3")},
-    **{"kgm3": (1.0, "kg/m^3"), "kgm2": (1.0, "kg m^2")},
-    **{"uV": (1e-6, "V"), "mV": (1e-3, "V"), "kV": (1e3, "V"), "mA": (1e-3, "A")},
-    **{"mW": (1e-3, "W"), "kW": (1e3, "W"), "kJ": (1e3, "J"), "degC": (1.0, "K")},
-}
-# Zero of the scale in SI; such a unit cannot be part of a product.
-_OFFSETS = {"degC": 273.15}
-_SPELLINGS = {"°C": "degC", "µ": "u", "μ": "u", "Ω": "Ohm", "²": "^2", "³": "^3", "⁻": "-"}
 # As a header's suffix these would more often be part of the name than a unit.
 _NOT_A_SUFFIX = frozenset({"", "1", "-", "%", "°", "t", "g", "l"})
-_TOKEN = re.compile(r"\s*(\*\*|[*/^()·]|-?\d+|[^\W\d_]+\d*|[%°])")
+# Beyond these a text is no unit that anyone measures in.
+MOST_CHARACTERS, DEEPEST, LARGEST_EXPONENT = 80, 6, 12
+_NUMBER = r"-?\d+(?:\.\d{1,3})?(?!\d)"
+_TOKEN = re.compile(rf"\s*(\*\*|[*/^()·]|{_NUMBER}|[^\W\d_]+\d*|[%°])")
 
 
 @dataclass(frozen=True)
@@ -144,16 +122,28 @@ class _Unit:
     offset: float = 0.0
 
 
-@lru_cache(maxsize=1024)
 def _parse(unit: str) -> _Unit:
+    if not isinstance(unit, str):
+        raise DataError(
+            f"A unit is text, such as 'm/s', but this is a {type(unit).__name__}: {unit!r:.60}."
+        )
+    return _parse_text(unit)
+
+
+@lru_cache(maxsize=1024)
+def _parse_text(unit: str) -> _Unit:
+    if len(unit) > MOST_CHARACTERS:
+        raise DataError(
+            f"The unit [{unit:.30}...] has {len(unit)} characters. Write a short product."
+        )
     text = unit.strip()
-    for spelling, symbol in _SPELLINGS.items():
+    for spelling, symbol in SPELLINGS.items():
         text = text.replace(spelling, symbol)
     if text in ("", "-"):
         return _Unit(1.0, ())
-    if text in _OFFSETS:
-        factor, symbol = _UNITS[text]
-        return _Unit(factor, ((symbol, Fraction(1)),), _OFFSETS[text])
+    if text in OFFSETS:
+        factor, symbol = UNITS[text]
+        return _Unit(factor, ((symbol, Fraction(1)),), OFFSETS[text])
     tokens: list[str] = []
     position = 0
     while position < len(text):
@@ -166,40 +156,79 @@ def _parse(unit: str) -> _Unit:
     factor = _product(tokens, symbols, 1, unit)
     if tokens:
         raise _unknown(tokens[0], unit)
+    if not 1e-60 < factor < 1e60 or any(abs(n) > LARGEST_EXPONENT for n in symbols.values()):
+        raise _too_large(unit)
     return _Unit(factor, tuple((symbol, n) for symbol, n in symbols.items() if n))
 
 
-def _product(tokens: list[str], symbols: dict[str, Fraction], sign: int, unit: str) -> float:
+def _product(
+    tokens: list[str], symbols: dict[str, Fraction], sign: int, unit: str, depth: int = 0
+) -> float:
     """Consume ``a b^2/(c d)`` from the tokens; return the factor, collect SI symbols."""
     factor, direction = 1.0, sign
+    waiting = "("  # an operator after which a unit has to come; the beginning is one
+    if depth > DEEPEST:
+        raise DataError(f"The unit [{unit:.30}] has brackets {depth} deep. Write a short product.")
     while tokens and tokens[0] != ")":
         token = tokens.pop(0)
-        if token in ("*", "·"):
+        if token in ("*", "·", "/"):
+            if waiting:
+                raise _dangling(token, unit)
+            waiting = token
+            direction = -sign if token == "/" else sign
             continue
-        if token == "/":
-            direction = -sign
-            continue
+        waiting = ""
         if token == "(":
-            factor *= _product(tokens, symbols, direction, unit)
+            factor *= _product(tokens, symbols, direction, unit, depth + 1)
             if not tokens or tokens.pop(0) != ")":
                 raise _unknown("(", unit)
         else:
-            name, exponent = token, 1
-            if token not in _UNITS:
+            name, exponent = token, Fraction(1)
+            if token not in UNITS:
                 name = token.rstrip("0123456789")
-                exponent = int(token[len(name) :] or 1)
-            if tokens and tokens[0] in ("^", "**"):
-                tokens.pop(0)
-            if tokens and re.fullmatch(r"-?\d+", tokens[0]):
-                exponent *= int(tokens.pop(0))
-            if name not in _UNITS or name in _OFFSETS:
+                exponent = Fraction(token[len(name) :] or 1)
+            following = tokens[0] if tokens else ""
+            if following in ("^", "**") or re.fullmatch(_NUMBER, following):
+                if token != name:
+                    raise _dangling(following, unit)
+                exponent = _exponent(tokens, unit)
+            if name not in UNITS or name in OFFSETS:
                 raise _unknown(name, unit)
-            size, si_unit = _UNITS[name]
-            factor *= size ** (direction * exponent)
+            if abs(exponent) > LARGEST_EXPONENT:
+                raise _too_large(unit)
+            size, si_unit = UNITS[name]
+            factor *= size ** float(direction * exponent)
             for symbol, n in _symbols(si_unit).items():
                 symbols[symbol] = symbols.get(symbol, Fraction(0)) + n * direction * exponent
         direction = sign
+    if waiting:
+        raise _dangling(waiting, unit)
     return factor
+
+
+def _exponent(tokens: list[str], unit: str) -> Fraction:
+    """Consume ``^2``, ``-1``, ``^0.5`` or ``^(1/2)``."""
+    mark = tokens.pop(0)
+    if re.fullmatch(r"-?\d+", mark):
+        return Fraction(mark)
+    if mark in ("^", "**"):
+        if tokens and re.fullmatch(_NUMBER, tokens[0]):
+            return Fraction(tokens.pop(0)).limit_denominator(1000)
+        ratio = re.match(r"\((-?\d{1,3})/(\d{1,3})\)", "".join(tokens))
+        if ratio and int(ratio.group(2)):
+            del tokens[:5]
+            return Fraction(int(ratio.group(1)), int(ratio.group(2)))
+    raise _dangling(mark, unit)
+
+
+def _dangling(mark: str, unit: str) -> DataError:
+    return DataError(f"{mark!r} stands alone in the unit [{unit}]. Write 'kg m^2/s^2', say.")
+
+
+def _too_large(unit: str) -> DataError:
+    return DataError(
+        f"The unit [{unit}] has exponents beyond {LARGEST_EXPONENT}. No measurement has."
+    )
 
 
 @lru_cache(maxsize=256)
@@ -212,8 +241,8 @@ def _symbols(si_unit: str) -> dict[str, Fraction]:
 
 
 def _unknown(part: str, unit: str) -> DataError:
-    accepted = ", ".join(sorted(_UNITS, key=str.lower))
-    if part in _OFFSETS:
+    accepted = ", ".join(sorted(UNITS, key=str.lower))
+    if part in OFFSETS:
         return DataError(f"[{unit}] mixes {part} with other units. Use K for differences.")
     return DataError(
         f"Unknown unit {part!r} in [{unit}]. Accepted are {accepted}, "
@@ -258,8 +287,13 @@ def dimension(unit: str) -> Dimension:
     >>> str(dimension("V/s")), str(dimension("kn"))
     ('V/s', 'm/s')
     """
+    return _dimension_of(_parse(unit))
+
+
+@lru_cache(maxsize=1024)
+def _dimension_of(unit: _Unit) -> Dimension:
     total = Dimension()
-    for symbol, exponent in _parse(unit).symbols:
+    for symbol, exponent in unit.symbols:
         total = total * _DIMENSIONS[symbol] ** exponent
     return total
 
@@ -347,6 +381,6 @@ def parse_header(text: str) -> tuple[str, str | None]:
         word = words[index]
         is_last = index == len(words) - 1
         # A single letter inside a name ("dive_m_2") is too often not a unit.
-        if word in _UNITS and word not in _NOT_A_SUFFIX and (is_last or len(word) > 1):
+        if word in UNITS and word not in _NOT_A_SUFFIX and (is_last or len(word) > 1):
             return "_".join(words[:index] + words[index + 1 :]), word
     return header, None

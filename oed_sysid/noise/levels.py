@@ -96,6 +96,8 @@ class Levels:
             Shortest and longest correlation time, s.
         """
         coloured = np.flatnonzero(colour | (noise.colour > 0))
+        # White from step to step is no matter of time.
+        lasting = force & (noise.force_time > 0)
         floor = np.full(len(noise.white), WHITE_FLOOR)
         if least_white is not None:
             floor = np.maximum(floor, (least_white / unit.white) ** 2)
@@ -111,10 +113,10 @@ class Levels:
         for i in np.flatnonzero(force):
             variance(FORCE_VARIANCE, int(i), unit.force[i])
         if own_times:
-            for i in np.flatnonzero(force):
+            for i in np.flatnonzero(lasting):
                 logarithm(FORCE_TIME, int(i), noise.force_time[i])
-        elif force.any():
-            logarithm(FORCE_TIME, -1, _middle(noise.force_time[force]))
+        elif lasting.any():
+            logarithm(FORCE_TIME, -1, _middle(noise.force_time[lasting]))
         for i in np.flatnonzero(white):
             variance(WHITE_VARIANCE, int(i), unit.white[i], floor[i])
         for position, i in enumerate(coloured):
@@ -156,7 +158,7 @@ class Levels:
                 values.append(noise.colour[self.coloured[index]] ** 2 / scale)
             else:
                 times = noise.force_time if kind == FORCE_TIME else noise.colour_time[self.coloured]
-                values.append(np.log(_middle(times) if index < 0 else times[index]))
+                values.append(np.log(_middle(times[times > 0]) if index < 0 else times[index]))
         return np.clip(np.array(values, dtype=float), self.lower, self.upper)
 
     def at(self, vector: np.ndarray) -> NoiseModel:
@@ -172,7 +174,7 @@ class Levels:
             elif kind == COLOUR_VARIANCE:
                 colour[self.coloured[index]] = np.sqrt(max(value, 0.0) * scale)
             elif kind == FORCE_TIME:
-                force_time[slice(None) if index < 0 else index] = np.exp(value)
+                force_time[noise.force_time > 0 if index < 0 else index] = np.exp(value)
             else:
                 colour_time[self.coloured if index < 0 else self.coloured[index]] = np.exp(value)
         return replace(

@@ -8,11 +8,13 @@ import importlib
 import os
 import sys
 import traceback
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 
 from oed_sysid.errors import ProblemError
 from oed_sysid.problem.definition import Problem
+from oed_sysid.problem.soundness import faults
 
 FILE = "problem.py"
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -69,6 +71,11 @@ def load_problem(name_or_folder: str | Path, *, variant: str | None = None) -> P
 
 def _find(name_or_folder: str | Path) -> Path:
     """Return the ``problem.py`` that is meant."""
+    if not isinstance(name_or_folder, str | os.PathLike) or not str(name_or_folder).strip():
+        raise ProblemError(
+            f"{name_or_folder!r:.60} names no problem. Give the name of a shipped one (see "
+            "oed_sysid.list_problems()) or a folder."
+        )
     shipped = list_problems()
     folder = catalogue_folder()
     if folder is not None and str(name_or_folder) in shipped:
@@ -125,19 +132,46 @@ def _load(file: Path) -> Problem:
     importlib.invalidate_caches()
     # Registered, so that what the file defines can be pickled and inspected.
     sys.modules[name] = module
+    here = os.getcwd()
     try:
         # Compiled here, not imported: no stale bytecode, nothing written into the folder.
         exec(compile(file.read_bytes(), str(file), "exec"), vars(module))
     except SyntaxError as error:
         sys.modules.pop(name, None)
         raise ProblemError(
-            f"{error.filename}, line {error.lineno}: {error.msg}. Correct this line of the problem."
+            f"{error.filename or file}, line {error.lineno or '?'}: {error.msg}. Correct this line "
+            "of the problem."
         ) from None
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except SystemExit as error:
+        sys.modules.pop(name, None)
+        raise ProblemError(
+            f"{_place(file, error)}: it ends the program (sys.exit or exit). A problem only "
+            "defines 'problem': put what runs below if __name__ == '__main__'."
+        ) from None
+    except RecursionError as error:
+        sys.modules.pop(name, None)
+        raise ProblemError(
+            f"{_place(file, error)}: it calls or imports itself without end."
+        ) from None
+    except BaseException as error:
         sys.modules.pop(name, None)
         raise ProblemError(_fault(file, error)) from None
+    finally:
+        with suppress(OSError):
+            os.chdir(here)
     problem = getattr(module, "problem", None)
     if isinstance(problem, Problem):
+        unsound = [
+            fault
+            for one in (problem, *problem.others.values())
+            for fault in faults(one.name, one.models, one.effects)
+        ]
+        if unsound:
+            sys.modules.pop(name, None)
+            more = f" ({len(unsound) - 1} more of this kind.)" if len(unsound) > 1 else ""
+            raise ProblemError(f"{file}: {unsound[0]}{more}")
         return problem
     sys.modules.pop(name, None)
     others = [key for key, value in vars(module).items() if isinstance(value, Problem)]
@@ -151,13 +185,22 @@ def _load(file: Path) -> Problem:
     raise ProblemError(f"{file} does not export 'problem'; {found}.")
 
 
-def _fault(file: Path, error: Exception) -> str:
-    """Say where in the problem's own file an exception came from."""
-    lines = [
-        frame.lineno
-        for frame in traceback.extract_tb(error.__traceback__)
-        if Path(frame.filename) == file
-    ]
-    where = f"{file}, line {lines[-1]}" if lines else str(file)
+def _fault(file: Path, error: BaseException) -> str:
+    """Say where in the problem's own file an exception came from, and what it is."""
     kind = "" if isinstance(error, ProblemError) else f"{type(error).__name__}: "
-    return f"{where}: {kind}{error}"
+    hint = ""
+    if isinstance(error, ModuleNotFoundError):
+        hint = " Install it, or write 'from .name import ...' for a file of the same folder."
+    elif isinstance(error, TypeError) and "unexpected keyword argument" in str(error):
+        hint = " Check the spelling; help(oed_sysid.Model) and so on list what there is."
+    return f"{_place(file, error)}: {kind}{str(error) or 'no message'}{hint}"
+
+
+def _place(file: Path, error: BaseException) -> str:
+    """File and line of the problem's own folder that an exception came from."""
+    frames = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if Path(frame.filename).parent == file.parent
+    ]
+    return f"{frames[-1].filename}, line {frames[-1].lineno}" if frames else str(file)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
@@ -84,6 +85,7 @@ class Problem:
     description: str = ""
 
     def __post_init__(self) -> None:
+        self._check_kinds()
         if not _NAME.fullmatch(self.name):
             raise ProblemError(
                 f"Problem name {self.name!r} is no identifier. Use letters, digits and "
@@ -112,6 +114,54 @@ class Problem:
             self.limits.check_names(self.model)
         except OedSysidError as error:
             raise ProblemError(f"Problem {self.name!r}: {error}") from None
+
+    def _check_kinds(self) -> None:
+        """Refuse parts of another kind before anything is asked of them."""
+
+        def check(what: str, value: object, kind: type | tuple[type, ...], words: str) -> None:
+            if not isinstance(value, kind):
+                raise ProblemError(
+                    f"Problem {self.name!r:.60}: {what} is a {type(value).__name__}, expected "
+                    f"{words}."
+                )
+
+        check("name", self.name, str, "text")
+        check("model", self.model, Model, "a Model")
+        for what in ("title", "description"):
+            check(what, getattr(self, what), str, "text")
+        for what in ("effects", "references"):
+            value = getattr(self, what)
+            check(what, value, tuple | list, f"a tuple; one alone is ({what[:-1]},)")  # type: ignore[arg-type]
+        for effect in self.effects:
+            check("one of its effects", effect, Effect, "an Effect, such as Force(...)")
+        for reference in self.references:
+            check("one of its references", reference, str, "text")
+        for what, kind in (
+            ("experiments", Experiment),
+            ("models", Model),
+            ("others", Problem),
+            ("published", object),
+        ):
+            entries = getattr(self, what)
+            check(what, entries, Mapping, "a mapping from names")
+            for key, value in entries.items():
+                check(f"a name in {what}", key, str, "text")
+                check(f"{what}[{key!r}]", value, kind, f"a {kind.__name__}")
+        check("limits", self.limits, Limits, "Limits(...)")
+        if self.records is not None and not callable(self.records):
+            raise ProblemError(
+                f"Problem {self.name!r}: records is a {type(self.records).__name__}, expected a "
+                "function without arguments that returns the Dataset."
+            )
+        if self.truth is not None:
+            check("truth", self.truth, Mapping, "a mapping from names to numbers")
+            for key, value in self.truth.items():
+                number = isinstance(value, int | float) and not isinstance(value, bool)
+                if not number or not math.isfinite(value):
+                    raise ProblemError(
+                        f"Problem {self.name!r}: the truth of {key!r} is {value!r:.40}. Give "
+                        "a number."
+                    )
 
     def _check_effects(self) -> None:
         seen: set[str] = set()
@@ -223,7 +273,13 @@ class Problem:
                 f"Problem {self.name!r} comes without records. Read your own with "
                 "oed_sysid.read_csv(path, problem.channels), or simulate an experiment."
             )
-        return self.records()
+        found = self.records()
+        if not isinstance(found, Dataset):
+            raise ProblemError(
+                f"The records of problem {self.name!r} are a {type(found).__name__}, expected a "
+                "Dataset."
+            )
+        return found
 
     def describe(self) -> str:
         """Return what the problem holds, in words."""

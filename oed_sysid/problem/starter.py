@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import tempfile
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -10,7 +12,8 @@ from string import Template
 import numpy as np
 
 from oed_sysid.data.dataset import write_csv
-from oed_sysid.errors import ProblemError
+from oed_sysid.errors import FileError, ProblemError
+from oed_sysid.files import write_text
 from oed_sysid.problem.catalogue import FILE, load_problem
 from oed_sysid.simulate import simulate
 
@@ -55,20 +58,33 @@ def new_problem(folder: str | Path) -> Path:
             "oed_sysid.load_problem."
         )
     words = {"name": name, "title": name.replace("_", " ").capitalize(), "folder": place.as_posix()}
+    is_new = not place.exists()
     try:
-        (place / "data").mkdir(parents=True, exist_ok=True)
-        for source, target in (("problem.txt", FILE), ("readme.txt", "README.md")):
-            text = files("oed_sysid.problem").joinpath("starter_files", source).read_text("utf-8")
-            (place / target).write_text(Template(text).substitute(words), encoding="utf-8")
-        problem = load_problem(place / FILE)
-        rng = np.random.default_rng(_SEED)
-        true = problem.true_model()
-        for experiment in problem.experiments.values():
-            record = simulate(true, experiment, rng=rng)
-            write_csv(record, place / "data" / f"{record.name}.csv")
-    except OSError as error:
-        raise ProblemError(f"{place} cannot be written: {error}.") from None
+        place.mkdir(parents=True, exist_ok=True)
+        # Made inside, hidden, and moved when all of it is there.
+        with tempfile.TemporaryDirectory(dir=place, prefix=".") as made:
+            _fill(Path(made), words)
+            for entry in sorted(Path(made).iterdir()):
+                entry.rename(place / entry.name)
+    except (OSError, FileError) as error:
+        if is_new:
+            with suppress(OSError):
+                place.rmdir()
+        raise ProblemError(f"{place} cannot be written: {error}") from None
     return place
+
+
+def _fill(place: Path, words: dict[str, str]) -> None:
+    """Write the files of a starter folder."""
+    for source, target in (("problem.txt", FILE), ("readme.txt", "README.md")):
+        text = files("oed_sysid.problem").joinpath("starter_files", source).read_text("utf-8")
+        write_text(place / target, Template(text).substitute(words))
+    problem = load_problem(place / FILE)
+    rng = np.random.default_rng(_SEED)
+    true = problem.true_model()
+    for experiment in problem.experiments.values():
+        record = simulate(true, experiment, rng=rng)
+        write_csv(record, place / "data" / f"{record.name}.csv")
 
 
 def _identifier(text: str) -> str:

@@ -6,6 +6,8 @@ figure, and returns them; nothing is shown and no global setting is touched.
 report in one file.
 """
 
+from oed_sysid.report.check_page import check_page
+from oed_sysid.report.check_plots import figure_check, plot_balance, plot_balances
 from oed_sysid.report.comparison_page import comparison_page
 from oed_sysid.report.design_page import design_page
 from oed_sysid.report.design_plots import (
@@ -34,6 +36,7 @@ from oed_sysid.report.force_plots import (
 from oed_sysid.report.improvement_page import improvement_page
 from oed_sysid.report.improvement_plots import plot_error_fall, plot_located, plot_ranking
 from oed_sysid.report.live_plots import LiveParameters, plot_history
+from oed_sysid.report.numbers_page import numbers_page
 from oed_sysid.report.page import Page, Picture, Section, Table, style_sheet
 from oed_sysid.report.polar_plots import plot_polar
 from oed_sysid.report.prediction_plots import (
@@ -44,7 +47,7 @@ from oed_sysid.report.prediction_plots import (
 )
 from oed_sysid.report.ranking_page import ranking_page
 from oed_sysid.report.record_plots import figure_record
-from oed_sysid.report.style import model_style, new_figure
+from oed_sysid.report.style import model_style, new_figure, save_figure
 from oed_sysid.report.track_plots import plot_track, plot_zigzag
 
 __all__ = [
@@ -53,9 +56,11 @@ __all__ = [
     "Picture",
     "Section",
     "Table",
+    "check_page",
     "comparison_page",
     "design_page",
     "diagnosis_page",
+    "figure_check",
     "figure_design",
     "figure_fit",
     "figure_force",
@@ -66,8 +71,12 @@ __all__ = [
     "improvement_page",
     "model_style",
     "new_figure",
+    "numbers_page",
+    "save_figure",
     "plot_accuracy",
     "plot_autocorrelation",
+    "plot_balance",
+    "plot_balances",
     "plot_bode",
     "plot_comparison",
     "plot_correlation",

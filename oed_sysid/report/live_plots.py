@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed_sysid.errors import DataError
+from oed_sysid.files import whole_file
 from oed_sysid.report.style import (
     TRUTH,
     TWO_SIDED_95,
@@ -19,6 +20,7 @@ from oed_sysid.report.style import (
     model_style,
     new_axes,
     new_figure,
+    save_figure,
     spread_legend,
     symbol_of,
 )
@@ -165,7 +167,7 @@ class LiveParameters:
         self._drawn_at = self._clock()
         self.n_drawings += 1
         if self._file is not None:
-            self.figure.savefig(self._file, dpi=110)
+            save_figure(self.figure, self._file, dpi=110)
         self.figure.canvas.draw_idle()
         self.figure.canvas.flush_events()
 
@@ -191,7 +193,8 @@ class LiveParameters:
             init_func=lambda: (),
             blit=False,
         )
-        moving.save(path, writer=PillowWriter(fps=per_second), dpi=80)
+        with whole_file(path) as part:
+            moving.save(part, writer=PillowWriter(fps=per_second), dpi=80)
 
     def _draw_until(self, count: int) -> tuple[Axes, ...]:
         times = np.array(self._times[:count])

@@ -12,8 +12,7 @@ import jinja2
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from oed_sysid import __version__
-from oed_sysid.errors import OedSysidError
+from oed_sysid import __version__, files
 
 _RESOLUTION = 110
 
@@ -111,17 +110,11 @@ class Page:
 
         Raises
         ------
-        OedSysidError
-            If the file cannot be written.
+        FileError
+            If the file cannot be written; an older one is untouched.
         """
         target = Path(path)
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_text(self.html(), encoding="utf-8")
-        except OSError as error:
-            raise OedSysidError(
-                f"{str(target)!r} cannot be written: {error.strerror}. Give another place."
-            ) from error
+        files.write_text(target, self.html())
         return target
 
 

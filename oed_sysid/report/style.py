@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -16,6 +18,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from oed_sysid.channels import Input, Output, State
+from oed_sysid.errors import FileError
+from oed_sysid.files import whole_file
 from oed_sysid.language import notation
 
 TRUTH = "black"
@@ -50,6 +54,34 @@ def model_style(index: int) -> ModelStyle:
     """
     place = index % len(COLOURS)
     return ModelStyle(COLOURS[place], DASHES[place], HATCHES[place])
+
+
+def save_figure(figure: Figure, path: str | Path, **settings: Any) -> Path:
+    """Write a figure whole or not at all, in the format that the ending of its name says.
+
+    Parameters
+    ----------
+    figure : Figure
+        What to write.
+    path : str or Path
+        The file.
+    **settings
+        Of :meth:`matplotlib.figure.Figure.savefig`.
+
+    Raises
+    ------
+    FileError
+        If the ending is no format, or the file cannot be written.
+    """
+    formats = figure.canvas.get_supported_filetypes()
+    ending = Path(path).suffix.lower().lstrip(".")
+    if "format" not in settings and ending not in formats:
+        raise FileError(
+            f"{str(path)!r} does not end like a picture. Choose .{', .'.join(sorted(formats))}."
+        )
+    with whole_file(path) as part:
+        figure.savefig(part, **settings)
+    return Path(path)
 
 
 def new_axes(ax: Axes | None, *, size: tuple[float, float] = (6.4, 4.0)) -> Axes:

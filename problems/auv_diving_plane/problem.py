@@ -7,6 +7,7 @@ paper's lost tables, see README.md.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from oed_sysid import Experiment, Force, Input, Limits, Model, Output, Parameter, Problem, State
 from oed_sysid.manoeuvres import ZigZagLike
@@ -95,7 +96,12 @@ PITCH = Force(
 RESTORING = Force(
     "restoring",
     {"M": "rho/2*L**3*z_BB_prime*sin(theta)"},
-    (_prime("z_BB_prime", -0.061 * 53_400.0 / (0.5 * 1025.0 * 5.3**3), NPS),),
+    # Not divided by a speed, unlike the hydrodynamic coefficients.
+    (
+        replace(
+            _prime("z_BB_prime", -0.061 * 53_400.0 / (0.5 * 1025.0 * 5.3**3), NPS), unit="m^2/s^2"
+        ),
+    ),
     description="centre of buoyancy above that of gravity",
 )
 THRUST = Force(

@@ -11,6 +11,7 @@ import numpy as np
 from oed_sysid import (
     Actuator,
     Dataset,
+    ExtraState,
     Force,
     Input,
     Limits,
@@ -19,6 +20,7 @@ from oed_sysid import (
     Parameter,
     Problem,
     Record,
+    Sensor,
     State,
     read_csv,
 )
@@ -26,13 +28,18 @@ from oed_sysid.data.third_party import fetch
 from oed_sysid.effects import actuator_lag, sensor_lag
 
 FULL = 10.0  # V, reading of a full tank, and end of the sensor's range
-MIDDLE = 5.0  # V, level at which linear and square-root outflow are made equal
-LOWEST = 0.01  # V, keeps the slope of the square root finite
+LEVELS = (
+    Parameter("full", FULL, "V", fixed=True, description="reading of a full tank"),
+    Parameter("middle", 5.0, "V", fixed=True, description="linear and square-root outflow agree"),
+    Parameter("lowest", 0.01, "V", fixed=True, description="keeps the root's slope finite"),
+    Parameter("lowest_square", 0.01, "V^2", fixed=True, description="the same below a square"),
+)
 MIDDLE_OF_RECORD = 2048.0  # s
+SHORTEST = 0.5  # s, below it the delay of an outflow fades out, so that zero means absent
 
 
-def _root(level: str) -> str:
-    return f"sqrt(max({level}, {LOWEST}))"
+def _root(level: str, lowest: str = "lowest") -> str:
+    return f"sqrt(max({level}, {lowest}))"
 
 
 STATES = (
@@ -42,17 +49,26 @@ STATES = (
 INPUTS = (Input("pump", "V", "pump voltage", column="u_V"),)
 OUTPUTS = (Output("level", "V", "level of the lower tank", "lower", column="y_V"),)
 INFLOW = Parameter("inflow", 0.05, "1/s", lower=0.0, description="inflow per pump voltage")
+ROOTS = {tank: f"drain_{tank}*{_root(tank)}" for tank in ("upper", "lower")}
+LINEAR = {tank: f"drain_{tank}*{tank}" for tank in ("upper", "lower")}
+
+
+def _balance(outflow: dict[str, str]) -> dict[str, str]:
+    """Rates of both levels, V/s."""
+    return {
+        "upper": f"inflow*pump - {outflow['upper']}",
+        "lower": f"{outflow['upper']} - {outflow['lower']}",
+    }
+
 
 torricelli = Model(
     name="cascaded tanks, Torricelli",
     states=STATES,
     inputs=INPUTS,
     outputs=OUTPUTS,
-    kinematics={
-        "upper": f"inflow*pump - drain_upper*{_root('upper')}",
-        "lower": f"drain_upper*{_root('upper')} - drain_lower*{_root('lower')}",
-    },
+    kinematics=_balance(ROOTS),
     parameters=(
+        *LEVELS,
         INFLOW,
         Parameter("drain_upper", 0.045, "V^0.5/s", lower=0.0, description="upper outlet"),
         Parameter("drain_lower", 0.05, "V^0.5/s", lower=0.0, description="lower outlet"),
@@ -65,11 +81,9 @@ model = Model(
     states=STATES,
     inputs=INPUTS,
     outputs=OUTPUTS,
-    kinematics={
-        "upper": "inflow*pump - drain_upper*upper",
-        "lower": "drain_upper*upper - drain_lower*lower",
-    },
+    kinematics=_balance(LINEAR),
     parameters=(
+        *LEVELS,
         INFLOW,
         Parameter("drain_upper", 0.01, "1/s", lower=0.0, description="upper outlet"),
         Parameter("drain_lower", 0.01, "1/s", lower=0.0, description="lower outlet"),
@@ -78,9 +92,33 @@ model = Model(
 )
 
 
+def _outflow_inertia(outflow: dict[str, str]) -> Force:
+    """Outflows that follow their steady values with a delay."""
+    return Force(
+        "outflow_inertia",
+        {
+            "upper": f"weight*({outflow['upper']} - flow_upper)",
+            "lower": f"weight*(flow_upper - {outflow['upper']} + {outflow['lower']} - flow_lower)",
+        },
+        (Parameter("E_outflow_inertia", 0.0, "s", lower=0.0, upper=60.0, scale=5.0),),
+        definitions={"weight": f"min(E_outflow_inertia/{SHORTEST}, 1)"},
+        states=tuple(
+            ExtraState(
+                f"flow_{tank}",
+                f"({steady} - flow_{tank})/max(E_outflow_inertia, {SHORTEST})",
+                steady,
+                "V/s",
+            )
+            for tank, steady in outflow.items()
+        ),
+        description="water in the outlets is not moved at once: outflow follows with a delay",
+        needs="quick changes of the pump voltage",
+    )
+
+
 def _gravity(level: str) -> str:
     """Torricelli's outflow less the linear one."""
-    return f"({_root(f'{MIDDLE}*{level}')} - {level})"
+    return f"({_root(f'middle*{level}', 'lowest_square')} - {level})"
 
 
 effects = (
@@ -131,7 +169,7 @@ effects = (
     ),
     Force(
         "lower_overflow",
-        {"lower": f"-E_lower_overflow*max(lower - {FULL}, 0)"},
+        {"lower": "-E_lower_overflow*max(lower - full, 0)"},
         (Parameter("E_lower_overflow", 0.0, "1/s", lower=0.0, upper=1.0, scale=0.1),),
         description="the lower tank overflows",
         source="Schoukens & Noel (2017)",
@@ -153,6 +191,21 @@ effects = (
     ),
     actuator_lag("pump_lag", "pump", scale=5.0),
     sensor_lag("level_lag", "level", scale=5.0),
+    # What the instrument makes of a level; a full tank reads FULL whatever the law.
+    Sensor(
+        "level_exponent",
+        {"level": "full*(max(level, lowest)/full)**(1 + E_level_exponent)"},
+        (Parameter("E_level_exponent", 0.0, "1", lower=-0.8, upper=4.0, scale=0.3),),
+        description="reading as a power of the level",
+        needs="levels from low to high",
+    ),
+    Sensor(
+        "level_zero",
+        {"level": f"E_level_zero + level*(1 - E_level_zero/{FULL})"},
+        (Parameter("E_level_zero", 0.0, "V", lower=-8.0, upper=8.0, scale=1.0),),
+        description="reading of an empty tank",
+        needs="levels from low to high",
+    ),
 )
 
 
@@ -177,19 +230,34 @@ def records() -> Dataset:
     )
 
 
+REFERENCES = (
+    "Schoukens, Mattsson, Wigren & Noel (2016), Cascaded tanks benchmark combining soft and "
+    "hard nonlinearities, Eindhoven University of Technology",
+    "Schoukens & Noel (2017), Three benchmarks addressing open challenges in nonlinear "
+    "system identification, IFAC World Congress",
+)
+LIMITS = Limits(inputs={"pump": (0.0, 7.0)})
+law = Problem(
+    name="cascaded_tanks_torricelli",
+    title="Cascaded tanks with overflow, Torricelli's law believed",
+    model=torricelli,
+    effects=(
+        *(effect for effect in effects if effect.name != "gravity_outflow"),
+        _outflow_inertia(ROOTS),
+    ),
+    limits=LIMITS,
+    records=records,
+    references=REFERENCES,
+    description="Outflow as the square root of the level is known; what else is missing?",
+)
 problem = Problem(
     name="cascaded_tanks",
     title="Cascaded tanks with overflow",
     model=model,
-    models={"torricelli": torricelli},
-    effects=effects,
-    limits=Limits(inputs={"pump": (0.0, 7.0)}),
+    others={"torricelli": law},
+    effects=(*effects, _outflow_inertia(LINEAR)),
+    limits=LIMITS,
     records=records,
-    references=(
-        "Schoukens, Mattsson, Wigren & Noel (2016), Cascaded tanks benchmark combining soft and "
-        "hard nonlinearities, Eindhoven University of Technology",
-        "Schoukens & Noel (2017), Three benchmarks addressing open challenges in nonlinear "
-        "system identification, IFAC World Congress",
-    ),
+    references=REFERENCES,
     description="Two levels, one sensor: find how the tanks drain and what happens when they fill.",
 )

@@ -2,19 +2,33 @@
 
 Prints the mean error of K and T, relative to what 0.1 s gives as in the paper and
 against the truth, over other ships and with noise, and multiple shooting on the raw
-sparse headings beside it.
+sparse headings beside it. ``--figures FOLDER`` draws the headings that each predicts and
+the errors against the noise.
 """
 
 from __future__ import annotations
+
+import argparse
+from pathlib import Path
 
 import numpy as np
 
 from oed_sysid import Dataset, MultipleShooting, Record, load_problem
 from oed_sysid.data.reconstruction import reconstruct
 from oed_sysid.estimators import HeadingDifferences
-from oed_sysid.simulate import simulate
+from oed_sysid.report import new_figure
+from oed_sysid.simulate import simulate, simulate_inputs
 
 problem = load_problem("nomoto_sparse_heading")
+CASES = {
+    "K 2, T 0.3": ("default", "zigzag_15_15"),
+    "K 0.5, T 0.6": ("K0.5_T0.6", "fast_rudder"),
+    "K 0.5, T 1": ("K0.5_T1", "fast_rudder"),
+    "K 0.5, T 2": ("K0.5_T2", "fast_rudder"),
+}
+NOISES = (0.0, 0.0005, 0.002)  # rad
+CURVES = ("0.5 s", "spiral", "cubic")
+COLUMNS = (*(f"{way}, to 0.1 s" for way in CURVES), *CURVES, "shooting")
 
 
 def gain_and_time(record: Record) -> np.ndarray:
@@ -28,42 +42,108 @@ def share(found: np.ndarray, reference: np.ndarray) -> float:
     return float(100 * np.abs(found / reference - 1).mean())
 
 
-cases = {
-    "K 2, T 0.3": ("default", "zigzag_15_15"),
-    "K 0.5, T 0.6": ("K0.5_T0.6", "fast_rudder"),
-    "K 0.5, T 1": ("K0.5_T1", "fast_rudder"),
-    "K 0.5, T 2": ("K0.5_T2", "fast_rudder"),
-}
-ways = ("0.5 s", "spiral", "cubic", "0.5 s", "spiral", "cubic", "shooting")
-print(f"mean error, %{'':16}relative to 0.1 s{'':13}against the truth")
-print(f"{'':12}{'noise':>7}" + "".join(f"{way:>10}" for way in ways))
-wins = []
-for name, (variant, experiment) in cases.items():
+def clean_record(case: str) -> Record:
+    """The zigzag of a ship, every 0.01 s, without noise."""
+    variant, experiment = CASES[case]
     ship = problem.variant(variant)
-    truth = np.array([ship.model.values["K"], ship.model.values["T"]])
-    for noise in (0.0, 0.0005, 0.002):  # rad
-        rows = []
-        for seed in range(1 if noise == 0 else 10):
-            clean = simulate(ship.model, ship.experiment(experiment), noise=False)
-            rng = np.random.default_rng(seed)
-            record = clean.with_outputs(
-                clean.outputs + noise * rng.normal(size=clean.outputs.shape)
-            )
-            reference, sparse = gain_and_time(record.thin(10)), record.thin(50)
-            curves = [reconstruct(sparse, 5, method=way) for way in ("spiral", "cubic")]
-            found = [gain_and_time(one) for one in (sparse, *curves)]
-            away = ship.model.with_values({"K": 1.0, "T": 1.0})
-            raw = MultipleShooting().fit(away, Dataset((sparse,)))
-            shot = np.array([raw.values["K"], raw.values["T"]])
-            rows.append(
-                [share(one, reference) for one in found]
-                + [share(one, truth) for one in (*found, shot)]
-            )
-        mean = np.mean(rows, axis=0)
-        wins.append(mean[4] < mean[5])
-        print(f"{name:12}{noise:7.4f}" + "".join(f"{value:10.2f}" for value in mean))
-print()
-print(
-    "Published, relative to 0.1 s: 33.5 from 0.5 s, 2.4 with the spiral, 3.4 with the cubic spline. "
-    f"Here the spiral is closer to the truth than the spline in {sum(wins)} of {len(wins)} rows."
-)
+    return simulate(ship.model, ship.experiment(experiment), noise=False)
+
+
+def one(case: str, noise: float, seed: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """K and T by every way from one realisation; and those from 0.1 s."""
+    clean, rng = clean_record(case), np.random.default_rng(seed)
+    record = clean.with_outputs(clean.outputs + noise * rng.normal(size=clean.outputs.shape))
+    sparse = record.thin(50)
+    curves = (sparse, *(reconstruct(sparse, 5, method=way) for way in CURVES[1:]))
+    found = {way: gain_and_time(curve) for way, curve in zip(CURVES, curves, strict=True)}
+    model = problem.variant(CASES[case][0]).model
+    raw = MultipleShooting().fit(model.with_values({"K": 1.0, "T": 1.0}), Dataset((sparse,)))
+    found["shooting"] = np.array([raw.values["K"], raw.values["T"]])
+    return found, gain_and_time(record.thin(10))
+
+
+def errors(case: str, noise: float, seeds: int = 10) -> np.ndarray:
+    """Mean errors in the order of ``COLUMNS``, per cent."""
+    values = problem.variant(CASES[case][0]).model.values
+    truth = np.array([values["K"], values["T"]])
+    rows = []
+    for seed in range(1 if noise == 0 else seeds):
+        found, reference = one(case, noise, seed)
+        rows.append(
+            [share(found[way], reference) for way in CURVES]
+            + [share(found[way], truth) for way in (*CURVES, "shooting")]
+        )
+    return np.mean(rows, axis=0)
+
+
+def prediction(case: str, noise: float = 0.0) -> dict[str, np.ndarray]:
+    """Headings that each way's K and T give for the same rudder, rad."""
+    record = clean_record(case)
+    found, _ = one(case, noise, 0)
+    model = problem.variant(CASES[case][0]).model
+    return {"truth": record.outputs[:, 0]} | {
+        way: simulate_inputs(
+            model.with_values(dict(zip("KT", pair, strict=True))),
+            record.times,
+            inputs=record.inputs,
+        ).outputs[:, 0]
+        for way, pair in found.items()
+    }
+
+
+def figures(folder: Path, table: dict[tuple[str, float], np.ndarray]) -> None:
+    """Headings predicted, their errors, and errors of K and T against the noise."""
+    case = next(iter(CASES))
+    record, runs = clean_record(case), prediction(case)
+    figure, grid = new_figure(2, 1, size=(7, 5.5), sharex=True)
+    top, bottom = grid[:, 0]
+    for way, heading in runs.items():
+        style = {"color": "black"} if way == "truth" else {"linestyle": "--"}
+        top.plot(record.times, np.degrees(heading), label=way, **style)
+        if way != "truth":
+            bottom.plot(record.times, np.degrees(heading - runs["truth"]), label=way)
+    top.set(ylabel="heading psi [deg]", title=case)
+    bottom.set(ylabel="error of psi [deg]", xlabel="time [s]")
+    top.legend(ncols=3)
+    bottom.legend(ncols=4)
+    figure.savefig(folder / "nomoto_prediction.png", dpi=120)
+
+    figure, grid = new_figure(2, 2, size=(8, 6), sharex=True, sharey=True)
+    for axes, name in zip(grid.ravel(), CASES, strict=True):
+        for k, way in enumerate(COLUMNS[3:], start=3):
+            line = [table[name, noise][k] for noise in NOISES]
+            axes.semilogy(1e3 * np.array(NOISES), line, "o-", label=way)
+        axes.set_title(name)
+    for axes in grid[-1]:
+        axes.set_xlabel("noise of the heading [mrad]")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("mean error of K and T [%]")
+    grid[0, 0].legend()
+    figure.savefig(folder / "nomoto_error_against_noise.png", dpi=120)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Print the headline."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--figures", type=Path, help="folder for the figures")
+    folder = parser.parse_args(arguments).figures
+    print(f"mean error, %{'':16}relative to 0.1 s{'':13}against the truth")
+    print(f"{'':12}{'noise':>7}" + "".join(f"{way:>10}" for way in (*CURVES, *COLUMNS[3:])))
+    table = {(case, noise): errors(case, noise) for case in CASES for noise in NOISES}
+    for (case, noise), mean in table.items():
+        print(f"{case:12}{noise:7.4f}" + "".join(f"{value:10.2f}" for value in mean))
+    spiral, cubic = COLUMNS.index("spiral"), COLUMNS.index("cubic")
+    wins = sum(mean[spiral] < mean[cubic] for mean in table.values())
+    print()
+    print(
+        "Published, relative to 0.1 s: 33.5 from 0.5 s, 2.4 with the spiral, 3.4 with the cubic "
+        f"spline. Here the spiral is closer to the truth than the spline in {wins} of "
+        f"{len(table)} rows."
+    )
+    if folder:
+        folder.mkdir(parents=True, exist_ok=True)
+        figures(folder, table)
+
+
+if __name__ == "__main__":
+    main()

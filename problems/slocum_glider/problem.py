@@ -179,10 +179,13 @@ effects = (
     Force(
         "pump_drag",
         {
-            axis: f"-pressure_area*E_pump_drag*V_pump/{2.3e-4}*{velocity}"
+            axis: f"-pressure_area*E_pump_drag*V_pump/V_stroke*{velocity}"
             for axis, velocity in (("X", "u_r"), ("Z", "w_r"))
         },
-        (_amplitude("pump_drag", "1", 0.02, "drag differs between dive and climb"),),
+        (
+            _amplitude("pump_drag", "1", 0.02, "drag differs between dive and climb"),
+            Parameter("V_stroke", 2.3e-4, "m^3", fixed=True, description="half stroke of the pump"),
+        ),
         description="drag differs between dive and climb",
         needs="dives and climbs",
     ),

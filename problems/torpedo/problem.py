@@ -49,9 +49,11 @@ ADDED_MASS = (
 )
 COEFFICIENTS = (
     _searched("C_x", 0.145, "1", "drag"),
+    _searched("C_y_0", 0.04, "1", "lift of the asymmetric body"),
     _searched("C_y_alpha", 2.40, "1", "lift by angle of attack"),
     _searched("C_y_delta", 0.52, "1", "lift by elevator"),
     _searched("C_y_omega", 1.00, "1", "lift by pitch rate"),
+    _searched("m_z_0", 0.012, "1", "pitch moment of the asymmetric body"),
     _searched("m_z_alpha", 0.55, "1", "pitch moment by angle of attack"),
     _searched("m_z_delta", -0.235, "1", "pitch moment by elevator"),
     _searched("m_z_omega", -0.62, "1", "pitch moment by pitch rate"),
@@ -71,8 +73,8 @@ FLOW = {
     "attack": "atan2(w, u)",
     "pressure": "rho/2*(u**2 + w**2)*S",
     "turn": "q*L/speed",
-    "lift": "C_y_alpha*attack + C_y_delta*delta + C_y_omega*turn",
-    "moment": "m_z_alpha*attack + m_z_delta*delta + m_z_omega*turn",
+    "lift": "C_y_0 + C_y_alpha*attack + C_y_delta*delta + C_y_omega*turn",
+    "moment": "m_z_0 + m_z_alpha*attack + m_z_delta*delta + m_z_omega*turn",
 }
 # Drag against the velocity and lift across it.
 WIND_AXES = Force(
@@ -108,12 +110,12 @@ def _model(name: str, hull: Force) -> Model:
         ),
         inputs=(Input("delta", "rad", "elevator"),),
         outputs=(
-            Output("u", "m/s", "axial velocity", noise_std=PEAK_NOISE * 7.19),
-            Output("w", "m/s", "normal velocity", noise_std=PEAK_NOISE * 1.37),
-            Output("q", "rad/s", "pitch rate", noise_std=PEAK_NOISE * 0.389),
-            Output("theta", "rad", "pitch angle", noise_std=PEAK_NOISE * 0.965),
-            Output("x", "m", "advance", noise_std=PEAK_NOISE * 132.0),
-            Output("z", "m", "depth", noise_std=PEAK_NOISE * 63.5),
+            Output("u", "m/s", "axial velocity", noise_std=PEAK_NOISE * 7.30),
+            Output("w", "m/s", "normal velocity", noise_std=PEAK_NOISE * 1.47),
+            Output("q", "rad/s", "pitch rate", noise_std=PEAK_NOISE * 0.392),
+            Output("theta", "rad", "pitch angle", noise_std=PEAK_NOISE * 0.972),
+            Output("x", "m", "advance", noise_std=PEAK_NOISE * 132.5),
+            Output("z", "m", "depth", noise_std=PEAK_NOISE * 69.0),
         ),
         axes={"X": "u", "Z": "w", "M": "q"},
         inertia={
@@ -173,7 +175,7 @@ problem = Problem(
         "Operational Research 196",
     ),
     description=(
-        "Ten coefficients, added masses among them, searched for by a population of trajectories; "
+        "Twelve parameters, added masses among them, searched for by a population of trajectories; "
         "and what a gradient makes of the same record."
     ),
 )

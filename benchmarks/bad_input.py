@@ -1,0 +1,112 @@
+"""The catalogues of bad input, each with the message that it gets today, as tables.
+
+python -m benchmarks.bad_input                # counts
+python -m benchmarks.bad_input --write        # puts the messages into docs/errors.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+
+from oed_sysid.data.dataset import read_csv
+from oed_sysid.errors import OedSysidError
+from oed_sysid.problem import load_problem
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "tests"))
+from bad_input import csv_files, problem_files  # noqa: E402
+
+NOTED_AND_REFUSED = (*csv_files.REFUSED, *csv_files.NOTED)
+PAGE = ROOT / "docs" / "errors.md"
+BEGIN, END = "<!-- catalogue: {} -->\n", "<!-- end of catalogue -->\n"
+_LONGEST = 260
+
+
+def csv_message(content: str | bytes) -> str:
+    """What is said about a file: the refusal, or what is noted."""
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter("always")
+        path = Path(folder) / "log.csv"
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        try:
+            read_csv(path, csv_files.CHANNELS)
+        except OedSysidError as error:
+            return f"{type(error).__name__}: {error}"
+        return "Note: " + " ".join(str(one.message) for one in noted) if noted else ""
+
+
+def problem_message(source: str | dict[str, str | bytes]) -> str:
+    """What is said about a problem folder when it is loaded; empty if nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder).resolve() / "ferry"
+        for name, content in (
+            {"problem.py": source} if isinstance(source, str) else source
+        ).items():
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            (place / name).write_bytes(content.encode() if isinstance(content, str) else content)
+        try:
+            load_problem(place)
+        except OedSysidError as error:
+            return f"{type(error).__name__}: {error}".replace(str(place.parent), "…")
+        return ""
+
+
+def table(rows: Iterable[tuple[str, str]]) -> str:
+    """Rows of kind and message as Markdown."""
+    lines = ["| what | answer |", "|---|---|"]
+    for kind, message in rows:
+        short = message if len(message) <= _LONGEST else message[: _LONGEST - 1] + "…"
+        plain = (
+            short.replace("\n", " ").replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*")
+        )
+        lines.append(f"| {kind} | {plain} |")
+    return "\n".join(lines) + "\n"
+
+
+def sections() -> dict[str, str]:
+    """The tables by the name of their place in the page."""
+    return {
+        "CSV files": table((kind, csv_message(content)) for kind, content, _ in NOTED_AND_REFUSED),
+        "problem folders": table(
+            (kind, problem_message(source)) for kind, source, _ in problem_files.REFUSED
+        ),
+    }
+
+
+def placed(text: str, name: str, content: str) -> str:
+    """The page with one of its tables replaced."""
+    begin = BEGIN.format(name)
+    head, _, rest = text.partition(begin)
+    _, _, tail = rest.partition(END)
+    return head + begin + content + END + tail
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--write", action="store_true", help="write docs/errors.md")
+    options = parser.parse_args()
+    for what, entries, say in (
+        ("CSV files refused", csv_files.REFUSED, csv_message),
+        ("CSV files read and noted", csv_files.NOTED, csv_message),
+        ("problem folders refused", problem_files.REFUSED, problem_message),
+    ):
+        answers = [(say(content), words) for _, content, words in entries]  # type: ignore[operator]
+        right = sum(all(word in answer for word in words) for answer, words in answers)
+        silent = sum(not answer for answer, _ in answers)
+        print(
+            f"{what}: {len(entries)}, with the message that they must get {right}, silent {silent}"
+        )
+    if options.write:
+        text = PAGE.read_text(encoding="utf-8")
+        for name, content in sections().items():
+            text = placed(text, name, content)
+        PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

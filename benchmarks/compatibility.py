@@ -1,0 +1,346 @@
+"""The check of logs: how often it names a fault, and how often it cries wolf.
+
+    python -m benchmarks.compatibility [spoilt measured clean faults speed] [--logs N]
+
+Simulated logs come from kinematics alone, integrated ten times finer than they are sampled:
+velocities and rates are sums of sines with random phases or responses to random steps, positions
+and angles their integrals. Nothing of them is shared with the package.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.compatibility_logs import (
+    SPOILS,
+    hidden_effect_cases,
+    measured_files,
+    named_as,
+    spoil,
+)
+from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State
+from oed_sysid.compatibility import LogCheck, check, quick_check
+
+FINE = 10
+SPEEDS = (1.0, 1.5, 2.1)
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """Kinematics of a vehicle with the noise of its sensors."""
+
+    model: Model
+    motion: Callable[[float, int, float, np.random.Generator], dict[str, np.ndarray]]
+    noise: dict[str, float]
+    step: float
+    duration: float
+
+
+def _model(name: str, kinematics: dict[str, str], units: dict[str, str]) -> Model:
+    """Return kinematics with first-order responses of all velocities, which nobody uses here."""
+    rates = {n: f"(K*fin - {n})/T" for n in units if n not in kinematics}
+    return Model(
+        name,
+        states=tuple(State(n, u) for n, u in units.items()),
+        inputs=(Input("fin", "rad"),),
+        outputs=tuple(Output(n, u) for n, u in units.items()),
+        kinematics=kinematics | rates,
+        parameters=(Parameter("K", 1.0), Parameter("T", 5.0, "s")),
+    )
+
+
+def _wander(n: int, dt: float, fast: float, rng: np.random.Generator) -> np.ndarray:
+    """Return a smooth random signal of unit size with periods down to ``fast`` seconds."""
+    t = np.arange(n) * dt
+    periods = fast * np.exp(rng.uniform(0.0, 1.6, 5))
+    phases = rng.uniform(0.0, 2.0 * math.pi, 5)
+    waves = [np.sin(2.0 * math.pi * t / p + a) for p, a in zip(periods, phases, strict=True)]
+    return np.sum(waves, axis=0) / math.sqrt(2.5)
+
+
+def _diving(speed: float, n: int, dt: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    theta = 0.17 * _wander(n, dt, 9.0, rng)
+    q = np.gradient(theta, dt)
+    u = speed * (1.0 + 0.08 * _wander(n, dt, 20.0, rng) - 0.5 * theta**2)
+    w = 0.06 * speed * _wander(n, dt, 7.0, rng) + 0.3 * q
+    rate = -u * np.sin(theta) + w * np.cos(theta)
+    return {"u": u, "w": w, "q": q, "theta": theta, "z": 10.0 + _integral(rate, dt)}
+
+
+def _ship(speed: float, n: int, dt: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    r = 0.04 * _wander(n, dt, 20.0, rng)
+    psi = 2.0 + _integral(r, dt)
+    u = speed * (1.0 - 30.0 * r**2 + 0.05 * _wander(n, dt, 30.0, rng))
+    v = -2.0 * r + 0.02 * speed * _wander(n, dt, 15.0, rng)
+    x = _integral(u * np.cos(psi) - v * np.sin(psi), dt)
+    y = _integral(u * np.sin(psi) + v * np.cos(psi), dt)
+    return {"u": u, "v": v, "r": r, "psi": psi, "x": x, "y": y}
+
+
+def _integral(rate: np.ndarray, dt: float) -> np.ndarray:
+    return np.concatenate([[0.0], np.cumsum(0.5 * dt * (rate[1:] + rate[:-1]))])
+
+
+DIVER = Vehicle(
+    _model(
+        "diving plane",
+        {"theta": "q", "z": "-u*sin(theta) + w*cos(theta)"},
+        {"u": "m/s", "w": "m/s", "q": "rad/s", "theta": "rad", "z": "m"},
+    ),
+    _diving,
+    {"u": 0.02, "w": 0.02, "q": 0.004, "theta": 0.004, "z": 0.03},
+    0.1,
+    90.0,
+)
+SHIP = Vehicle(
+    _model(
+        "ship",
+        {"psi": "r", "x": "u*cos(psi) - v*sin(psi)", "y": "u*sin(psi) + v*cos(psi)"},
+        {"u": "m/s", "v": "m/s", "r": "rad/s", "psi": "rad", "x": "m", "y": "m"},
+    ),
+    _ship,
+    {"u": 0.03, "v": 0.03, "r": 0.002, "psi": 0.004, "x": 0.1, "y": 0.1},
+    0.25,
+    225.0,
+)
+VEHICLES = (DIVER, SHIP)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault that is put into a log."""
+
+    kind: str
+    signals: tuple[str, ...]
+    size: float
+    other: str = ""
+
+
+def motions(vehicle: Vehicle, rng: np.random.Generator) -> list[dict[str, np.ndarray]]:
+    """Return true signals on the fine grid, one set for each speed."""
+    n = round(vehicle.duration / vehicle.step) * FINE + 1
+    return [vehicle.motion(speed, n, vehicle.step / FINE, rng) for speed in SPEEDS]
+
+
+def log(
+    vehicle: Vehicle,
+    truth: Sequence[dict[str, np.ndarray]],
+    faults: Sequence[Fault],
+    colour: float,
+    rng: np.random.Generator,
+) -> Dataset:
+    """Return what would have been logged: faults, sampling, noise with correlation ``colour``."""
+    records = []
+    dt = vehicle.step / FINE
+    for number, signals in enumerate(truth):
+        here = dict(signals)
+        fine = np.arange(here["u"].size) * dt
+        for fault in faults:
+            if fault.kind == "lever":
+                here[fault.signals[0]] = here[fault.signals[0]] + fault.size * here[fault.other]
+        for fault in faults:
+            for name in fault.signals:
+                if fault.kind == "scale":
+                    here[name] = (1.0 + fault.size) * here[name]
+                elif fault.kind == "bias":
+                    here[name] = here[name] + fault.size
+                elif fault.kind == "delay":
+                    here[name] = np.interp(fine - fault.size, fine, here[name])
+        times = fine[::FINE]
+        columns = []
+        for name in vehicle.model.output_names:
+            white = rng.standard_normal(times.size)
+            if colour:
+                for k in range(1, times.size):
+                    white[k] = colour * white[k - 1] + math.sqrt(1.0 - colour**2) * white[k]
+            columns.append(here[name][::FINE] + vehicle.noise[name] * white)
+        rows = slice(round(3.0 / vehicle.step), None)
+        matrix = np.column_stack(columns)[rows]
+        inputs = np.zeros((matrix.shape[0], 1))
+        records.append(Record(f"run_{number}", times[rows], inputs, matrix, vehicle.model.channels))
+    return Dataset(tuple(records))
+
+
+def draw(vehicle: Vehicle, rng: np.random.Generator) -> Fault:
+    """Return a fault of a size that is worth finding: usual kinds, both signs."""
+    diving = vehicle is DIVER
+    sign = rng.choice([-1.0, 1.0])
+    kind = rng.choice(["bias", "scale", "delay", "lever"])
+    if kind == "bias":
+        names = (
+            {"q": 0.004, "w": 0.03, "u": 0.08} if diving else {"r": 0.0015, "v": 0.05, "u": 0.05}
+        )
+        name = str(rng.choice(list(names)))
+        return Fault("bias", (name,), sign * names[name] * rng.uniform(1.0, 3.0))
+    if kind == "scale":
+        names = ["u", "q", "z"] if diving else ["u", "r", "v"]
+        name = str(rng.choice(names))
+        least = {"v": 0.15, "q": 0.04, "z": 0.04}.get(name, 0.03)
+        return Fault("scale", (name,), sign * least * rng.uniform(1.0, 2.0))
+    if kind == "delay":
+        groups = [("z",), ("u", "w"), ("theta",), ("q",)] if diving else [
+            ("x", "y"), ("u", "v"), ("psi",), ("r",),
+        ]  # fmt: skip
+        return Fault("delay", groups[rng.integers(4)], rng.uniform(0.2, 1.2))
+    if diving:
+        return Fault("lever", ("w",), sign * rng.uniform(0.3, 1.0), "q")
+    return Fault("lever", ("v",), sign * rng.uniform(2.0, 6.0), "r")
+
+
+def is_named(found: LogCheck, fault: Fault) -> bool:
+    """Whether a fault is among the findings, as the finding itself or in its group."""
+    if match(found, fault) is not None:
+        return True
+    words = {"lever": "lever arm of"}.get(fault.kind, f"{fault.kind} of")
+    text = f"{words} {' and '.join(fault.signals)}"
+    return any(text in other for one in found.findings for other in one.alternatives)
+
+
+def match(found: LogCheck, fault: Fault):  # type: ignore[no-untyped-def]
+    """Return the finding that names a fault outright, or None."""
+    for one in found.findings:
+        fix = one.correction
+        if fix is not None and fix.kind == fault.kind and set(fix.signals) == set(fault.signals):
+            return one
+    return None
+
+
+def clean(n_logs: int) -> None:
+    """False alarms on clean logs, white and coloured."""
+    for colour, title in ((0.0, "white"), (None, "coloured 0.4 to 0.95")):
+        for vehicle in VEHICLES:
+            alarms, kinds = 0, []
+            for seed in range(n_logs):
+                rng = np.random.default_rng((7, seed))
+                level = rng.uniform(0.4, 0.95) if colour is None else colour
+                data = log(vehicle, motions(vehicle, rng), (), level, rng)
+                found = check(data, vehicle.model, inputs=False)
+                alarms += found.suspect
+                kinds += [one.name for one in found.serious]
+            print(
+                f"clean, {title}, {vehicle.model.name}: {alarms} of {n_logs} false alarms {kinds}",
+                flush=True,
+            )
+
+
+def faults(n_logs: int) -> None:
+    """Faults named, alone and in pairs, and how often their 95 % intervals hold."""
+    for colour, title in ((0.0, "white"), (None, "coloured 0.4 to 0.95")):
+        for n_faults in (1, 2):
+            named = total = held = sized = extra = 0
+            missed: list[str] = []
+            for seed in range(n_logs):
+                rng = np.random.default_rng((11, n_faults, seed))
+                vehicle = VEHICLES[seed % 2]
+                level = rng.uniform(0.4, 0.95) if colour is None else colour
+                chosen = [draw(vehicle, rng)]
+                while len(chosen) < n_faults:
+                    another = draw(vehicle, rng)
+                    if another.signals != chosen[0].signals:
+                        chosen.append(another)
+                data = log(vehicle, motions(vehicle, rng), chosen, level, rng)
+                found = check(data, vehicle.model, inputs=False)
+                good = [is_named(found, fault) for fault in chosen]
+                named += sum(good)
+                total += n_faults
+                extra += len(found.serious) > n_faults
+                missed += [
+                    f"{f.kind} {','.join(f.signals)} {f.size:.3g}: "
+                    f"{'; '.join(one.name for one in found.serious)}"
+                    for f, ok in zip(chosen, good, strict=True)
+                    if not ok
+                ]
+                for fault in chosen:
+                    one = match(found, fault)
+                    if one is not None and one.interval is not None:
+                        sized += 1
+                        held += one.interval[0] <= fault.size <= one.interval[1]
+            print(
+                f"{n_faults} fault(s), {title}: named in the group {named} of {total} "
+                f"({100 * named / total:.1f} %), 95 % intervals hold {held} of {sized} "
+                f"({100 * held / max(sized, 1):.1f} %), more findings than faults {extra}",
+                flush=True,
+            )
+            for line in missed[:12]:
+                print("   missed:", line)
+
+
+def spoilt() -> None:
+    """The spoilt copies of hidden-effect records, and the records as they are."""
+    cases = hidden_effect_cases()
+    if not cases:
+        print("spoilt: no hidden_effects folder below OED_SYSID_DATA")
+        return
+    problem, data = cases["case_010"]
+    right = 0
+    for name in SPOILS:
+        found = check(spoil(data, name), problem)
+        quick = quick_check(spoil(data, name), problem.model)
+        right += named_as(found, name)
+        print(f"{name:12} {'named' if named_as(found, name) else 'MISSED'}: {found.verdict}")
+        print(f"{'':12} quick: {quick.verdict}")
+    print(f"spoilt copies named: {right} of {len(SPOILS)}")
+    for name, (own, records) in cases.items():
+        print(f"{name} {check(records, own).verdict}", flush=True)
+
+
+def measured() -> None:
+    """What the check says about measured files."""
+    for title, model, load in measured_files():
+        with warnings.catch_warnings(record=True) as notes:
+            warnings.simplefilter("always")
+            found = check(load(), model)
+        wrapped = any("unwrapped" in str(note.message) for note in notes)
+        print(f"{title}{' (heading wraps)' if wrapped else ''}")
+        for one in found.findings:
+            print(f"     {'*' if one.suspect else ' '} {one.says}", flush=True)
+
+
+def speed() -> None:
+    """Time of a check and of a quick check."""
+    rng = np.random.default_rng(0)
+    for vehicle in VEHICLES:
+        data = log(vehicle, motions(vehicle, rng), (), 0.0, rng)
+        long = replace(vehicle, duration=10_000 / 3.0 * vehicle.step)
+        more = log(long, motions(long, rng), (), 0.0, rng)
+        for title, records in (("3 x 900", data), ("3 x 3,333", more)):
+            times = {}
+            for name, run in (
+                ("check", lambda d, m: check(d, m, inputs=False)),
+                ("quick_check", quick_check),
+            ):
+                begin = [time.process_time()]
+                for _ in range(3):
+                    run(records, vehicle.model)
+                    begin.append(time.process_time())
+                times[name] = min(np.diff(begin))
+            words = ", ".join(f"{name} {1e3 * value:.0f} ms" for name, value in times.items())
+            print(f"{vehicle.model.name}, {title} samples: {words}", flush=True)
+
+
+def main() -> None:
+    """Run the parts that are asked for."""
+    parts = {"spoilt": spoilt, "measured": measured, "speed": speed}
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "parts", nargs="*", default=["spoilt", "measured", "clean", "faults", "speed"]
+    )
+    parser.add_argument("--logs", type=int, default=100, help="simulated logs of each kind")
+    options = parser.parse_args()
+    for name in options.parts:
+        print(f"\n-- {name}", flush=True)
+        if name in ("clean", "faults"):
+            {"clean": clean, "faults": faults}[name](options.logs)
+        else:
+            parts[name]()
+
+
+if __name__ == "__main__":
+    main()

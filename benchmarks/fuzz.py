@@ -1,0 +1,354 @@
+"""Random input for everything that reads text: nothing but the package's own errors may come out.
+
+    python -m benchmarks.fuzz --inputs 500000
+
+Inputs are grown from good ones: pieces are cut, doubled, swapped and replaced by
+pieces that have caused trouble somewhere (huge exponents, NaN, zero bytes, deep
+brackets). Counted are exceptions that are no ``OedSysidError``, by kind and
+place, and inputs that take longer than two seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import random
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from oed_sysid.channels import Channels, Input, Output
+from oed_sysid.data.dataset import read_csv
+from oed_sysid.errors import OedSysidError
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.language import dimensions, expressions, notation, units
+from oed_sysid.problem import load_problem
+
+ROOT = Path(__file__).resolve().parent.parent
+SLOW = 2.0  # s
+# Share of the inputs, by what reads them.
+SHARES = {"units": 0.36, "notation": 0.2, "expressions": 0.3, "csv": 0.12, "results": 0.017}
+SHARES["problems"] = 1.0 - sum(SHARES.values())
+
+TROUBLE = (
+    *(
+        "",
+        " ",
+        "\t",
+        "\n",
+        "\r\n",
+        "\0",
+        "\ufeff",
+        "\u00a0",
+        "é",
+        "µ",
+        "°",
+        "²",
+        "⁻",
+        "∞",
+        "１",
+        "𝛿",
+    ),
+    *("nan", "NaN", "inf", "-inf", "1e999", "-1e999", "1e-999", "0x1F", "1_000", "1.2.3", "--1"),
+    *("9" * 400, "99999999999", "-0.0", "1,5", "1.234,5", "null", "None", "True", "#N/A", "=A1"),
+    *("(", ")", "((((", "))))", "[", "]", "{", "}", '"', "'", "^", "**", "*", "/", "//", "%", "<<"),
+    *("~", "!", "@", ";", ",", "|", ":", ".", "-", "+", "<", ">", "<=", "==", "a<b<c", "lambda"),
+    *("(" * 300, "-" * 300, "a" * 5000, "1+" * 2000, "__import__('os')", "x.y", "x[0]", "f(*a)"),
+    *("2024-05-31T12:00:00", "12:00:00", "31.05.2024", "[deg]", "(m/s)", "{rad}", "10**10**10"),
+)
+
+
+def mangle(rng: random.Random, text: str, pieces: tuple[str, ...]) -> str:
+    """Change a text at one to three places."""
+    for _ in range(rng.choice((1, 1, 1, 2, 3))):
+        at = rng.randint(0, len(text))
+        until = min(len(text), at + rng.choice((0, 1, 1, 2, 5, 20)))
+        kind = rng.random()
+        if kind < 0.25:
+            piece = ""
+        elif kind < 0.5:
+            piece = rng.choice(TROUBLE)
+        elif kind < 0.85:
+            piece = rng.choice(pieces)
+        else:
+            piece = text[at:until] * rng.randint(2, 4)
+        text = text[:at] + piece + text[until:]
+    return text
+
+
+def grown(rng: random.Random, pieces: tuple[str, ...], most: int) -> str:
+    """A text of random pieces."""
+    return "".join(rng.choice(pieces) for _ in range(rng.randint(1, most)))
+
+
+UNIT_PIECES = (
+    *("m", "s", "kg", "rad", "deg", "N", "kn", "rpm", "degC", "V", "Ohm", "Hz", "mN", "%", "1"),
+    *(
+        " ",
+        "/",
+        "*",
+        "·",
+        "^",
+        "**",
+        "2",
+        "-1",
+        "-2",
+        "^2",
+        "^(1/2)",
+        "^0.5",
+        "(",
+        ")",
+        "m2",
+        "s-1",
+    ),
+)
+NOTATION_PIECES = (
+    *("X_", "Y_", "Z_", "K_", "M_", "N_", "_", "abs", "u", "v", "w", "p", "q", "r", "phi", "theta"),
+    *("delta", "dr", "ds", "db", "0", "dot", "_prime", "tau", "max"),
+)
+NAMES = ("u", "w", "q", "theta", "Z_absww", "m", "t")
+EXPRESSION_PIECES = (
+    *NAMES,
+    *("+", "-", "*", "/", "**", "(", ")", ",", " ", "<", ">=", "2", "0.5", "-1", "1e-3", "0"),
+    *(f"{name}(" for name in expressions.FUNCTIONS),
+)
+KNOWN = {"u": "m/s", "w": "m/s", "q": "rad/s", "theta": "rad", "Z_absww": "kg/m", "m": "kg"}
+DIMENSIONS = {name: units.dimension(unit) for name, unit in KNOWN.items()}
+POINT = {name: np.array([0.0, -1.5, 1e200]) for name in NAMES}
+CHANNELS = Channels(
+    (Input("fin", "rad"),), (Output("theta", "rad"), Output("q", "rad/s"), Output("z", "m"))
+)
+LOG = "t [s],fin [deg],theta [deg],q [deg/s],z [m],mode\n" + "".join(
+    f"{0.5 * i},{(-1) ** i},{0.1 * i},{i % 3},{10 + i},AUTO\n" for i in range(8)
+)
+CSV_PIECES = (
+    *("t [s]", "fin [deg]", "theta_rad", "z_m", "q (rad/s)", ",", ";", "\t", "\n", "\r", "0.5"),
+    *("1e3", "-9999", "1e300", "#", "# note\n", '"', "AUTO", "1717156800.5", "1717156800500"),
+)
+
+
+def read_unit(rng: random.Random) -> str:
+    """A unit, through conversion, dimension and back."""
+    seed = rng.choice(("kg m^2/s^2", "deg/s", "N m s", "V^0.5/s", "kg/(m s)", "degC", "°/s", "m2"))
+    grow = rng.random() < 0.5
+    text = grown(rng, UNIT_PIECES, 8) if grow else mangle(rng, seed, UNIT_PIECES)
+    unit_of_header = units.parse_header(f"x [{text}]")[1]
+    assert unit_of_header is None or isinstance(unit_of_header, str)
+    values, si_unit = units.to_si(1.0, text)
+    assert np.isfinite(values), text
+    # What is printed is read as the same.
+    assert units.dimension(si_unit) == units.dimension(text), text
+    assert units.to_si(1.0, si_unit)[0] == 1.0, text
+    return text
+
+
+def read_name(rng: random.Random) -> str:
+    """The name of a derivative, through everything that it says."""
+    seed = rng.choice(("Z_absww", "M_uuds", "N_rdot", "X_0", "Y_phi", "tau_max_prime"))
+    grow = rng.random() < 0.5
+    text = grown(rng, NOTATION_PIECES, 7) if grow else mangle(rng, seed, NOTATION_PIECES)
+    notation.latex(text)
+    if notation.is_derivative(text):
+        expressions.parse(notation.term(text))
+        notation.prime_scale(text, density=1025.0, length=5.0, speed=1.5)
+        notation.term_text(text)
+        assert units.dimension(notation.unit(text)) == notation.parse(text).dimension, text
+    return text
+
+
+def read_expression(rng: random.Random) -> str:
+    """An expression, through check, numbers, dimension and print."""
+    seed = rng.choice(
+        ("Z_absww*w*abs(w)", "where(u > 0, u**2, -q)", "m*sqrt(u**2 + w**2)", "atan2(w, u)/2")
+    )
+    grow = rng.random() < 0.5
+    text = grown(rng, EXPRESSION_PIECES, 10) if grow else mangle(rng, seed, EXPRESSION_PIECES)
+    expressions.check(text, NAMES, where="fuzz")
+    with np.errstate(all="ignore"):
+        expressions.to_numpy(text, POINT)
+    expressions.to_text(text)
+    expressions.to_latex(text)
+    dimensions.dimension_of(text, DIMENSIONS)
+    return text
+
+
+@dataclass
+class Files:
+    """Targets that read files, in a folder of their own."""
+
+    folder: Path
+    saved: dict = field(init=False)
+    text: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        place = ROOT / "tests" / "saved" / "fit_format_1.json"
+        self.text = place.read_text(encoding="utf-8")
+        self.saved = json.loads(self.text)
+
+    def log(self, rng: random.Random) -> str:
+        """A log in CSV."""
+        text = mangle(rng, LOG, CSV_PIECES)
+        encoding = rng.choice(("utf-8", "utf-8", "utf-8", "utf-16", "latin-1", "utf-8-sig"))
+        content = text.encode(encoding, errors="replace")
+        if rng.random() < 0.2:
+            at = rng.randint(0, len(content))
+            content = content[:at] + rng.randbytes(rng.randint(0, 4)) + content[at:]
+        (self.folder / "log.csv").write_bytes(content)
+        record = read_csv(self.folder / "log.csv", CHANNELS)[0]
+        assert np.all(np.diff(record.times) > 0)
+        assert np.all(np.isfinite(record.inputs))
+        assert not np.any(np.isinf(record.outputs))
+        return text
+
+    def result(self, rng: random.Random) -> str:
+        """A saved fit, damaged as text or in its structure."""
+        if rng.random() < 0.3:
+            text = mangle(rng, self.text, ("null", "[", "]", "1e999", '{"class": "Fit"}', ", "))
+        else:
+            data = copy.deepcopy(self.saved)
+            for _ in range(rng.randint(1, 3)):
+                damage(rng, data)
+            text = json.dumps(data)
+        (self.folder / "fit.json").write_bytes(text.encode("utf-8", errors="replace"))
+        fit = Fit.load(self.folder / "fit.json")
+        with np.errstate(all="ignore"):
+            fit.to_dict()
+        return text
+
+    def problem(self, rng: random.Random) -> str:
+        """A problem file with other numbers and other texts."""
+        sys.path.insert(0, str(ROOT / "tests"))
+        from bad_input.problem_files import SOUND
+
+        sys.path.pop(0)
+        text = SOUND
+        for _ in range(rng.randint(1, 3)):
+            lines = text.split('"')
+            at = rng.randrange(1, len(lines), 2)
+            if rng.random() < 0.6:
+                # A text is replaced by another text: nothing but data changes.
+                piece = rng.choice((*TROUBLE, *UNIT_PIECES, *EXPRESSION_PIECES, *NAMES))
+                lines[at] = repr(piece)[1:-1].replace('"', "")
+            text = '"'.join(lines)
+            number = rng.choice(("0.1", "12.0", "60.0", "0.05", "0.5", "0.3"))
+            other = rng.choice(("0.0", "-1.0", "None", "1e400", "'a'", "1e-300", "True", "(1, 2)"))
+            text = text.replace(number, other, 1) if rng.random() < 0.5 else text
+        place = self.folder / "ferry"
+        place.mkdir(exist_ok=True)
+        (place / "problem.py").write_text(text, encoding="utf-8", errors="replace")
+        load_problem(place).describe()
+        return text
+
+
+def damage(rng: random.Random, data: object) -> None:
+    """Change one entry somewhere in nested lists and dictionaries."""
+    while True:
+        keys = list(data) if isinstance(data, dict) else list(range(len(data)))  # type: ignore[arg-type, call-overload]
+        if not keys:
+            return
+        key = rng.choice(keys)
+        inner = data[key]  # type: ignore[index]
+        if isinstance(inner, dict | list) and inner and rng.random() < 0.85:
+            data = inner
+            continue
+        choice = rng.choice((None, 0, -1, 1e308, True, "x", [], {}, [1], "nan", 10**30, ...))
+        if choice is ...:
+            del data[key]  # type: ignore[attr-defined]
+        else:
+            data[key] = choice  # type: ignore[index]
+        return
+
+
+@dataclass
+class Tally:
+    """What came out."""
+
+    inputs: Counter[str] = field(default_factory=Counter)
+    accepted: Counter[str] = field(default_factory=Counter)
+    uncaught: Counter[tuple[str, str, str]] = field(default_factory=Counter)
+    examples: dict[tuple[str, str, str], int] = field(default_factory=dict)
+    slow: Counter[str] = field(default_factory=Counter)
+
+
+def run(n_inputs: int, *, seed: int = 0, shares: dict[str, float] = SHARES) -> Tally:
+    """Give random inputs to every reader and count what comes out.
+
+    Parameters
+    ----------
+    n_inputs : int
+        All together.
+    seed : int
+        The same seed gives the same inputs; input ``i`` of a target is that of
+        ``random.Random(f"{seed}-{target}-{i}")``.
+    shares : mapping of str to float
+        Part of each target.
+    """
+    tally = Tally()
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        files = Files(Path(folder))
+        targets: dict[str, Callable[[random.Random], str]] = {
+            "units": read_unit,
+            "notation": read_name,
+            "expressions": read_expression,
+            "csv": files.log,
+            "results": files.result,
+            "problems": files.problem,
+        }
+        for name, share in shares.items():
+            for number in range(round(share * n_inputs)):
+                began = time.perf_counter()
+                tally.inputs[name] += 1
+                try:
+                    targets[name](random.Random(f"{seed}-{name}-{number}"))
+                    tally.accepted[name] += 1
+                except OedSysidError:
+                    pass
+                except Exception as error:
+                    frame = traceback.extract_tb(error.__traceback__)[-1]
+                    place = f"{Path(frame.filename).name}:{frame.lineno}"
+                    kind = (name, type(error).__name__, place)
+                    tally.uncaught[kind] += 1
+                    tally.examples.setdefault(kind, number)
+                if time.perf_counter() - began > SLOW:
+                    tally.slow[name] += 1
+    return tally
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--inputs", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", choices=tuple(SHARES), help="one reader only")
+    options = parser.parse_args()
+    shares = {options.only: 1.0} if options.only else SHARES
+    began = time.perf_counter()
+    tally = run(options.inputs, seed=options.seed, shares=shares)
+    seconds = time.perf_counter() - began
+    print("| reader | inputs | accepted | refused | uncaught | slower than 2 s |")
+    print("|---|---|---|---|---|---|")
+    for name, count in tally.inputs.items():
+        faults = sum(n for (target, _, _), n in tally.uncaught.items() if target == name)
+        accepted = tally.accepted[name]
+        print(
+            f"| {name} | {count} | {accepted} | {count - accepted - faults} | {faults} | "
+            f"{tally.slow[name]} |"
+        )
+    for kind, count in tally.uncaught.most_common():
+        print(f"{count} x {' '.join(kind)}, first at input {tally.examples[kind]}")
+    print(f"{sum(tally.inputs.values())} inputs, {sum(tally.uncaught.values())} uncaught, "
+          f"{seconds:.0f} s")  # fmt: skip
+    sys.exit(1 if tally.uncaught or tally.slow else 0)
+
+
+if __name__ == "__main__":
+    main()

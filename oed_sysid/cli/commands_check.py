@@ -1,0 +1,79 @@
+"""The command that looks at logs before any model: check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from oed_sysid.cli.options import HtmlFile, JsonFile, ProblemName, Variant
+from oed_sysid.cli.terminal import note, progress, say, store
+from oed_sysid.errors import DataError
+
+
+def check(
+    problem: ProblemName,
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="CSV...",
+            help="Records to check: files, folders or patterns.",
+            show_default=False,
+        ),
+    ],
+    model: Variant = None,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+    fix: Annotated[
+        Path | None,
+        typer.Option(
+            "--fix",
+            metavar="FOLDER",
+            help="Write corrected copies of the records to FOLDER; the originals are left alone.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Check logs for faults before any model: signs, units, axes, bias, delay, spikes and more.
+
+    Ends with exit code 1 when the log is suspect.
+
+    [bold]Example[/bold]: oed-sysid check remus_diving_plane dive_*.csv --html check.html
+    """
+    from oed_sysid.compatibility import check as look
+    from oed_sysid.compatibility import corrected_copies
+    from oed_sysid.data.dataset import read_csv, write_csv
+    from oed_sysid.problem import load_problem
+
+    chosen = load_problem(problem, variant=model)
+    records = read_csv(files, chosen.channels)
+    with progress("Checking"):
+        result = look(records, chosen)
+    say(result.report())
+    store(result.to_dict(), json_file)
+    if html_file is not None:
+        from oed_sysid.report import check_page
+
+        note(f"Written: {check_page(result, records, title=chosen.title).write(html_file)}")
+    if fix is not None:
+        copies, done = corrected_copies(records, chosen, result)
+        targets = [fix / f"{record.name.replace('/', '_')}.csv" for record in copies]
+        if {target.resolve() for target in targets} & {Path(r.source).resolve() for r in records}:
+            raise DataError(
+                f"The corrected copies would overwrite the records in {str(fix)!r}. Give another "
+                "folder to --fix."
+            )
+        fix.mkdir(parents=True, exist_ok=True)
+        for record, target in zip(copies, targets, strict=True):
+            write_csv(record, target)
+            note(f"Written: {target}")
+        for line in done:
+            note(f"Corrected in the copies: {line}")
+        if not done:
+            note("Nothing to correct: the copies equal the records.")
+    if result.suspect:
+        raise typer.Exit(1)
+
+
+COMMANDS = (check,)

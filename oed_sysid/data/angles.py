@@ -1,0 +1,93 @@
+r"""Angles that wrap: a compass that goes from 359 to 0 degrees has not turned back.
+
+A heading is known up to full turns, and a log usually holds it within one of them,
+
+.. math:: \psi_m = \psi - 2\pi\,k, \qquad k \in \mathbb{Z},
+
+so that the logged series jumps by one period where the vehicle passes the cut. Differential
+equations need the continuous angle: of all series that agree with the log up to full turns, the
+one that never moves by more than half a turn between two samples.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+TURN = 2.0 * np.pi
+# The period of a jump: 2 pi, or 360 where degrees passed as radians.
+PERIODS = (TURN, 360.0)
+# A wrapped signal stays within one turn, up to its noise and filtering.
+RANGE_MARGIN = 0.04
+# A jump is a clear wrap if what remains of it after adding the turn is this share of a turn.
+CLEAR = 0.08
+# ... and is not faster than this multiple of what the signal does around it.
+FASTER = 8.0
+# A signal that moves by more than this share of a turn between samples is too sparse to tell.
+SPARSE = 0.08
+
+
+def unwrapped(values: np.ndarray, period: float = TURN) -> np.ndarray:
+    """Continuous series of an angle; missing samples stay missing.
+
+    Parameters
+    ----------
+    values : numpy.ndarray
+        Shape ``(n_samples,)``, NaN where not sampled.
+    period : float
+        One turn, in the unit of the values.
+
+    Examples
+    --------
+    >>> print(np.degrees(unwrapped(np.radians([358.0, np.nan, 2.0, 6.0]))).round(6))
+    [358.  nan 362. 366.]
+    """
+    result = np.array(values, dtype=float)
+    present = np.isfinite(result)
+    result[present] = np.unwrap(result[present], period=period)
+    return result
+
+
+def clear_wraps(values: np.ndarray) -> tuple[float, np.ndarray] | None:
+    """Find jumps by a full turn that nothing but a wrapped angle explains.
+
+    A jump counts only if the signal stays within one turn, if the jump is a turn up to 8 % of it,
+    and if the motion that remains is no faster than the signal is around it. A heading that is
+    sampled so sparsely that half a turn may lie between two samples shows no clear jump.
+
+    Parameters
+    ----------
+    values : numpy.ndarray
+        Shape ``(n_samples,)``, NaN where not sampled.
+
+    Returns
+    -------
+    tuple of float and numpy.ndarray, or None
+        The period (2 pi or 360) and the index of the sample after each jump; None without jumps.
+
+    Examples
+    --------
+    >>> period, after = clear_wraps(np.radians([350.0, 354.0, 358.0, 2.0, 6.0]))
+    >>> round(np.degrees(period)), after
+    (360, array([3]))
+    >>> clear_wraps(np.radians([10.0, 350.0, 20.0, 340.0])) is None
+    True
+    """
+    present = np.flatnonzero(np.isfinite(values))
+    series = values[present]
+    if series.size < 4:
+        return None
+    reach = float(series.max() - series.min())
+    steps = np.diff(series)
+    for period in PERIODS:
+        if not period * (1.0 - 2.0 * CLEAR) < reach < period * (1.0 + RANGE_MARGIN):
+            continue
+        jumps = np.flatnonzero(np.abs(np.abs(steps) - period) < CLEAR * period)
+        if not jumps.size:
+            continue
+        rest = np.abs(steps - period * np.round(steps / period))
+        usual = np.delete(rest, jumps)
+        pace = float(np.quantile(usual, 0.9)) if usual.size else np.inf
+        if pace > SPARSE * period or rest[jumps].max() > FASTER * max(pace, 0.002 * period):
+            continue
+        return period, present[jumps + 1]
+    return None

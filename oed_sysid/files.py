@@ -1,0 +1,299 @@
+"""Files: written whole or not at all, and trusted only where nobody else can write.
+
+A file is written beside its place under a name of its own, brought to the disk,
+and then renamed: whoever looks finds the older file or the newer one, never a
+part. A full disk, a missing permission or a killed process leave the older file
+as it was.
+
+What is executed from disk (compiled kernels, pickled results) has to come from
+a :func:`private` place: one that belongs to the user or to the system's
+administrator, like every folder above it, and that no one else can change.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import secrets
+import shutil
+import stat
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import lru_cache
+from pathlib import Path
+
+from oed_sysid.errors import FileError
+
+KEY_BYTES = 32
+
+
+@contextmanager
+def whole_file(path: str | Path, *, ending: str | None = None) -> Iterator[Path]:
+    """Give a name to write to; what was written appears under ``path`` at the end.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file. Missing folders are made, a link is followed, and what is no
+        regular file (``/dev/stdout``, a pipe) is written to directly.
+    ending : str, optional
+        Ending of the name to write to; by default that of the file.
+
+    Yields
+    ------
+    Path
+        A hidden name in the same folder.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written; the older one is untouched.
+
+    Examples
+    --------
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     place = Path(folder) / "runs" / "note.txt"
+    ...     with whole_file(place) as part:
+    ...         _ = part.write_text("all of it")
+    ...         print(place.exists())
+    ...     print(place.read_text())
+    False
+    all of it
+    """
+    target = Path(path)
+    try:
+        real = Path(os.path.realpath(target))
+        if real.exists() and not real.is_file():
+            if real.is_dir():
+                raise FileError(
+                    f"{str(target)!r} cannot be written: it is a folder. Give a file in it."
+                )
+            yield real
+            return
+        if real.exists() and not os.access(real, os.W_OK):
+            # Renaming would get around the protection that the user gave the file.
+            raise FileError(
+                f"{str(target)!r} cannot be written: it is write-protected. Give another place."
+            )
+        real.parent.mkdir(parents=True, exist_ok=True)
+        ending = real.suffix if ending is None else ending
+        part = real.with_name(f".{secrets.token_hex(8)}{ending}")
+        try:
+            # Made here, so that nobody's link of that name is followed and the user's mask holds.
+            os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+            if real.exists():
+                shutil.copymode(real, part)
+            yield part
+            _to_disk(part)
+            os.replace(part, real)
+        finally:
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+    except OSError as error:
+        raise FileError(
+            f"{str(target)!r} cannot be written: {error.strerror or error}. Nothing was changed "
+            "there. Make room or give another place."
+        ) from error
+
+
+def _to_disk(path: Path) -> None:
+    """Have the system write what it still holds in memory."""
+    handle = os.open(path, os.O_RDONLY if os.name == "posix" else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a file whole or not at all; see :func:`whole_file`."""
+    with whole_file(path, ending=".part") as part:
+        part.write_bytes(content)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text as UTF-8 with its line ends as they are; see :func:`whole_file`."""
+    # Names from outside may hold what is no text: it is written as \udc80, not refused.
+    write_bytes(path, text.encode("utf-8", errors="backslashreplace"))
+
+
+# -- whom to trust ---------------------------------------------------------------------
+
+
+def private(path: str | Path) -> bool:
+    """Tell whether a file or folder can be changed by the user and by no one else.
+
+    It and every folder above it have to belong to the user or to the system's
+    administrator, and must not be writable by others. Above it, a folder with
+    the sticky bit (``/tmp``) and the user's own group are allowed. Where the
+    system knows no owners (Windows) the answer is yes.
+
+    Examples
+    --------
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     before = private(folder)
+    ...     Path(folder).chmod(0o777)
+    ...     print(before, private(folder))
+    True False
+    """
+    if os.name != "posix":
+        return True
+    place = Path(os.path.realpath(path))
+    try:
+        if not _is_ours(place.stat(), strict=True):
+            return False
+        return all(_is_ours(parent.stat(), strict=False) for parent in place.parents)
+    except OSError:
+        return False
+
+
+def _is_ours(found: os.stat_result, *, strict: bool) -> bool:
+    if found.st_uid not in ((user(),) if strict else (user(), 0)):
+        return False
+    writable = stat.S_IMODE(found.st_mode) & (stat.S_IWGRP | stat.S_IWOTH)
+    if not writable:
+        return True
+    if strict:
+        return False
+    return bool(found.st_mode & stat.S_ISVTX) or (
+        writable == stat.S_IWGRP and _is_own_group(found.st_gid)
+    )
+
+
+def user() -> int:
+    """Number of the user on whose behalf this process acts."""
+    return os.geteuid() if hasattr(os, "geteuid") else 0
+
+
+@lru_cache(maxsize=64)
+def _is_own_group(group: int) -> bool:
+    """Whether a group is the one that a system makes for each user alone."""
+    try:
+        import grp
+        import pwd
+
+        name = pwd.getpwuid(user()).pw_name
+        entry = grp.getgrgid(group)
+    except (ImportError, KeyError):
+        return False
+    return entry.gr_name == name and set(entry.gr_mem) <= {name}
+
+
+def cache_folder() -> Path:
+    """Folder that keeps compiled kernels: that of ``OED_SYSID_CACHE``, or one at home."""
+    stated = os.environ.get("OED_SYSID_CACHE")
+    return Path(stated) if stated else _home_cache()
+
+
+def _home_cache() -> Path:
+    try:
+        return Path.home() / ".cache" / "oed_sysid"
+    except RuntimeError:  # a user without a home
+        return Path(tempfile.gettempdir()) / f"oed_sysid-{user()}"
+
+
+def private_cache() -> Path:
+    """Cache folder that nobody else can write to, made if it is missing.
+
+    The stated one (:func:`cache_folder`); where others can write to it, the one
+    at home, and where that is so too, one that lasts as long as this process.
+    A warning says so.
+
+    Raises
+    ------
+    OSError
+        If the stated folder cannot be made.
+    """
+    stated = cache_folder()
+    make_private(stated)
+    if private(stated):
+        return stated
+    chosen = _private_instead()
+    _say_not_private(str(stated), str(chosen))
+    return chosen
+
+
+def make_private(folder: Path) -> None:
+    """Make a folder, and those above it that are missing, for the user alone."""
+    for place in (*reversed(folder.parents), folder):
+        if not place.exists():
+            with suppress(FileExistsError):
+                place.mkdir(mode=0o700)
+    folder.mkdir(exist_ok=True)  # says it where a file stands in the way
+
+
+@lru_cache(maxsize=1)
+def _private_instead() -> Path:
+    home = _home_cache()
+    with suppress(OSError):
+        make_private(home)
+        if private(home):
+            return home
+    folder = Path(tempfile.mkdtemp(prefix="oed_sysid-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+@lru_cache(maxsize=8)
+def _say_not_private(stated: str, chosen: str) -> None:
+    warnings.warn(
+        f"Others can write to {stated} (or to a folder above it), so no code is loaded from there; "
+        f"{chosen} is used. Protect it with chmod go-w, or name another with OED_SYSID_CACHE.",
+        stacklevel=3,
+    )
+
+
+def secret_key() -> bytes:
+    """Key of this user, with which what this package wrote can be told from anything else.
+
+    Kept in ``key`` of the private cache, readable by the user only; made at
+    first use. Where it cannot be kept, a new one is drawn for each process.
+
+    Returns
+    -------
+    bytes
+        32 random bytes.
+    """
+    return _key_in(str(cache_folder()), user())
+
+
+@lru_cache(maxsize=8)
+def _key_in(_stated: str, _user: int) -> bytes:
+    try:
+        folder = private_cache()
+        place = folder / "key"
+        if not _is_key(place):
+            part = folder / f".{secrets.token_hex(8)}"
+            handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with os.fdopen(handle, "wb") as file:
+                file.write(secrets.token_bytes(KEY_BYTES))
+                file.flush()
+                os.fsync(file.fileno())
+            try:
+                if place.exists():  # one that cannot be trusted
+                    os.replace(part, place)
+                else:
+                    with suppress(FileExistsError):  # another process was quicker: its key counts
+                        os.link(part, place)
+            finally:
+                part.unlink(missing_ok=True)
+        return place.read_bytes()
+    except OSError as error:
+        warnings.warn(
+            f"No key can be kept in {cache_folder()} ({error.strerror or error}), so results that "
+            "this process keeps are calculated anew by the next.",
+            stacklevel=4,
+        )
+        return secrets.token_bytes(KEY_BYTES)
+
+
+def _is_key(place: Path) -> bool:
+    try:
+        found = place.lstat()
+    except OSError:
+        return False
+    mode = stat.S_IMODE(found.st_mode)
+    own = os.name != "posix" or (found.st_uid == user() and not mode & 0o077)
+    return stat.S_ISREG(found.st_mode) and own and found.st_size == KEY_BYTES

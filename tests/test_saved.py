@@ -1,0 +1,319 @@
+"""Saved results: bit-equal again, old formats read, damage said in words."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from oed_sysid import __version__
+from oed_sysid.cli import main
+from oed_sysid.errors import DataError
+from oed_sysid.fitting.archive import encode
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.fitting.saved import read_result
+
+SAVED = Path(__file__).parent / "saved"
+OLD = SAVED / "fit_format_1.json"
+FIT = Fit.load(OLD)
+
+
+def as_text(value: Any) -> str:
+    """Everything in a result, to the last bit."""
+    return json.dumps(encode(value))
+
+
+def test_format_1_is_still_read() -> None:
+    """A file of the first format gives the numbers that its program printed, to the last bit."""
+    assert {name: value.hex() for name, value in FIT.values.items()} == {
+        "K": "0x1.03cf7e989f761p-3",
+        "T": "0x1.0e7b2dd5ce30cp+3",
+        "alpha": "0x1.3dcee4453ac24p+6",
+    }
+    assert FIT.n_observations == 127
+    assert np.isnan(FIT.dataset["zigzag"].outputs[5, 1])
+    assert "converged" in FIT.report()
+
+
+def test_saved_and_loaded_is_bit_equal(tmp_path: Path) -> None:
+    """A fit comes back with every bit, also when it is saved and loaded twice."""
+    FIT.save(tmp_path / "one.json")
+    again = Fit.load(tmp_path / "one.json")
+    assert as_text(again) == as_text(FIT)
+    again.save(tmp_path / "two.json")
+    assert as_text(Fit.load(tmp_path / "two.json")) == as_text(FIT)
+    first, second = (read_result(tmp_path / f"{n}.json", "fit")[0] for n in ("one", "two"))
+    assert first == second
+
+
+def test_file_says_how_it_was_made(tmp_path: Path) -> None:
+    """Version, command, settings and the hash of every record stand in the file."""
+    FIT.save(tmp_path / "fit.json", command="make it", settings={"noise": "given"})
+    _, made = read_result(tmp_path / "fit.json", "fit")
+    assert made == {
+        "version": __version__,
+        "command": "make it",
+        "settings": {"estimator": "multiple shooting", "noise": "given"},
+        "records": {record.name: record.content_hash for record in FIT.dataset},
+    }
+
+
+def test_hash_depends_on_values_and_units_only() -> None:
+    """Name and source do not enter the hash; one bit of one value does, and so does a channel."""
+    record = FIT.dataset["zigzag"]
+    same = record.rename("other")
+    assert same.content_hash == record.content_hash
+    outputs = record.outputs.copy()
+    outputs[3, 0] = np.nextafter(outputs[3, 0], np.inf)
+    assert record.with_outputs(outputs).content_hash != record.content_hash
+    negative = np.where(record.outputs == 0.0, -0.0, record.outputs)
+    assert record.with_outputs(negative).content_hash == record.content_hash
+    assert record.thin(2).content_hash != record.content_hash
+    swapped = type(FIT.dataset)(tuple(reversed(FIT.dataset.records)))
+    assert swapped.content_hash == FIT.dataset.content_hash
+
+
+# -- damage ----------------------------------------------------------------------------
+
+
+def changed(*path: Any, to: Any) -> Callable[[dict], None]:
+    """Change one entry of the content of a file; ``to=...`` removes it."""
+
+    def act(content: dict) -> None:
+        *way, last = path
+        for key in way:
+            content = content[key]
+        if to is ...:
+            del content[last]
+        else:
+            content[last] = to
+
+    return act
+
+
+F = "fields"
+ARRAY = {"array": [1.0, 2.0], "shape": [2], "dtype": "float64"}
+# What is done to the content of a good file, and a word of the message.
+CONTENT: dict[str, tuple[Callable[[dict], None], str]] = {
+    "no class": (changed("class", to=...), "of no known kind"),
+    "another class": (changed("class", to="Popen"), "does not know"),
+    "class that is no name": (changed("class", to=["Fit"]), "does not know"),
+    "no fields": (changed(F, to=...), "without fields"),
+    "fields as a list": (changed(F, to=[1]), "without fields"),
+    "field removed": (changed(F, "sigma", to=...), "without its sigma"),
+    "field of a future version": (changed(F, "charm", to=1.0), "'charm'"),
+    "array as text": (changed(F, "estimates", to="abc"), "'abc'"),
+    "array as null": (changed(F, "covariance", to=None), "covariance"),
+    "array cut": (changed(F, "estimates", "array", to=[1.0]), "1 numbers for an array"),
+    "array of text": (changed(F, "estimates", "array", to=["x", 1, 2]), "something else in it"),
+    "array of objects": (changed(F, "estimates", "dtype", to="object"), "array of 'object'"),
+    "array of huge text": (changed(F, "estimates", "dtype", to="U999999999"), "expected one of"),
+    "array of another length": (changed(F, "estimates", to=ARRAY), "estimates of shape (2,)"),
+    "shape negative": (changed(F, "estimates", "shape", to=[-3]), "shape [-3]"),
+    "shape not a number": (changed(F, "estimates", "shape", to=[None]), "shape [None]"),
+    "shape NaN": (changed(F, "estimates", "shape", to=[float("nan")]), "shape [nan]"),
+    "shape huge": (changed(F, "estimates", "shape", to=[10**12]), "shape (1000000000000,)"),
+    "shape with too many axes": (changed(F, "estimates", "shape", to=[1] * 70), "shape"),
+    "shape missing": (changed(F, "estimates", "shape", to=...), "shape None"),
+    "number as text": (changed(F, "cost", to={"number": "many"}), "'many'"),
+    "number as object": (changed(F, "cost", to={"value": 1}), "'value'"),
+    "number as truth value in text": (changed(F, "iterations", to="4"), "iterations"),
+    "tuple as text": (changed(F, "names", to={"tuple": "K"}), "a tuple that is no list"),
+    "names that are numbers": (changed(F, "names", to={"tuple": [1, 2, 3]}), "names"),
+    "name of no parameter": (changed(F, "names", "tuple", 0, to="Q"), "'Q'"),
+    "mapping without pairs": (changed(F, "extras", to={"mapping": [1]}), "list of pairs"),
+    "mapping with a list as key": (
+        changed(F, "extras", to={"mapping": [[{"mapping": []}, 1]]}),
+        "cannot be one",
+    ),
+    "status of another class": (
+        changed(F, "status", to={"class": "State", F: {"name": "a", "unit": "m"}}),
+        "status",
+    ),
+    "list where nothing may be": (changed(F, "cost", to=[1]), "cost"),
+    "predictions of another shape": (
+        changed(F, "predictions", "tuple", 0, to=ARRAY),
+        "predictions of shape (2,)",
+    ),
+    "one record of residuals": (
+        changed(F, "residuals", to={"tuple": []}),
+        "0 residuals for 2 records",
+    ),
+    "model with a bad expression": (
+        changed(F, "model", F, "kinematics", "mapping", 0, 1, to="__import__('os')"),
+        "expected numbers",
+    ),
+    "model without states": (
+        changed(F, "model", F, "states", "tuple", to=[]),
+        "at least one state",
+    ),
+    "parameter of no value": (
+        changed(F, "model", F, "parameters", "tuple", 0, F, "value", to={"number": "nan"}),
+        "NaN",
+    ),
+    "parameter outside its bounds": (
+        changed(F, "model", F, "parameters", "tuple", 1, F, "lower", to=1e9),
+        "outside its bounds",
+    ),
+    "times that run backwards": (
+        changed(F, "dataset", F, "records", "tuple", 0, F, "times", "array", 3, to=-1.0),
+        "runs backwards",
+    ),
+    "dataset without records": (
+        changed(F, "dataset", F, "records", "tuple", to=[]),
+        "at least one record",
+    ),
+    "dataset as a number": (changed(F, "dataset", to=3.0), "dataset"),
+    "output that is another class": (
+        changed(F, "model", F, "outputs", "tuple", 0, "class", to="Status"),
+        "Status",
+    ),
+}
+
+
+@pytest.mark.parametrize(("act", "word"), CONTENT.values(), ids=CONTENT)
+def test_damaged_content_is_named(tmp_path: Path, act: Callable[[dict], None], word: str) -> None:
+    """Whatever is wrong inside a file without digest, a DataError says what it is."""
+    data = json.loads(OLD.read_text())
+    act(data["fit"])
+    place = tmp_path / "fit.json"
+    place.write_text(json.dumps(data))
+    with pytest.raises(DataError) as caught:
+        Fit.load(place)
+    assert word in str(caught.value)
+    assert "fit.json" in str(caught.value)
+
+
+def whole() -> dict:
+    """A good file of this version as plain data."""
+    place = SAVED.parent / "saved" / "fit_format_1.json"
+    content = json.loads(place.read_text())["fit"]
+    from oed_sysid.fitting.saved import _digest
+
+    head = {"format": 2, "kind": "fit", "made": {"version": "0.1.0"}}
+    return {**head, "sha256": _digest(content), "content": content}
+
+
+def but(**changes: Any) -> bytes:
+    """The good file with some entries changed or, with ``...``, removed."""
+    data = {key: value for key, value in {**whole(), **changes}.items() if value is not ...}
+    return json.dumps(data).encode()
+
+
+GOOD = json.dumps(whole()).encode()
+# The bytes of a file, and a word of the message.
+FILES: dict[str, tuple[bytes, str]] = {
+    "empty": (b"", "is empty"),
+    "blank": (b" \n\n", "is empty"),
+    "cut in the middle": (GOOD[: len(GOOD) // 2], "is no saved fit, nor any JSON"),
+    "cut at the end": (GOOD[:-1], "the file was cut"),
+    "text": (b"Dear colleague,", "nor any JSON"),
+    "binary": (bytes(range(256)), "binary data"),
+    "zeros": (b"\0" * 100, "nor any JSON"),
+    "pickle": (b"\x80\x04\x95\x00", "a Python pickle"),
+    "Excel": (b"PK\x03\x04\xff\xfe", "a ZIP or Excel file"),
+    "picture": (b"\x89PNG\r\n\x1a\n\xff", "a picture"),
+    "compressed": (b"\x1f\x8b\x08\xff", "a compressed file"),
+    "UTF-16": ("{}".encode("utf-16"), "UTF-16"),
+    "list": (b"[1, 2]", "holds a list"),
+    "number": (b"3", "holds a number"),
+    "text in JSON": (b'"fit"', "holds a text"),
+    "null": (b"null", "holds a null"),
+    "nested too deeply": (b"[" * 100_000 + b"]" * 100_000, "nested too deeply"),
+    "number too long": (b'{"a": ' + b"9" * 5000 + b"}", "number"),
+    "empty object": (b"{}", "an object with nothing"),
+    "another package's": (b'{"nbformat": 4, "cells": []}', "'nbformat', 'cells'"),
+    "format of the future": (but(format=7, made={"version": "3.1"}), "written by oed_sysid 3.1"),
+    "format as text": (but(format="2"), "format '2'"),
+    "format as truth": (but(format=True), "format"),
+    "format 0": (but(format=0), "format 0"),
+    "format 1 without fit": (b'{"format": 1}', "has no 'fit'"),
+    "no content": (but(content=...), "no 'content'"),
+    "no digest": (but(sha256=...), "no 'sha256'"),
+    "no maker": (but(made=...), "no 'made'"),
+    "maker as text": (but(made="me"), "'made' is no object"),
+    "another kind": (but(kind="design"), "'design'"),
+    "another digest": (but(sha256="00"), "digest"),
+    "one digit changed": (GOOD.replace(b"0.1", b"0.2", 3), "damaged"),
+    "numbers of a fit": (
+        (SAVED / "fit_json_0_1_0.json").read_bytes(),
+        "Repeat the fit with --save",
+    ),
+}
+
+
+@pytest.mark.parametrize(("content", "word"), FILES.values(), ids=FILES)
+def test_damaged_file_is_named(tmp_path: Path, content: bytes, word: str) -> None:
+    """Whatever is wrong with a file as a whole, a DataError says what it is."""
+    place = tmp_path / "fit.json"
+    place.write_bytes(content)
+    with pytest.raises(DataError) as caught:
+        Fit.load(place)
+    assert word in str(caught.value)
+
+
+def test_good_file_is_read(tmp_path: Path) -> None:
+    """The file that the damaged ones are made from is read."""
+    (tmp_path / "fit.json").write_bytes(GOOD)
+    assert Fit.load(tmp_path / "fit.json").values == FIT.values
+
+
+@pytest.mark.parametrize(("name", "word"), [("none.json", "No such file"), ("", "is a folder")])
+def test_what_is_no_file_is_named(tmp_path: Path, name: str, word: str) -> None:
+    """A file that is not there, and a folder, are said in words."""
+    with pytest.raises(DataError, match=word):
+        Fit.load(tmp_path / name)
+    with pytest.raises(DataError, match="no name of a file"):
+        Fit.load("a\0b")
+
+
+# -- the command line ------------------------------------------------------------------
+
+
+def test_report_reads_both_kinds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command report makes a page of a saved fit and of the numbers of --json."""
+    assert main(["report", str(OLD), "--out", str(tmp_path / "full.html")]) == 0
+    numbers = SAVED / "fit_json_0_1_0.json"
+    assert main(["report", str(numbers), "--out", str(tmp_path / "numbers.html")]) == 0
+    assert "--save FILE" in capsys.readouterr().err
+    full, short = ((tmp_path / f"{n}.html").read_text() for n in ("full", "numbers"))
+    assert "data:image" in full
+    assert "data:image" not in short
+    for name, value in FIT.values.items():
+        assert name in short
+        assert f"{value:.6g}" in short
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"parameters": [3]}, {"noise": 1}, {"status": {}}, {"rms": None}, {"model": [1]}],
+    ids=str,
+)
+def test_damaged_numbers_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict
+) -> None:
+    """Numbers of --json that were damaged end as bad input, not as a crash."""
+    data = json.loads((SAVED / "fit_json_0_1_0.json").read_text()) | change
+    (tmp_path / "fit.json").write_text(json.dumps(data))
+    assert main(["report", str(tmp_path / "fit.json"), "--out", str(tmp_path / "a.html")]) == 2
+    assert "damaged" in capsys.readouterr().err
+
+
+def test_json_says_how_it_was_made(tmp_path: Path) -> None:
+    """The command fit writes version, command line, settings and hashes beside its numbers."""
+    data = SAVED.parent.parent / "problems" / "remus_diving_plane" / "data"
+    record = data / "train_zigzag_5_5.csv"
+    target = tmp_path / "fit.json"
+    arguments = ["fit", "remus_diving_plane", str(record), "--json", str(target)]
+    assert main([*arguments, "--save", str(tmp_path / "full.json")]) == 0
+    made = json.loads(target.read_text())["oed_sysid"]
+    assert made["version"] == __version__
+    assert made["command"].startswith(f"oed-sysid fit remus_diving_plane {record} --json")
+    assert made["settings"]["known_noise"] is False
+    kept = Fit.load(tmp_path / "full.json")
+    assert made["records"] == {one.name: one.content_hash for one in kept.dataset}
+    assert read_result(tmp_path / "full.json", "fit")[1]["command"] == made["command"]
