@@ -89,14 +89,13 @@ EVERY_LEVEL = (
 SHARED_TIMES = ((FORCE_VARIANCE, 1), (FORCE_TIME, -1), (COLOUR_VARIANCE, 1), (COLOUR_TIME, -1))
 
 
-@pytest.mark.parametrize("selectable", [False, True], ids=["plain", "selectable"])
 @pytest.mark.parametrize("levels", [(), EVERY_LEVEL, SHARED_TIMES], ids=["none", "own", "shared"])
 @pytest.mark.parametrize("longest_step", [None, 0.06], ids=["samples", "sub-steps"])
 def test_compiled_filter_is_the_interpreted_one(
-    selectable: bool, levels: tuple[tuple[int, int], ...], longest_step: float | None
+    levels: tuple[tuple[int, int], ...], longest_step: float | None
 ) -> None:
     """Actuator and sensor memory, gaps, colours and sub-steps: C and NumPy agree to 1e-9."""
-    kernel = filter_kernel(disturbed_model(AUV, AUV_FORCES), selectable=selectable)
+    kernel = filter_kernel(disturbed_model(AUV, AUV_FORCES))
     if kernel._library is None:
         pytest.skip("no compiler")
     times, inputs, measured = auv_record()
@@ -143,7 +142,7 @@ def ship_noise(**changes: object) -> Disturbed:
 
 def test_a_filter_of_all_candidates_serves_each_smaller_model() -> None:
     """With candidates absent, the filter that holds them is that of the model without them."""
-    wide = filter_kernel(disturbed_model(SHIP + CANDIDATES, SHIP_FORCES), selectable=True)
+    wide = filter_kernel(disturbed_model(SHIP + CANDIDATES, SHIP_FORCES))
     small = filter_kernel(disturbed_model(SHIP, SHIP_FORCES))
     assert active_components(wide.model, SHIP) is not None
     assert wide.n_full > small.n_full

@@ -139,7 +139,7 @@ def test_report_tells_the_story(story) -> None:
     assert all(
         any(line.strip(" -") in p for p in page.sections[1].paragraphs) for line in found.advice
     )
-    assert [row[1] for row in page.sections[0].tables[-1].rows][:2] == ["training", "untouched"]
+    assert [row[1] for row in page.sections[0].tables[-1].rows][:2] == ["training", "validation"]
     assert any(HIDDEN in sentence for sentence in page.verdict)
     assert page.verdict[-1].startswith("Verdict")
     html = page.html()

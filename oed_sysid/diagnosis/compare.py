@@ -20,6 +20,7 @@ from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.fitting.noise_levels import credible_levels, given_levels
 from oed_sysid.fitting.prediction import WAYS, Initial, Prediction, predict
 from oed_sysid.model import Model
+from oed_sysid.noise.model import NoiseModel
 
 TWO_SIDED_95 = 1.959964
 # An estimated noise level this far above what the fastest wiggles show is suspect.
@@ -252,12 +253,15 @@ def _misfit(
     horizon: float,
 ) -> ModelMisfit:
     model = _model(item)
+    noise: NoiseModel | np.ndarray = sigma
     if isinstance(item, Fit):
         covariance = item.covariance
+        if item.noise is not None and not item.noise.is_white:
+            noise = item.noise  # what start states may be bent by is what the fit admits
     else:
         n_shared = sum(not p.per_record for p in model.free_parameters)
         covariance = np.zeros((n_shared, n_shared))
-    prediction = predict(model, dataset, covariance, sigma, initial=initial)
+    prediction = predict(model, dataset, covariance, noise, initial=initial)
     states = _states(model, dataset, prediction)
     times = [record.times for record in dataset]
     signals = _signals(model, dataset, states)

@@ -122,6 +122,10 @@ class Concern:
 
 def with_verdict(fit: Fit) -> Fit:
     """The same fit; its status is not ``converged`` where its values must not be used."""
+    if fit.status.code in ("stalled", "iterations") and "integration step" not in fit.status.advice:
+        steps = " ".join(concern.text for concern in _integration(fit))
+        advice = f"{fit.status.advice} {steps}".rstrip()
+        return replace(fit, status=replace(fit.status, advice=advice))
     if not fit.status.ok:
         return fit
     found = {concern.kind: concern for concern in reversed(fatal(fit))}
@@ -516,6 +520,9 @@ def _integration(fit: Fit) -> tuple[Concern, ...]:
     """Trajectories that hang on the integration step."""
     if not _has_numbers(fit):
         return ()
+    # Half the step shows nearly as much, and costs half.
+    if step_change(fit, 2)[0] < 0.5 * STEP_CHANGE:
+        return ()
     size, output, record = step_change(fit)
     if size < STEP_CHANGE:
         return ()
@@ -539,8 +546,7 @@ def _degenerate(fit: Fit) -> tuple[Concern, ...]:
     """Outputs that a constant would explain as well."""
     if fit.innovations is not None or not _has_numbers(fit):
         return ()
-    noise, _ = white_levels(fit.dataset)
-    noise = np.where(fit.sigma_estimated, noise, np.minimum(noise, fit.sigma))
+    noise: np.ndarray | None = None
     found = []
     for column, output in enumerate(fit.model.outputs):
         own = moved = left = 0.0
@@ -554,7 +560,12 @@ def _degenerate(fit: Fit) -> tuple[Concern, ...]:
             moved += float(np.sum((part[seen, column] - part[seen, column].mean()) ** 2))
             left += float(np.sum((signal - part[seen, column]) ** 2))
             count += len(signal)
-        if count < 10 or own <= (MOVES * noise[column]) ** 2 * count or (left < BARELY * own):
+        if count < 10 or left < BARELY * own:
+            continue
+        if noise is None:  # rarely needed, and not for nothing
+            noise, _ = white_levels(fit.dataset)
+            noise = np.where(fit.sigma_estimated, noise, np.minimum(noise, fit.sigma))
+        if own <= (MOVES * noise[column]) ** 2 * count:
             continue
         size = float(np.sqrt(left / own))
         how = "the model stands still" if moved < STILL**2 * own else "the model moves otherwise"
