@@ -96,7 +96,7 @@ def __dir__() -> list[str]:
 
 if TYPE_CHECKING:
     from oed_sysid.channels import Channels, Input, Output, State
-    from oed_sysid.compatibility import check, quick_check
+    from oed_sysid.compatibility import check, quick_check  # type: ignore[no-redef]
     from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
     from oed_sysid.design import (
         AOptimal,

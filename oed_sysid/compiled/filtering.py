@@ -179,7 +179,7 @@ class FilterKernel:
         *,
         names: Sequence[str] = (),
         own_columns: bool = True,
-        active: Sequence[int] | None = None,
+        active: Sequence[int] | np.ndarray | None = None,
         levels: Sequence[tuple[int, int]] = (),
         rows: bool = False,
         longest_step: float | None = None,
@@ -420,12 +420,12 @@ def _filter_numpy(
                 z, s_ = np.array(z).ravel(), _chained(np.array(d_z), s_)
             f = np.zeros((size, size))
             f[:na, :na] = s_[np.ix_(kept, kept)]
-            f[:na, na:m] = s_[np.ix_(kept, [n_full + r for r in random])]
+            f[:na, na:m] = s_[np.ix_(kept, n_full + np.array(random, dtype=int))]
             phi = np.exp(-interval / steps / taus)
             d_phi = phi * interval / steps / taus
             f[range(na, size), range(na, size)] = phi
             big_x = f @ big_x
-            big_x[:na, nx - n_p :] += s_[np.ix_(kept, [n_full + c for c in chosen])]
+            big_x[:na, nx - n_p :] += s_[np.ix_(kept, n_full + np.array(chosen, dtype=int))]
             for level, (kind, _) in enumerate(levels):
                 at = place[level]
                 d_m[level] = f @ d_m[level]

@@ -45,7 +45,7 @@ class Interpreted:
 
         self._advance: Callable[..., tuple[Any, Any]] = self._implicit
         if graph.model.integrator == "explicit":
-            self._advance = differentiated(graph.advance, 0, 3)
+            self._advance = differentiated(graph.advance, 0, 3)  # type: ignore[assignment]
         else:
             self._actuate = differentiated(graph.actuate, 0, 2)
             self._rates = _with_all_derivatives(graph, free)
@@ -85,7 +85,8 @@ class Interpreted:
             wide[:, n_full:] = block[:, memory.stop - nx :]
             return wide
 
-        slopes, by_unknowns = [], []
+        slopes: list[np.ndarray] = []
+        by_unknowns: list[np.ndarray] = []
         x, s = z[:nx], np.eye(nx, n_full + n_free)
         for weights, fraction in zip(STAGES, FRACTIONS, strict=True):
             base, s_base = z[:nx].copy(), np.eye(nx, n_full + n_free)

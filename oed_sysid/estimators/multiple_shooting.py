@@ -327,8 +327,8 @@ class MultipleShooting:
         if not np.isfinite(fit.cost):
             begin = Shooting(model, dataset, white, known_starts=known_starts)
             unknowns = begin.start_unknowns()
-            own = [begin.initial_state(unknowns, i) for i in range(len(begin.records))]
-            starts = [Start(model.values, own, [{}] * len(own))]
+            first_states = [begin.initial_state(unknowns, i) for i in range(len(dataset))]
+            starts = [Start(model.values, first_states, [{}] * len(first_states))]
         quiet = replace(setting, white=np.maximum(fit.sigma, white))
         first = starts[0]
         at = model.with_values(dict(first.values))

@@ -128,7 +128,7 @@ class Fit:
     iterations: int
     seconds: float
     extras: Mapping[str, Any] = field(default_factory=dict)
-    noise: NoiseModel | None = None
+    noise: NoiseModel = None  # type: ignore[assignment]  # white, unless given
     noise_std: Mapping[str, float] = field(default_factory=dict)
     innovations: tuple[np.ndarray, ...] | None = None
     innovation_std: tuple[np.ndarray, ...] | None = None
@@ -391,11 +391,10 @@ class Fit:
     def _noise_lines(self) -> list[str]:
         """Random forces and coloured sensors, one line each."""
         noise = self.noise
-        assert noise is not None
         if noise.is_white:
             return []
         units = {place.name: place.unit for place in places(self.model)}
-        rows = [("random", "level", "95 %", "time [s]", "unit")]
+        rows: list[tuple[str, ...]] = [("random", "level", "95 %", "time [s]", "unit")]
         for name, level, time in zip(noise.places, noise.force, noise.force_time, strict=True):
             rows.append(self._noise_row(name, level, time, units.get(name, "")))
         for output, level, time in zip(
@@ -469,7 +468,7 @@ class Fit:
             "noise": dict(zip(self.model.output_names, self.sigma.tolist(), strict=True)),
             "rms": self.rms,
             "effective_samples": {k: list(v) for k, v in self.effective_samples().items()},
-            "noise_model": self.noise.to_dict() if self.noise is not None else None,
+            "noise_model": self.noise.to_dict(),
             "noise_std": dict(self.noise_std),
             "concerns": [concern.to_dict() for concern in self.concerns],
         }

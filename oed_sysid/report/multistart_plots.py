@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from oed_sysid.errors import DataError
 from oed_sysid.estimators.multistart import SAME_OPTIMUM
@@ -99,7 +100,7 @@ def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
         (finite & ~converged, {"marker": "x", "color": "0.25", "label": "did not converge"}),
     ):
         if chosen.any():
-            ax.plot(places[chosen], above[chosen], linestyle="none", markersize=6, **style)
+            ax.plot(places[chosen], above[chosen], linestyle="none", markersize=6, **style)  # type: ignore[arg-type]
     own = int(np.flatnonzero(order == 0)[0])
     if finite[own]:
         ax.plot(
@@ -118,6 +119,6 @@ def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
     ax.set_ylabel("objective above the best, $-2\\,\\Delta\\log L$ [-]")
     ax.set_xlim(0.5, len(above) + 0.5)
     ax.set_ylim(-0.5 * SAME_OPTIMUM, 3.0 * top)
-    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     spread_legend(ax, loc="best")
     return clean(ax)

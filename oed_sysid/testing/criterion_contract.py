@@ -27,6 +27,7 @@ the first for all that measure size, the second for those that are invariant.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -139,8 +140,8 @@ def _matrix(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 def _derivative(
-    measure, matrix: np.ndarray, gradient: np.ndarray, rng: np.random.Generator
-) -> list[str]:  # type: ignore[no-untyped-def]
+    measure: Any, matrix: np.ndarray, gradient: np.ndarray, rng: np.random.Generator
+) -> list[str]:
     row = rng.normal(size=len(matrix)) * np.sqrt(np.diag(matrix))
     direction = np.outer(row, row)
     up, down = (measure(matrix + sign * _STEP * direction)[0] for sign in (1, -1))

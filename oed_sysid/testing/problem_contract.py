@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -139,7 +140,8 @@ def _dimensions(model: Model) -> list[str]:
     """Rates and outputs whose dimension is not that of their state or channel."""
     known: dict[str, Dimension | None] = {"t": dimension("s"), "h": dimension("s")}
     extra = [state for effect in model.effects for state in effect.states]
-    for item in (*model.states, *extra, *model.inputs, *model.all_parameters):
+    items: tuple[Any, ...] = (*model.states, *extra, *model.inputs, *model.all_parameters)
+    for item in items:
         known[item.name] = stated(item.unit)
     broken: list[str] = []
 
