@@ -191,9 +191,13 @@ def test_an_unstable_ship_in_closed_loop_is_identified() -> None:
     assert max(np.abs(r.outputs[:, 0]).max() for r in data) < 0.5
     fit = MultipleShooting(disturbances="all").fit(UNSTABLE, data)
     assert fit.status.ok
+    # The same optimum is reached from the truth.
+    true = UNSTABLE.with_values({"K": GAIN / TIME, "a": 1.0 / TIME})
+    near = MultipleShooting(disturbances="all").fit(true, data)
+    assert fit.log_likelihood == pytest.approx(near.log_likelihood, abs=0.1)
     for name, truth in (("K", GAIN / TIME), ("a", 1.0 / TIME)):
         assert abs(fit.values[name] - truth) < 4 * fit.std_errors[name]
-        assert fit.std_errors[name] < 0.3 * abs(truth)
+        assert fit.std_errors[name] < 0.5 * abs(truth)
     for part in fit.whitened:
         assert np.mean(part**2) == pytest.approx(1.0, abs=0.15)
 

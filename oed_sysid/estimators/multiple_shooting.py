@@ -53,6 +53,9 @@ from oed_sysid.noise.disturbances import chosen_places
 from oed_sysid.noise.disturbances import places as every_place
 from oed_sysid.noise.model import NoiseModel
 
+# Residuals of a white fit, in noise, beyond which its values may be bent far off by what it takes
+# for noise: random forces are then looked for from the start values too.
+BENT = 3.0
 # Most alternations between noise levels and parameters; three or four suffice as a rule.
 NOISE_ROUNDS = 12
 
@@ -270,11 +273,13 @@ class MultipleShooting:
         )
         kernel = filter_kernel(disturbed_model(model, setting.disturbances))
         starts = [Start(fit.model.values, fit.initial_states, fit.local_values)]
-        if not np.isfinite(fit.cost):
+        left = np.nan_to_num(np.array(list(fit.rms.values())) / white, posinf=np.inf)
+        if not np.isfinite(fit.cost) or left.max() > BENT:
             begin = Shooting(model, dataset, white)
             unknowns = begin.start_unknowns()
             own = [begin.initial_state(unknowns, i) for i in range(len(begin.records))]
-            starts = [Start(model.values, own, [{}] * len(own))]
+            nominal = Start(model.values, own, [{}] * len(own))
+            starts = [*starts, nominal] if np.isfinite(fit.cost) else [nominal]
         quiet = replace(setting, white=np.maximum(fit.sigma, white))
         first = starts[0]
         at = model.with_values(dict(first.values))
