@@ -235,12 +235,10 @@ class MultipleShooting:
         fit = summarise(
             shooting, solution, estimated, self.name, iterations, began, coloured=self.coloured
         )
-        fit = with_step_advice(fit, shooting, solution)
-        if self.disturbances == "none" and not random_effects(model.effects):
-            return fit
-        if self._white_only or fit.status.code == "interrupted":
-            return fit
-        return self._disturbed(fit, model, dataset, estimated, began)
+        alone = self.disturbances == "none" and not random_effects(model.effects)
+        if not (alone or self._white_only or fit.status.code == "interrupted"):
+            fit = self._disturbed(fit, model, dataset, estimated, began)
+        return with_step_advice(fit, shooting, solution)
 
     def _disturbed(
         self, fit: Fit, model: Model, dataset: Dataset, estimated: np.ndarray, began: float
