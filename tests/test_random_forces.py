@@ -105,17 +105,16 @@ def test_named_disturbances_are_let_in_whatever_the_test_says() -> None:
         assert fit.values[name] == pytest.approx(value, abs=plain.std_errors[name])
 
 
-def test_the_other_actuator_is_another_place() -> None:
-    """A disturbance of the rudder is the force, scaled by what the rudder does."""
+def test_noise_on_a_logged_input_is_another_place() -> None:
+    """Noise of the rudder's log is white from sample to sample, less likely than a slow force."""
     data = dataset(3, force=FORCE)
     forces = MultipleShooting(disturbances=("r",)).fit(SHIP, data)
     rudder = MultipleShooting(disturbances=("actuator delta",)).fit(SHIP, data)
-    assert forces.noise is not None
     assert rudder.noise is not None
-    share = forces.values["K"] / forces.values["T"]
-    level, _ = rudder.noise.level("actuator delta")
-    assert level * share == pytest.approx(forces.noise.force[0], rel=0.02)
-    assert rudder.log_likelihood == pytest.approx(forces.log_likelihood, abs=0.3)
+    level, time = rudder.noise.level("actuator delta")
+    assert level > 0
+    assert time == 0.0
+    assert forces.log_likelihood > rudder.log_likelihood + 5.0
 
 
 def test_a_disturbed_fit_survives_its_file(disturbed: Fit, tmp_path) -> None:  # type: ignore[no-untyped-def]
@@ -191,9 +190,13 @@ def test_an_unstable_ship_in_closed_loop_is_identified() -> None:
     assert max(np.abs(r.outputs[:, 0]).max() for r in data) < 0.5
     fit = MultipleShooting(disturbances="all").fit(UNSTABLE, data)
     assert fit.status.ok
+    # The same optimum is reached from the truth.
+    true = UNSTABLE.with_values({"K": GAIN / TIME, "a": 1.0 / TIME})
+    near = MultipleShooting(disturbances="all").fit(true, data)
+    assert fit.log_likelihood == pytest.approx(near.log_likelihood, abs=0.1)
     for name, truth in (("K", GAIN / TIME), ("a", 1.0 / TIME)):
         assert abs(fit.values[name] - truth) < 4 * fit.std_errors[name]
-        assert fit.std_errors[name] < 0.3 * abs(truth)
+        assert fit.std_errors[name] < 0.5 * abs(truth)
     for part in fit.whitened:
         assert np.mean(part**2) == pytest.approx(1.0, abs=0.15)
 

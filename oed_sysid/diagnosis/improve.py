@@ -134,7 +134,7 @@ def improve(
         )
     if test is not None:
         check_disjoint(train, test)
-    log = quick_check(train if test is None else Dataset((*train, *test)), model)
+    log = quick_check(train if test is None else _together(train, test), model)
     tell("fitting the nominal model")
     study, base = Study.begin(model, train, test, candidates, known_noise=known_noise)
     state = _State(study, (), base, (base,))
@@ -161,6 +161,16 @@ def improve(
         left = Remains(np.inf, None)
     tell("fits and errors of every step")
     return _result(state, base, first, location, rejected, proposals, left, notes, log)
+
+
+def _together(train: Dataset, test: Dataset) -> Dataset:
+    """All records; validation records that are called as training records say what they are."""
+    taken = set(train.names)
+    others = [
+        replace(record, name=f"{record.name} (validation)") if record.name in taken else record
+        for record in test
+    ]
+    return Dataset((*train, *others))
 
 
 def _search(

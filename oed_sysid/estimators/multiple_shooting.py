@@ -57,6 +57,9 @@ from oed_sysid.noise.disturbances import chosen_places
 from oed_sysid.noise.disturbances import places as every_place
 from oed_sysid.noise.model import NoiseModel
 
+# Residuals of a white fit, in noise, beyond which its values may be bent far off by what it takes
+# for noise: random forces are then looked for from the start values too.
+BENT = 3.0
 # Most alternations between noise levels and parameters; three or four suffice as a rule.
 NOISE_ROUNDS = 12
 
@@ -250,13 +253,13 @@ class MultipleShooting:
         fit = summarise(
             shooting, solution, estimated, self.name, iterations, began, coloured=self.coloured
         )
-        fit = with_step_advice(fit, shooting, solution)
         excluded: dict[str, tuple[int, int]] = {}
         if self.loss == "auto" and fit.status.code != "interrupted":
             fit, excluded = self._without_spikes(fit, model)
         wanted = self.disturbances != "none" or random_effects(model.effects)
         if wanted and not self._white_only and fit.status.code != "interrupted":
             fit = self._disturbed(fit, model, fit.dataset, estimated, began, known_starts)
+        fit = with_step_advice(fit, shooting, solution)
         told: dict[str, object] = {"excluded": excluded} if excluded else {}
         told["magnitudes"] = {p.name: p.magnitude for p in model.free_parameters}
         return with_verdict(replace(fit, extras={**fit.extras, **told}))
@@ -324,11 +327,13 @@ class MultipleShooting:
         )
         kernel = filter_kernel(disturbed_model(model, setting.disturbances))
         starts = [Start(fit.model.values, fit.initial_states, fit.local_values)]
-        if not np.isfinite(fit.cost):
+        left = np.nan_to_num(np.array(list(fit.rms.values())) / white, posinf=np.inf)
+        if not np.isfinite(fit.cost) or left.max() > BENT:
             begin = Shooting(model, dataset, white, known_starts=known_starts)
             unknowns = begin.start_unknowns()
-            first_states = [begin.initial_state(unknowns, i) for i in range(len(dataset))]
-            starts = [Start(model.values, first_states, [{}] * len(first_states))]
+            own_states = [begin.initial_state(unknowns, i) for i in range(len(begin.records))]
+            nominal = Start(model.values, own_states, [{}] * len(own_states))
+            starts = [*starts, nominal] if np.isfinite(fit.cost) else [nominal]
         quiet = replace(setting, white=np.maximum(fit.sigma, white))
         first = starts[0]
         at = model.with_values(dict(first.values))

@@ -53,6 +53,9 @@ COLOURED = 4.0
 LEAST_SEEN = 0.7
 # Where a level that is let in begins at least, in its natural unit.
 LEAST_START = 1.0
+# Factors on these levels of which the likeliest is begun at: where a model hardly damps what
+# disturbs it, records tell of levels far below those that act.
+LADDER = (1.0, 10.0, 1e2, 1e3, 1e4, 1e5)
 # Iterations after which several starts are compared.
 FIRST_LOOK = 12
 # Samples from the start of each record that give the sizes of disturbances where the model on
@@ -364,7 +367,7 @@ def fit_disturbed(
             kernel=kernel,
             known_starts=setting.known_starts,
         )
-        point = problem.point(start.initial, start.local)
+        point = _likeliest_level(problem, start, setting, begin)
         found = solve_filtered(
             problem,
             point,
@@ -390,6 +393,20 @@ def fit_disturbed(
         again = solve_filtered(best.problem, best.point, max_iterations=3, polish=polish)
         best = replace(again, iterations=again.iterations + best.iterations) if again else best
     return best
+
+
+def _likeliest_level(problem: Filtered, start: Start, setting: Setting, begin: NoiseModel) -> Point:
+    """Point at the start's values and the likeliest of a ladder of levels of all forces."""
+    free = np.array([place not in setting.known for place in begin.places], dtype=bool)
+    points = [
+        problem.point(
+            start.initial,
+            start.local,
+            replace(begin, force=np.where(free, factor * begin.force, begin.force)),
+        )
+        for factor in LADDER
+    ]
+    return min(points, key=lambda point: problem.objective(point.unknowns))
 
 
 @dataclass(frozen=True, eq=False)
