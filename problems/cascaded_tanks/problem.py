@@ -35,7 +35,13 @@ LEVELS = (
     Parameter("lowest_square", 0.01, "V^2", fixed=True, description="the same below a square"),
 )
 MIDDLE_OF_RECORD = 2048.0  # s
-SHORTEST = 0.5  # s, below it the delay of an outflow fades out, so that zero means absent
+SHORTEST = Parameter(
+    "shortest",
+    0.5,
+    "s",
+    fixed=True,
+    description="below it the delay of an outflow fades out, so that zero means absent",
+)
 
 
 def _root(level: str, lowest: str = "lowest") -> str:
@@ -100,12 +106,15 @@ def _outflow_inertia(outflow: dict[str, str]) -> Force:
             "upper": f"weight*({outflow['upper']} - flow_upper)",
             "lower": f"weight*(flow_upper - {outflow['upper']} + {outflow['lower']} - flow_lower)",
         },
-        (Parameter("E_outflow_inertia", 0.0, "s", lower=0.0, upper=60.0, scale=5.0),),
-        definitions={"weight": f"min(E_outflow_inertia/{SHORTEST}, 1)"},
+        (
+            Parameter("E_outflow_inertia", 0.0, "s", lower=0.0, upper=60.0, scale=5.0),
+            SHORTEST,
+        ),
+        definitions={"weight": "min(E_outflow_inertia/shortest, 1)"},
         states=tuple(
             ExtraState(
                 f"flow_{tank}",
-                f"({steady} - flow_{tank})/max(E_outflow_inertia, {SHORTEST})",
+                f"({steady} - flow_{tank})/max(E_outflow_inertia, shortest)",
                 steady,
                 "V/s",
             )
@@ -194,14 +203,15 @@ effects = (
     # What the instrument makes of a level; a full tank reads FULL whatever the law.
     Sensor(
         "level_exponent",
-        {"level": "full*(max(level, lowest)/full)**(1 + E_level_exponent)"},
+        {"level": "level + full*(share_of_full**(1 + E_level_exponent) - share_of_full)"},
         (Parameter("E_level_exponent", 0.0, "1", lower=-0.8, upper=4.0, scale=0.3),),
+        definitions={"share_of_full": "max(level, lowest)/full"},
         description="reading as a power of the level",
         needs="levels from low to high",
     ),
     Sensor(
         "level_zero",
-        {"level": f"E_level_zero + level*(1 - E_level_zero/{FULL})"},
+        {"level": "E_level_zero + level*(1 - E_level_zero/full)"},
         (Parameter("E_level_zero", 0.0, "V", lower=-8.0, upper=8.0, scale=1.0),),
         description="reading of an empty tank",
         needs="levels from low to high",

@@ -60,7 +60,7 @@ SIGNALS = {
     # The race reaches the rudder when the propeller turns ahead and the ship moves ahead.
     "u_R": "u_W*(n_ahead <= 0) + sqrt(eta*u_J**2 + (1 - eta)*u_W**2 + 1e-6)*(n_ahead > 0)",
     "across": "v_r + l_R_prime*L*r",
-    "v_R": "-gamma_R*across*(1 - gamma_side*tanh(across/0.02))",
+    "v_R": "-gamma_R*across*(1 - gamma_side*tanh(across/v_side))",
     "V_R": "sqrt(u_R**2 + v_R**2)",
     "F_N": "0.5*rho*A_R*f_alpha*V_R*(u_R*sin(delta) - v_R*cos(delta))",
 }

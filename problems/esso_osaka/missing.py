@@ -31,7 +31,7 @@ from oed_sysid.effects import (
     sensor_scale,
 )
 
-from .particulars import AIR_DENSITY, DRAUGHT, FRONT_AREA, LENGTH, SIDE_AREA
+from .particulars import AIR_DENSITY, DRAUGHT, FRONT_AREA, LENGTH, SIDE_AREA, known
 
 FUJIWARA = (
     "Fujiwara, Ueno & Nimura (1998), Estimation of wind forces and moments acting on ships, "
@@ -44,7 +44,11 @@ AIR = {
     "a_y": "-wind_north*sin(psi) + wind_east*cos(psi) - v",
     "V_A": "sqrt(a_x**2 + a_y**2 + 1e-6)",
 }
-_FRONT, _SIDE = 0.5 * AIR_DENSITY * FRONT_AREA, 0.5 * AIR_DENSITY * SIDE_AREA
+SHIP_IN_AIR = (
+    known("rho_air", AIR_DENSITY, "kg/m^3", "density of the air"),
+    known("A_front", FRONT_AREA, "m^2", "area seen from ahead, above the water"),
+    known("A_side", SIDE_AREA, "m^2", "area seen from abeam, above the water"),
+)
 
 
 def _coefficient(name: str, description: str, scale: float = 0.5) -> Parameter:
@@ -65,9 +69,9 @@ def _coefficient(name: str, description: str, scale: float = 0.5) -> Parameter:
 WIND = Force(
     "wind",
     {
-        "X": f"{_FRONT:.9f}*E_wind_X*a_x*V_A",
-        "Y": f"{_SIDE:.9f}*(E_wind_Y1*a_y*V_A + E_wind_Y3*third)",
-        "N": f"{_SIDE * LENGTH:.9f}*(E_wind_N1*a_y*V_A + E_wind_N2*a_x*a_y + E_wind_N3*third)",
+        "X": "0.5*rho_air*A_front*E_wind_X*a_x*V_A",
+        "Y": "0.5*rho_air*A_side*(E_wind_Y1*a_y*V_A + E_wind_Y3*third)",
+        "N": "0.5*rho_air*A_side*L*(E_wind_N1*a_y*V_A + E_wind_N2*a_x*a_y + E_wind_N3*third)",
     },
     (
         _coefficient("E_wind_X", "along the ship"),
@@ -76,6 +80,7 @@ WIND = Force(
         _coefficient("E_wind_N1", "moment of a wind from abeam", 0.1),
         _coefficient("E_wind_N2", "moment of a wind from the bow or the quarter", 0.1),
         _coefficient("E_wind_N3", "moment, third harmonic of the angle", 0.1),
+        *SHIP_IN_AIR,
     ),
     definitions={**AIR, "third": "(3*a_y*V_A**2 - 4*a_y**3)/V_A"},
     description="force of the measured wind on hull and superstructure",
@@ -98,8 +103,11 @@ STEADY_PUSH = Force(
 PROPELLER_LAG = actuator_lag("propeller_lag", "n", scale=0.5)
 WAKE_BY_DRIFT = Force(
     "thrust_in_drift",
-    {"X": "thrust*E_thrust_in_drift*v*v/(u*u + v*v + 0.01)"},
-    (amplitude("thrust_in_drift", "1", scale=1.0),),
+    {"X": "thrust*E_thrust_in_drift*v*v/(u*u + v*v + slow_square)"},
+    (
+        amplitude("thrust_in_drift", "1", scale=1.0),
+        known("slow_square", 0.01, "m^2/s^2", "keeps the ratio finite at rest"),
+    ),
     description="drift moves the propeller out of the hull's wake",
     needs="large drift with the propeller ahead",
 )

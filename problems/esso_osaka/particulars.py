@@ -92,6 +92,7 @@ RUDDER = (
     known("x_H_prime", -0.45, "1", "where this increase acts"),
     believed("gamma_R", 0.45, 0.15, "flow straightening", lower=0.0),
     believed("gamma_side", 0.0, 0.3, "its difference between the sides, over the mean"),
+    known("v_side", 0.02, "m/s", "flow across the rudder that tells one side from the other"),
     believed("l_R_prime", -0.90, 0.20, "effective place of the rudder in yaw"),
     believed("epsilon", 1.1, 0.2, "wake at the rudder to wake at the propeller", lower=0.2),
     believed("kappa", 0.55, 0.15, "acceleration by the propeller", lower=0.0),
