@@ -75,7 +75,7 @@ def run_block(memory: float, seeds: range, *, estimate_noise: bool) -> Outcome:
     """Fit one data set per seed."""
     model = vehicle()
     records = clean_records(model)
-    estimator = MultipleShooting(noise="estimate" if estimate_noise else NOISE)
+    estimator = MultipleShooting(disturbances="none", noise="estimate" if estimate_noise else NOISE)
     rows = []
     for seed in seeds:
         rng = np.random.default_rng([seed, round(1000 * memory)])
@@ -126,7 +126,11 @@ def whitened(outcome: Outcome, model: Model) -> str:
     Parameters whose estimates are correlated by 0.99 err together; these do not.
     """
     clean = Dataset(tuple(clean_records(model)))
-    bound = MultipleShooting(noise=NOISE, coloured="never").fit(model, clean).covariance
+    bound = (
+        MultipleShooting(disturbances="none", noise=NOISE, coloured="never")
+        .fit(model, clean)
+        .covariance
+    )
     root = np.linalg.cholesky(np.linalg.inv(bound))
     ratios = np.var(outcome.estimates @ root, axis=0)
     spread = np.sqrt(2.0 / len(outcome.estimates))

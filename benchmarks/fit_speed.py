@@ -62,11 +62,13 @@ def timed(estimator: MultipleShooting, model: Model, data: Dataset) -> tuple[flo
 def main() -> None:
     """Print the tables."""
     model, data = records(vehicle(), SENSORS[0])
-    MultipleShooting().fit(model, data)
+    MultipleShooting(disturbances="none").fit(model, data)
     print("local fit of 2,400 samples        CPU ms  iterations  cost")
     for factor in (0.7, 1.3):
         for noise in ("given", "estimate"):
-            least, fit = timed(MultipleShooting(noise=noise), scaled(model, factor), data)
+            least, fit = timed(
+                MultipleShooting(disturbances="none", noise=noise), scaled(model, factor), data
+            )
             print(
                 f"  start x {factor}, noise {noise:9} {least:10.1f} {fit.iterations:8} "
                 f"{fit.cost:12.2f}"
@@ -75,14 +77,14 @@ def main() -> None:
     for sensors in SENSORS:
         model, data = records(vehicle(), sensors)
         single = Dataset((data[0],))
-        right = MultipleShooting().fit(model, single)
-        local, _ = timed(MultipleShooting(), scaled(model, 0.7), single)
+        right = MultipleShooting(disturbances="none").fit(model, single)
+        local, _ = timed(MultipleShooting(disturbances="none"), scaled(model, 0.7), single)
         arrived, times = 0, []
         for seed in range(N_STARTS):
             rng = np.random.default_rng(seed)
             wild = {n: rng.uniform(-SPAN, SPAN) * abs(model.values[n]) for n in model.free_names}
             began = time.process_time()
-            fit = MultipleShooting().fit(model.with_values(wild), single)
+            fit = MultipleShooting(disturbances="none").fit(model.with_values(wild), single)
             times.append(1e3 * (time.process_time() - began))
             arrived += fit.status.ok and fit.cost < right.cost + 0.01
         print(

@@ -45,7 +45,7 @@ def measure(n_samples: int) -> None:
     repeats, found = max(3, min(20, 30_000 // n_samples)), []
     for _ in range(repeats):
         began = time.process_time()
-        fit = MultipleShooting(noise="given", start="near").fit(start, data)
+        fit = MultipleShooting(disturbances="none", noise="given", start="near").fit(start, data)
         found.append(time.process_time() - began)
     assert fit.status.ok, fit.status
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

@@ -19,7 +19,7 @@ rng = np.random.default_rng(3)
 
 # Data in hand: one gentle zigzag.
 log = simulate(problem.model, problem.experiment("zigzag_5_5"), rng=rng)
-fit = MultipleShooting(noise="given").fit(problem.model, Dataset((log,)))
+fit = MultipleShooting(disturbances="none", noise="given").fit(problem.model, Dataset((log,)))
 sizes = np.abs([fit.model.values[name] for name in fit.names])
 
 

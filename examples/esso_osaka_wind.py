@@ -36,7 +36,7 @@ def errors(model, runs):
     return found
 
 
-estimator = MultipleShooting(noise="given")
+estimator = MultipleShooting(disturbances="none", noise="given")
 calm = estimator.fit(problem.model, pieces(train, 25.0))
 some = Dataset(tuple(run.thin(2) for run in pieces(train, 100.0) if "random" not in run.name))
 diagnosis = diagnose(calm.model, some, candidates=problem.effects)

@@ -14,7 +14,7 @@ from oed_sysid.diagnosis.improve import improve
 problem = load_problem("roll_decay")
 train, test = problem.data().split(test="test_small")
 
-linear = MultipleShooting().fit(problem.model, train)
+linear = MultipleShooting(disturbances="none").fit(problem.model, train)
 print(linear.report())
 print()
 
@@ -22,7 +22,7 @@ found = improve(problem.model, train, test, candidates=problem.effects)
 print(found.report())
 print()
 
-better = MultipleShooting().fit(found.model, train)
+better = MultipleShooting(disturbances="none").fit(found.model, train)
 for name, fit in (("linear model", linear), ("improved model", better)):
     error = degrees(fit.predict(test).rms["phi"])
     print(f"{name:15} {degrees(fit.rms['phi']):.4f} degrees on large angles, {error:.4f} on small")

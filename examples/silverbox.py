@@ -12,7 +12,7 @@ from oed_sysid.diagnosis.improve import improve
 problem = load_problem("silverbox")
 train, test = problem.data().split(test="test_third_realisation")
 
-linear = MultipleShooting().fit(problem.model, train)
+linear = MultipleShooting(disturbances="none").fit(problem.model, train)
 print(linear.report())
 print()
 
@@ -24,7 +24,7 @@ print()
 model, errors = problem.model, {"linear": linear}
 for step in found.steps:
     model = model + step.effect
-    errors[f"+ {step.added}"] = MultipleShooting().fit(model, train)
+    errors[f"+ {step.added}"] = MultipleShooting(disturbances="none").fit(model, train)
 print("error in mV              train   test")
 for name, fit in errors.items():
     mistake = fit.predict(test).rms["y"]

@@ -22,12 +22,16 @@ print()
 # What the authors knew from elsewhere: their correction of the pitch, and the added mass.
 known = problem.variant("corrected_pitch").model
 fits = {
-    "corrected pitch, steady": MultipleShooting().fit(known, train),
-    "corrected pitch, inertia": MultipleShooting().fit(known + problem.effect("inertia"), train),
+    "corrected pitch, steady": MultipleShooting(disturbances="none").fit(known, train),
+    "corrected pitch, inertia": MultipleShooting(disturbances="none").fit(
+        known + problem.effect("inertia"), train
+    ),
 }
 for rival in RIVALS:
     pair = [problem.effect(name) for name in ("inertia", rival)]
-    fits[f"inertia, {rival}"] = MultipleShooting().fit(problem.model + pair, train)
+    fits[f"inertia, {rival}"] = MultipleShooting(disturbances="none").fit(
+        problem.model + pair, train
+    )
 
 print("error                        pressure      speed, untouched dives")
 for name, fit in fits.items():

@@ -36,7 +36,7 @@ print("run      as published      averaged          multiple shooting")
 found = []
 for name in RUNS:
     record = records[name]
-    fit = MultipleShooting().fit(problem.model, Dataset((record,)))
+    fit = MultipleShooting(disturbances="none").fit(problem.model, Dataset((record,)))
     ways = [
         difference_equation(record, averaged=False),
         difference_equation(record, averaged=True),

@@ -19,7 +19,7 @@ ENOUGH = 0.95  # an effect stays if the error falls by more than five per cent
 
 ship = load_problem("kvlcc2", variant="mmg")
 train, test = ship.data().split(HELD_OUT)
-estimator = MultipleShooting()
+estimator = MultipleShooting(disturbances="none")
 
 
 def error_left_out(model):

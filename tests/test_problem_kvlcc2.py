@@ -47,7 +47,7 @@ def motion():
 @pytest.fixture(scope="module")
 def without_20_05(motion):
     """The chosen model fitted to all runs but one."""
-    return MultipleShooting().fit(chosen_model(), motion.split(HELD_OUT)[0])
+    return MultipleShooting(disturbances="none").fit(chosen_model(), motion.split(HELD_OUT)[0])
 
 
 @pytest.mark.parametrize("variant", ["default", "linear_hull"])
@@ -164,7 +164,7 @@ def test_gain_and_time_constant_depend_on_the_manoeuvre(heading) -> None:
     """Fitted run by run, Nomoto's constants differ by far more than their errors."""
     found = {}
     for name in ("25_05", "15_05", "10_01"):
-        fit = MultipleShooting().fit(HEADING.model, Dataset((heading[name],)))
+        fit = MultipleShooting(disturbances="none").fit(HEADING.model, Dataset((heading[name],)))
         assert fit.status.ok
         found[name] = fit.values
     assert found["15_05"]["T"] > 1.5 * found["25_05"]["T"]
@@ -179,7 +179,7 @@ def test_held_out_zigzag(heading, motion, without_20_05) -> None:
     assert fit.seconds < 60
     assert fit.coloured
     train, test = heading.split(HELD_OUT)
-    nomoto = MultipleShooting().fit(HEADING.model, train)
+    nomoto = MultipleShooting(disturbances="none").fit(HEADING.model, train)
     error = fit.predict(motion.split(HELD_OUT)[1]).rms
     assert nomoto.predict(test).rms["psi"] > 5.0 * error["psi"]
     assert math.degrees(error["psi"]) < 0.35
@@ -213,8 +213,8 @@ def test_rudder_zero_of_one_run_stands_out(without_20_05) -> None:
 def test_strongest_zigzag_from_the_weaker_ones(heading, motion) -> None:
     """Fitted to at most 25 degrees of rudder, the 30 degree run is predicted five times better."""
     name = "30_05"
-    fit = MultipleShooting().fit(chosen_model(), motion.split(name)[0])
-    nomoto = MultipleShooting().fit(HEADING.model, heading.split(name)[0])
+    fit = MultipleShooting(disturbances="none").fit(chosen_model(), motion.split(name)[0])
+    nomoto = MultipleShooting(disturbances="none").fit(HEADING.model, heading.split(name)[0])
     error = fit.predict(motion.split(name)[1]).rms["psi"]
     assert nomoto.predict(heading.split(name)[1]).rms["psi"] > 5.0 * error
 
@@ -226,7 +226,7 @@ def test_turning_circle_from_zigzags_alone(motion) -> None:
     Free-running 7 m model, Yasukawa & Yoshimura (2015), table 4, in lengths: advance 3.25 and
     3.11, tactical diameter 3.34 and 3.08, to starboard and port. Not used for fitting.
     """
-    fit = MultipleShooting().fit(chosen_model(CHOSEN[:3]), motion)
+    fit = MultipleShooting(disturbances="none").fit(chosen_model(CHOSEN[:3]), motion)
     assert fit.status.ok
     circle = turning_circle(fit, speed=SPEED, rate=RATE, length=LENGTH, n_draws=50)
     published = {"starboard": (3.25, 3.34), "port": (3.11, 3.08)}

@@ -69,7 +69,7 @@ def test_simulation_needs_no_curves() -> None:
     outputs = np.full_like(fine.outputs, np.nan)
     outputs[::5] = fine.outputs[::5]
     start = PROBLEM.model.with_values({"K": 1.0, "T": 1.0})
-    fit = MultipleShooting().fit(start, Dataset((fine.with_outputs(outputs),)))
+    fit = MultipleShooting(disturbances="none").fit(start, Dataset((fine.with_outputs(outputs),)))
     shooting = np.abs(np.array([fit.values["K"], fit.values["T"]]) / truth - 1)
     differences = np.abs(gain_and_time(fine) / truth - 1)
     assert shooting.max() < 0.01

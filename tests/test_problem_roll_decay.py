@@ -40,14 +40,16 @@ def test_hydrostatics_give_a_credible_inertia(
     problem: Problem, split: tuple[Dataset, Dataset]
 ) -> None:
     """The radius of gyration, added inertia included, is 0.35 to 0.50 of the beam."""
-    fit = MultipleShooting().fit(problem.model, split[0])
+    fit = MultipleShooting(disturbances="none").fit(problem.model, split[0])
     mass, beam = 312653.0 / 68.0**3 * 1000.0, 58.0 / 68.0
     assert 0.35 < np.sqrt(fit.values["I_xx"] / mass) / beam < 0.50
 
 
 def test_quadratic_damping_as_published(problem: Problem, split: tuple[Dataset, Dataset]) -> None:
     """With linear stiffness the coefficient is the literature's 0.117 1/rad, within its error."""
-    fit = MultipleShooting().fit(problem.model + problem.effect("roll_quadratic_damping"), split[0])
+    fit = MultipleShooting(disturbances="none").fit(
+        problem.model + problem.effect("roll_quadratic_damping"), split[0]
+    )
     name = "E_roll_quadratic_damping"
     published = -problem.published["quadratic damping over inertia, 1/rad, 0 kn"]
     inertia = fit.values["I_xx"]
@@ -63,8 +65,10 @@ def test_stiffness_and_damping_are_both_missing(
     added = " ".join(step.added for step in found.steps)
     assert "restoring" in added
     assert "damping" in added
-    before = MultipleShooting().fit(problem.model, train).predict(test).rms["phi"]
-    after = MultipleShooting().fit(found.model, train).predict(test).rms["phi"]
+    before = (
+        MultipleShooting(disturbances="none").fit(problem.model, train).predict(test).rms["phi"]
+    )
+    after = MultipleShooting(disturbances="none").fit(found.model, train).predict(test).rms["phi"]
     assert degrees(after) < 0.03 < degrees(before)
 
 

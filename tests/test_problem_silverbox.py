@@ -47,9 +47,9 @@ def test_finer_input_passes_through_the_samples(split: tuple[Dataset, Dataset]) 
 def test_hardening_spring_and_offset(problem: Problem, split: tuple[Dataset, Dataset]) -> None:
     """Cubic stiffness and an offset bring another realisation from 9 to below 0.4 mV."""
     train, test = split
-    linear = MultipleShooting().fit(problem.model, train)
+    linear = MultipleShooting(disturbances="none").fit(problem.model, train)
     missing = [problem.effect("cubic_stiffness"), problem.effect("constant_force")]
-    better = MultipleShooting().fit(problem.model + missing, train)
+    better = MultipleShooting(disturbances="none").fit(problem.model + missing, train)
     assert _error(linear, test) > 8.0
     assert _error(better, test) < 0.4
     assert better.values["E_cubic_stiffness"] > 100 * better.std_errors["E_cubic_stiffness"]
@@ -75,8 +75,10 @@ def test_coarse_input_costs_accuracy(problem: Problem, split: tuple[Dataset, Dat
 
     missing = [problem.effect("cubic_stiffness"), problem.effect("constant_force")]
     model = problem.model + missing
-    fine_error = _error(MultipleShooting().fit(model, train), test)
-    rough_error = _error(MultipleShooting().fit(model, coarse(train)), coarse(test))
+    fine_error = _error(MultipleShooting(disturbances="none").fit(model, train), test)
+    rough_error = _error(
+        MultipleShooting(disturbances="none").fit(model, coarse(train)), coarse(test)
+    )
     assert rough_error > 2.0 * fine_error
 
 

@@ -62,8 +62,8 @@ def test_published_model_is_recovered(problem: Problem, split: tuple[Dataset, Da
     train, test = split
     steady = problem.variant("corrected_pitch").model
     moving = (steady + problem.effect("inertia")).with_values({"E_inertia": 1.0})
-    before = MultipleShooting().fit(steady, train)
-    after = MultipleShooting().fit(moving.fix("E_inertia"), train)
+    before = MultipleShooting(disturbances="none").fit(steady, train)
+    after = MultipleShooting(disturbances="none").fit(moving.fix("E_inertia"), train)
     assert before.status.ok
     assert after.status.ok
     assert after.values["C_D0"] == pytest.approx(problem.published["C_D0, dynamic"], abs=0.004)
@@ -78,7 +78,7 @@ def test_pitch_scale_agrees_with_the_authors(
 ) -> None:
     """From the logged pitch the scale comes out as the correction that the authors applied."""
     effects = [problem.effect("inertia"), problem.effect("pitch_scale")]
-    fit = MultipleShooting().fit(problem.model + effects, split[0])
+    fit = MultipleShooting(disturbances="none").fit(problem.model + effects, split[0])
     difference = fit.values["E_pitch_scale"] - (0.86 - 1.0)
     assert abs(difference) < 2 * fit.std_errors["E_pitch_scale"] < 0.05
 

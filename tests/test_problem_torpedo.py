@@ -119,7 +119,7 @@ def test_small_swarm_goes_the_right_way() -> None:
 
 def test_gradients_need_no_swarm() -> None:
     """Multiple shooting finds the truth from the middle of the bounds."""
-    fit = MultipleShooting().fit(middle(PROBLEM.model), noisy(0.0, 0))
+    fit = MultipleShooting(disturbances="none").fit(middle(PROBLEM.model), noisy(0.0, 0))
     assert fit.status.ok
     assert max(errors(fit).values()) < 1e-3
 
@@ -166,6 +166,6 @@ def test_published_accuracy_at_500_samples_per_second() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         record = simulate(PROBLEM.model, replace(experiment, noise=noise), rng=rng)
-        fit = MultipleShooting().fit(middle(PROBLEM.model), Dataset((record,)))
+        fit = MultipleShooting(disturbances="none").fit(middle(PROBLEM.model), Dataset((record,)))
         worst.append(max(errors(fit).values()))
     assert sum(error < 7.0 for error in worst) >= 5

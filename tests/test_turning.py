@@ -54,7 +54,7 @@ def fit():
     """A Nomoto model fitted to a zigzag."""
     test = Experiment("zigzag", ZigZag("rudder", 0.2, 0.1), duration=150.0, sample_time=0.5)
     record = simulate(NOMOTO, test, rng=np.random.default_rng(4))
-    return MultipleShooting().fit(NOMOTO, Dataset((record,)))
+    return MultipleShooting(disturbances="none").fit(NOMOTO, Dataset((record,)))
 
 
 def test_steady_turn_of_nomoto_is_a_circle_of_known_size() -> None:
@@ -168,6 +168,6 @@ def test_what_a_fit_does_not_determine_is_not_drawn(fit) -> None:
     blind = blind.with_parameter(Parameter("E_nothing", 0.0, "rad/s"))
     record = fit.dataset[0]
     unseen = record.with_outputs(np.column_stack([record.output("psi"), np.full(301, np.nan)]))
-    poor = MultipleShooting().fit(blind, Dataset((unseen,)))
+    poor = MultipleShooting(disturbances="none").fit(blind, Dataset((unseen,)))
     with pytest.raises(ModelError, match="does not determine E_nothing"):
         turning_circle(poor, speed=2.0)

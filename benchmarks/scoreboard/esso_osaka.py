@@ -28,7 +28,11 @@ def learn() -> Model:
     problem = load_problem("esso_osaka")
     train, _ = problem.data().split(test=VALIDATION)
     model = problem.variant("wind").model
-    return MultipleShooting(noise="given").fit(model, windows(train, FITTED)).model
+    return (
+        MultipleShooting(disturbances="none", noise="given")
+        .fit(model, windows(train, FITTED))
+        .model
+    )
 
 
 def ahead(model: Model, record: Record) -> np.ndarray:

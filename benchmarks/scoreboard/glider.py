@@ -20,7 +20,7 @@ def score() -> list[Row]:
     rows = []
     for effects in ((), EFFECTS):
         model = problem.model + [problem.effect(name) for name in effects]
-        error = MultipleShooting().fit(model, train).predict(test).rms["speed"]
+        error = MultipleShooting(disturbances="none").fit(model, train).predict(test).rms["speed"]
         what = f"Slocum glider, speed on eight dives, {'steady' if not effects else 'with inertia'}"
         note = "three dives fitted" + (
             f"; {', '.join(effects)}, confirmed on these dives" if effects else ""

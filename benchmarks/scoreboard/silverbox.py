@@ -35,7 +35,9 @@ def learn() -> tuple[Fit, tuple[str, ...]]:
     model = problem.model
     for step in found.steps:
         model = model + step.effect
-    return MultipleShooting().fit(model, data), tuple(step.added for step in found.steps)
+    return MultipleShooting(disturbances="none").fit(model, data), tuple(
+        step.added for step in found.steps
+    )
 
 
 def part_of(
@@ -74,7 +76,7 @@ def score() -> list[Row]:
     model = problem.model
     for name in added:
         model = model + problem.effect(name)
-    alone = MultipleShooting().fit(model, train)
+    alone = MultipleShooting(disturbances="none").fit(model, train)
     value = 1e3 * simulated_error(alone, test[0])
     rows = [
         Row(

@@ -63,7 +63,7 @@ def grow(model: Model, name: str) -> Model:
 def fit(model: Model, record: Record, *, start: str = "auto") -> Fit:
     """Least squares on one record."""
     own = Record(record.name, record.times, record.inputs, record.outputs, model.channels)
-    return MultipleShooting(noise=[0.15], start=start, max_iterations=40).fit(
+    return MultipleShooting(disturbances="none", noise=[0.15], start=start, max_iterations=40).fit(
         model, Dataset((own,))
     )
 

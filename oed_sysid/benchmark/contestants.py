@@ -73,8 +73,8 @@ class Contestant:
 # Defaults, but for what a benchmark needs: the published online weight, one process for a
 # swarm that runs beside others, and Gibbs draws enough for a mean and an interval.
 CONTESTANTS: Mapping[str, Contestant] = {
-    OURS: Contestant(MultipleShooting()),
-    OURS_BELIEVING: Contestant(MultipleShooting(), believes=True),
+    OURS: Contestant(MultipleShooting(disturbances="none")),
+    OURS_BELIEVING: Contestant(MultipleShooting(disturbances="none"), believes=True),
     "output_error": Contestant(OutputError()),
     "equation_error": Contestant(EquationError()),
     "equation_error_simpson": Contestant(EquationError(rule="simpson")),

@@ -76,7 +76,7 @@ def campaign(
         If a run does not determine the parameters, so that nothing can be
         designed on its result.
     """
-    chosen = estimator or MultipleShooting(noise="given")
+    chosen = estimator or MultipleShooting(disturbances="none", noise="given")
     believed: Model | Fit = model
     start = model.model if isinstance(model, Fit) else model
     records = tuple(data) if data is not None else ()

@@ -49,6 +49,7 @@ class OutputError:
             max_iterations=self.max_iterations,
             tolerance=self.tolerance,
             coloured=self.coloured,
+            disturbances="none",
         )
 
     @property

@@ -143,7 +143,7 @@ def confirm_bound(
         raise DesignError(f"{n_runs} runs cannot confirm anything. Give at least 20.")
     model = _without_priors(model)
     started = model if start_model is None else _without_priors(start_model)
-    worker = estimator or MultipleShooting(noise="given", coloured="never")
+    worker = estimator or MultipleShooting(disturbances="none", noise="given", coloured="never")
     information = information_of(model, planned)
     names, truth = information.names, model.values
     seeds = rng.spawn(n_runs)

@@ -63,7 +63,7 @@ def coverage(seeds: int = 10) -> dict[str, float]:
             "Gibbs, noisy motions, local polynomials": GibbsRegression(
                 rule="local", n_draws=400
             ).fit(problem.model, motions),
-            "multiple shooting, the same motions": MultipleShooting().fit(
+            "multiple shooting, the same motions": MultipleShooting(disturbances="none").fit(
                 problem.model.with_values(away), motions
             ),
         }
@@ -110,7 +110,9 @@ def main(arguments: list[str] | None = None) -> None:
     gibbs = GibbsRegression(rule="exact", rates=rates).fit(problem.model, clean)
     closed = EquationError(rule="exact", rates=rates, coloured="never").fit(problem.model, clean)
     away = {name: value * (1 + 0.3 * rng.uniform(-1, 1)) for name, value in problem.truth.items()}
-    shooting = MultipleShooting().fit(problem.model.with_values(away), noisy_motions(0))
+    shooting = MultipleShooting(disturbances="none").fit(
+        problem.model.with_values(away), noisy_motions(0)
+    )
 
     print(f"{'derivative':12}{'truth':>9}{'Gibbs':>18}{'R-hat':>7}{'draws':>7}{'shooting':>18}")
     for name, truth in problem.truth.items():

@@ -105,7 +105,7 @@ def main(arguments: list[str] | None = None) -> None:
             fit = (
                 swarm_fit(level, seed)
                 if label == "swarm"
-                else MultipleShooting().fit(middle, data(level, seed))
+                else MultipleShooting(disturbances="none").fit(middle, data(level, seed))
             )
             seconds = time.perf_counter() - began
             found = sorted(errors(fit).items(), key=lambda pair: -pair[1])
