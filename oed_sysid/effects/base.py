@@ -6,14 +6,14 @@ command -> **actuator** -> **environment** (relative flow) -> **force** ->
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
-
-import numpy as np
+from functools import partial
+from typing import Any, ClassVar, Self
 
 from oed_sysid.errors import ModelError
-from oed_sysid.language import expressions
+from oed_sysid.language import callables, expressions
+from oed_sysid.language.callables import Function, Table, argument_names
 from oed_sysid.parameters import Parameter, check_unique
 
 STAGES = ("actuator", "environment", "force", "inertia", "sensor")
@@ -76,11 +76,11 @@ class Effect:
     definitions : mapping
         Local names, evaluated in order before the terms.
     states : tuple of ExtraState
-        Continuous states the effect adds (force and environment stages).
+        Continuous states the effect adds (actuator, force and environment stages).
     memory : tuple of Memory
         Sampled memory (actuator and sensor stages).
     tables : mapping
-        ``name -> (abscissae, ordinates)``, callable in expressions.
+        ``name -> (x, y)`` or ``(x, y, values)``, callable in expressions.
     amplitudes : tuple of str or None
         Parameters that are all zero when the effect is absent; ``None`` means
         every parameter of the effect that is not fixed.
@@ -88,6 +88,8 @@ class Effect:
         Words and citation.
     needs : str
         What a manoeuvre must contain for the effect to show.
+    functions : tuple of Function
+        Functions of CasADi symbols, callable in expressions.
     """
 
     name: str
@@ -96,11 +98,12 @@ class Effect:
     definitions: Mapping[str, str] = field(default_factory=dict)
     states: tuple[ExtraState, ...] = ()
     memory: tuple[Memory, ...] = ()
-    tables: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    tables: Mapping[str, Table] = field(default_factory=dict)
     amplitudes: tuple[str, ...] | None = None
     description: str = ""
     source: str = ""
     needs: str = ""
+    functions: tuple[Function, ...] = ()
 
     stage: ClassVar[str] = ""
 
@@ -110,21 +113,101 @@ class Effect:
         object.__setattr__(self, "parameters", tuple(self.parameters))
         object.__setattr__(self, "states", tuple(self.states))
         object.__setattr__(self, "memory", tuple(self.memory))
+        object.__setattr__(self, "functions", tuple(self.functions))
+        tables = {name: callables.check_table(name, t) for name, t in self.tables.items()}
+        object.__setattr__(self, "tables", tables)
         check_unique(self.parameters, owner=f"Effect {self.name!r}")
         if not self.terms and not self.states:
             raise ModelError(f"Effect {self.name!r} contributes nothing: give at least one term.")
-        if self.states and self.stage not in ("force", "environment"):
+        if self.states and self.stage not in ("actuator", "force", "environment"):
             raise ModelError(f"Effect {self.name!r}: a {self.stage} effect cannot add states.")
         if self.memory and self.stage not in ("actuator", "sensor"):
             raise ModelError(f"Effect {self.name!r}: a {self.stage} effect cannot keep memory.")
+        if self.memory and self.states:
+            raise ModelError(
+                f"Effect {self.name!r} has both sampled memory and continuous states. Keep one: an "
+                "effect with states works within the equations of motion."
+            )
         for name in self.amplitudes or ():
             if name not in {parameter.name for parameter in self.parameters}:
                 raise ModelError(
                     f"Effect {self.name!r} names the amplitude {name!r}, which is not one of its "
                     f"parameters: {', '.join(p.name for p in self.parameters)}."
                 )
-        for text in (*self.terms.values(), *self.definitions.values()):
+        for text in self._texts():
             expressions.parse(text)
+
+    @classmethod
+    def from_function(
+        cls,
+        name: str,
+        function: Callable[..., Any],
+        targets: str | Sequence[str],
+        *,
+        parameters: Sequence[Parameter] = (),
+        arguments: Sequence[str] = (),
+        amplitudes: Sequence[str] | None = None,
+        description: str = "",
+        source: str = "",
+        needs: str = "",
+    ) -> Self:
+        """Return the effect that a Python function of CasADi symbols describes.
+
+        Parameters
+        ----------
+        name : str
+            Name of the effect; the model prints it as ``name(arguments)``.
+        function : callable
+            Its arguments are named as states, signals and parameters of the model.
+            It returns one scalar, or one for each of several targets.
+        targets : str or sequence of str
+            What the results are added to (forces) or replace (other stages).
+        parameters, amplitudes, description, source, needs
+            As of any effect.
+        arguments : sequence of str, optional
+            Names of the arguments, where the function's own do not say them.
+
+        Examples
+        --------
+        >>> import casadi as ca
+        >>> E = Parameter("E_soft", 0.0, "N s^2/m^2", scale=1.0)
+        >>> drag = Force.from_function(
+        ...     "soft_drag", lambda u, E_soft: -E_soft * u * ca.sqrt(u**2 + 1e-4), "X",
+        ...     parameters=(E,),
+        ... )
+        >>> drag.terms
+        {'X': 'soft_drag(u, E_soft)'}
+        """
+        keys = (targets,) if isinstance(targets, str) else tuple(targets)
+        named = tuple(arguments) or argument_names(name, function)
+        functions = tuple(
+            Function(
+                name if len(keys) == 1 else f"{name}_{key}",
+                partial(_result, name, function, place, len(keys)),
+                named,
+            )
+            for place, key in enumerate(keys)
+        )
+        calls = [f"{part.name}({', '.join(named)})" for part in functions]
+        return cls(
+            name,
+            dict(zip(keys, calls, strict=True)),
+            tuple(parameters),
+            amplitudes=None if amplitudes is None else tuple(amplitudes),
+            description=description,
+            source=source,
+            needs=needs,
+            functions=functions,
+        )
+
+    def uses(self) -> frozenset[str]:
+        """Names that the effect refers to and does not define itself."""
+        own = {*self.definitions, *(m.name for m in self.memory), *(s.name for s in self.states)}
+        inside = [*self._texts(), *(s.rate for s in self.states), *(m.update for m in self.memory)]
+        return frozenset(name for text in inside for name in expressions.names(text)) - own
+
+    def _texts(self) -> tuple[str, ...]:
+        return (*self.terms.values(), *self.definitions.values())
 
     @property
     def amplitude_names(self) -> tuple[str, ...]:
@@ -163,12 +246,20 @@ class Effect:
             tuple(self.definitions.items()),
             tuple((s.name, s.rate, s.initial) for s in self.states),
             tuple((m.name, m.update, m.initial) for m in self.memory),
-            tuple(
-                (name, np.asarray(x, float).tobytes().hex(), np.asarray(y, float).tobytes().hex())
-                for name, (x, y) in self.tables.items()
-            ),
+            tuple((name, *callables.digest(table)) for name, table in self.tables.items()),
             tuple(p.name for p in self.parameters),
+            tuple((f.name, *callables.digest(f)) for f in self.functions),
         )
+
+
+def _result(name: str, function: Callable[..., Any], place: int, count: int, *x: Any) -> Any:
+    """One of the results of a function that serves several targets."""
+    results = function(*x)
+    if count == 1:
+        return results
+    if not isinstance(results, tuple | list) or len(results) != count:
+        raise ModelError(f"{name!r} returns {results!r}; expected a tuple of {count} results.")
+    return results[place]
 
 
 @dataclass(frozen=True)
@@ -180,6 +271,10 @@ class Actuator(Effect):
     memory, the time ``t`` and the step ``h``. The value is the mean over the
     integration step, so that lags, delays and rate limits are exact for held
     commands.
+
+    An effect that names states of the model, or adds states, acts within the
+    equations of motion instead, on what the sampled effects leave: a steering
+    engine that slows down under load, a thruster with inertia.
     """
 
     stage: ClassVar[str] = "actuator"

@@ -18,7 +18,7 @@ from oed_sysid.errors import DataError
 from oed_sysid.fitting.archive import decode, encode
 from oed_sysid.fitting.prediction import Initial, Prediction, predict
 from oed_sysid.information import Information, Whiteness, whiteness
-from oed_sysid.model import Model
+from oed_sysid.model import Function, Model
 from oed_sysid.parameters import Parameter
 
 # Residuals that count fewer independent samples than this share are coloured.
@@ -394,6 +394,6 @@ def align(rows: Sequence[Sequence[str]]) -> list[str]:
 
 # Everything that a saved fit is made of.
 ARCHIVED: tuple[type, ...] = (
-    *(Fit, Status, Information, Model, Parameter, Dataset, Record, Channels),
+    *(Fit, Status, Information, Model, Function, Parameter, Dataset, Record, Channels),
     *(State, Input, Output, Actuator, Environment, Force, Inertia, Sensor, ExtraState, Memory),
 )
