@@ -24,6 +24,7 @@ LAYERS = (
     "data",
     "effects",
     "model",
+    "bodies",
     "compiled",
     "manoeuvres",
     "experiment",

@@ -153,7 +153,9 @@ def rate_limit(
         name, f"s/{unit}", scale=scale, value=value, positive=True, description="1 / maximum rate"
     )
     reach = f"h/max({size.name}, {_GUARD})"
-    terms, definitions, memory = {}, {}, []
+    terms: dict[str, str] = {}
+    definitions: dict[str, str] = {}
+    memory: list[Memory] = []
     for channel, actual in _remembered(signal):
         ending = actual.removeprefix("actual")
         way, toward = f"way{ending}", f"toward{ending}"
