@@ -261,7 +261,15 @@ def test_thruster_and_fin_by_vectors() -> None:
     parts = body()
     place, n = np.array([-0.64, 0.1, -0.2]), np.array([0.0, np.sin(0.6), -np.cos(0.6)])
     fin = parts.fin("canted", "0.1*T", at=tuple(place), normal=tuple(n), lift=5.0, drag=2.0)
-    push = parts.thruster("pod", "T", at=tuple(place), direction=(0.8, 0.6, 0), torque="0.02*T")
+    arm = Parameter("arm_pod", 0.02, "m")
+    push = parts.thruster(
+        "pod",
+        "T",
+        at=tuple(place),
+        direction=(0.8, 0.6, 0),
+        torque="arm_pod*T",
+        parameters=(arm,),
+    )
     thrust, flow, omega = 7.0, VELOCITY[:3], VELOCITY[3:]
     local = flow + np.cross(omega, place)
     angle, u = 0.1 * thrust, local[0]
