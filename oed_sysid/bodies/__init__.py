@@ -20,5 +20,14 @@ from oed_sysid.bodies.appendages import fin, thruster
 from oed_sysid.bodies.builder import rigid_body
 from oed_sysid.bodies.rigid_body import RigidBody
 from oed_sysid.bodies.sensing import load_cell
+from oed_sysid.bodies.vocabulary import catamaran_effects, underwater_vehicle_effects
 
-__all__ = ["RigidBody", "fin", "load_cell", "rigid_body", "thruster"]
+__all__ = [
+    "RigidBody",
+    "catamaran_effects",
+    "fin",
+    "load_cell",
+    "rigid_body",
+    "thruster",
+    "underwater_vehicle_effects",
+]
