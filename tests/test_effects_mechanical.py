@@ -75,7 +75,7 @@ def states(
 def test_dry_friction_takes_the_same_from_every_swing() -> None:
     """The amplitude of a free swing falls by 2 F/k at each half turn, as Coulomb's law says."""
     friction = coulomb_friction("dry", "K", "p", unit="N m", value=0.1, smooth=0.001)
-    times, found = states(pendulum(friction), lambda t: 0 * t, phi=1.0, end=8.0)
+    _, found = states(pendulum(friction), lambda t: 0 * t, phi=1.0, end=8.0)
     phi, p = found[:, 0], found[:, 1]
     turning = [phi[i] for i in range(2, len(p)) if p[i - 1] * p[i] < 0]
     expected = [-0.9, 0.8, -0.7]

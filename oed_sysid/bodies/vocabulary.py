@@ -33,6 +33,7 @@ def underwater_vehicle_effects(
     fins: Sequence[str] = ("ds", "dr"),
     thrust: str = "T",
     outputs: Collection[str] | None = None,
+    known: Force | None = None,
     step: float = 0.1,
 ) -> tuple[Effect, ...]:
     """Candidate effects of a slender underwater vehicle.
@@ -51,6 +52,9 @@ def underwater_vehicle_effects(
         Actuator signal of the thrust in N.
     outputs : collection of str, optional
         Measured signals that may have errors; by default none is suspected.
+    known : Force, optional
+        Hull forces of the believed model: candidates that only repeat a term whose
+        derivative is free there are left out.
     step : float
         Shortest integration step in s, for the register of a delay.
 
@@ -126,7 +130,7 @@ def underwater_vehicle_effects(
         act.actuator_delay("fin_delay", fins, max_delay=0.6, step=step, scale=0.2),
         act.rate_limit("fin_rate_limit", fins, scale=2.0),
     ]
-    return (*found, *_sensors(body, outputs or (), speed))
+    return _beyond(known, [*found, *_sensors(body, outputs or (), speed)])
 
 
 def catamaran_effects(
@@ -137,6 +141,7 @@ def catamaran_effects(
     draught: float,
     thrusts: tuple[str, str] = ("T_port", "T_starboard"),
     outputs: Collection[str] | None = None,
+    known: Force | None = None,
     step: float = 0.1,
 ) -> tuple[Effect, ...]:
     """Candidate effects of a catamaran with two propellers, in surge, sway and yaw.
@@ -151,6 +156,8 @@ def catamaran_effects(
         Actuator signals of the port and the starboard thrust in N.
     outputs : collection of str, optional
         Measured signals that may have errors.
+    known : Force, optional
+        Hull forces of the believed model, as above.
     step : float
         Shortest integration step in s.
     """
@@ -202,7 +209,29 @@ def catamaran_effects(
         act.actuator_lag("propeller_lag", thrusts, scale=0.3),
         act.actuator_delay("propeller_delay", thrusts, max_delay=0.6, step=step, scale=0.2),
     ]
-    return (*found, *_sensors(body, outputs or (), speed))
+    return _beyond(known, [*found, *_sensors(body, outputs or (), speed)])
+
+
+def _beyond(known: Force | None, found: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Candidates that say more than a free derivative of the believed hull does."""
+    if known is None:
+        return tuple(found)
+    free = {parameter.name for parameter in known.parameters if not parameter.fixed}
+    held = {
+        (axis, part.partition("*")[2])
+        for axis, text in known.terms.items()
+        for part in text.split(" + ")
+        if part.partition("*")[0] in free
+    }
+
+    def repeats(effect: Effect) -> bool:
+        if effect.stage != "force" or len(effect.terms) != 1 or effect.definitions:
+            return False
+        ((axis, text),) = effect.terms.items()
+        amplitude_name, _, factors = text.partition("*")
+        return amplitude_name in effect.amplitude_names and (axis, factors) in held
+
+    return tuple(effect for effect in found if not repeats(effect))
 
 
 def _product(name: str, axis: str, factor: str, unit: str, scale: float) -> Force:

@@ -27,6 +27,8 @@ HULL = BODY.hull(
         Parameter("X_u", -40.0, prior_std=12.0, description="linear drag"),
         Parameter("X_absuu", -18.0, prior_std=6.0, description="quadratic drag"),
         Parameter("Y_v", -140.0, prior_std=40.0),
+        Parameter("Y_uv", -120.0, prior_std=40.0, description="lift of the two hulls"),
+        Parameter("N_uv", 80.0, prior_std=25.0, description="lift behind the middle"),
         Parameter("N_r", -60.0, prior_std=20.0),
         Parameter("N_absrr", -120.0, prior_std=40.0),
     ]
@@ -92,7 +94,7 @@ problem = Problem(
     model,
     title="Catamaran with two propellers",
     effects=catamaran_effects(
-        BODY, length=2.0, speed=1.3, draught=0.2, outputs=("u", "v", "r"), step=0.05
+        BODY, length=2.0, speed=1.3, draught=0.2, outputs=("u", "v", "r"), known=HULL, step=0.05
     ),
     experiments={experiment.name: experiment for experiment in RUNS},
     limits=LIMITS,
@@ -103,6 +105,8 @@ problem = Problem(
         "X_u": -34.0,
         "X_absuu": -21.0,
         "Y_v": -155.0,
+        "Y_uv": -105.0,
+        "N_uv": 71.0,
         "N_r": -52.0,
         "N_absrr": -140.0,
         "E_propeller_lag": 0.4,

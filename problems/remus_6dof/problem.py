@@ -141,7 +141,7 @@ problem = Problem(
     model,
     title="REMUS in six degrees of freedom",
     effects=underwater_vehicle_effects(
-        BODY, length=1.33, diameter=0.191, speed=1.54, outputs=tuple(NOISE), step=0.05
+        BODY, length=1.33, diameter=0.191, speed=1.54, outputs=tuple(NOISE), known=HULL, step=0.05
     ),
     experiments={experiment.name: experiment for experiment in RUNS},
     limits=LIMITS,
