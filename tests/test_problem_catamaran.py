@@ -49,9 +49,9 @@ def test_commands_swing_about_cruise() -> None:
 
 
 def test_records_fit_with_what_is_hidden() -> None:
-    """With lag and speed loss the fit reaches the noise and holds the truth."""
+    """With lag and asymmetry the fit reaches the noise and holds the truth."""
     train = PROBLEM.data().split(test=["turns"])[0]
-    hidden = [PROBLEM.effect(name) for name in ("propeller_lag", "speed_loss_in_turn")]
+    hidden = [PROBLEM.effect(name) for name in ("propeller_lag", "thrust_asymmetry")]
     fit = MultipleShooting().fit(PROBLEM.model + hidden, train)
     noise = np.array([output.noise_std for output in PROBLEM.model.outputs])
     rms = np.sqrt(np.mean(np.concatenate(fit.residuals) ** 2, axis=0))
@@ -63,10 +63,10 @@ def test_records_fit_with_what_is_hidden() -> None:
 
 @pytest.mark.slow
 def test_hidden_effects_are_found() -> None:
-    """Improvement names the lag of the propellers and the loss of speed, and nothing false."""
+    """Improvement names the lag of the propellers and the weaker one, and nothing false."""
     train, test = PROBLEM.data().split(test=["turns"])
     found = improve(PROBLEM.model, train, test, candidates=PROBLEM.effects)
     assert set(found.model.effect_names) - set(PROBLEM.model.effect_names) == {
         "propeller_lag",
-        "speed_loss_in_turn",
+        "thrust_asymmetry",
     }

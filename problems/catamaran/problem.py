@@ -110,7 +110,7 @@ problem = Problem(
         "N_r": -52.0,
         "N_absrr": -140.0,
         "E_propeller_lag": 0.4,
-        "E_speed_loss_in_turn": 60.0,
+        "E_thrust_asymmetry": 0.06,
     },
     records=lambda: read_csv(FOLDER / "data", model.channels),
     references=(
