@@ -19,7 +19,16 @@ from oed_sysid import (
 from oed_sysid.cli import DONE, main
 from oed_sysid.errors import ProblemError
 from oed_sysid.problem.starter import TEMPLATES
+from oed_sysid.simulate import simulate
 
+# One command of each to design, the others held, and a start.
+DESIGNED: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {
+    "ship": ("rudder", {"thrust": 3.56e5}, {"u": 7.7}),
+    "auv": ("dr", {"ds": 0.0, "T": 8.0}, {"u": 1.5, "z": 20.0}),
+    "usv": ("n_port", {"n_starboard": 60.0}, {"u": 1.0}),
+    "torpedo": ("stern", {"thrust": 9.0}, {"u": 1.5, "z": 10.0}),
+    "sailboat": ("rudder", {"wind": 6.0, "angle": 1.4}, {"u": 1.0}),
+}
 VEHICLES = [name for name, kind in TEMPLATES.items() if kind]
 
 
@@ -41,18 +50,26 @@ def test_template_fits_improves_and_designs(tmp_path: Path, template: str) -> No
         low, high = fit.interval(name, 0.9999)
         expected = problem.truth.get(name, problem.model.values.get(name))
         assert low < expected < high, name
-    first = next(iter(problem.experiments.values()))
+    command, held, start = DESIGNED[template]
     design = design_experiment(
         fit.model,
         criterion=DOptimal(),
         limits=problem.limits,
         duration=20.0,
-        sample_time=first.sample_time,
-        initial=first.initial,
-        constants=first.constants,
-        inputs=[name for name in problem.model.input_names if name in problem.limits.inputs][:1],
+        sample_time=0.5,
+        rng=np.random.default_rng(2),
+        inputs=[command],
+        constants=held,
+        initial=start,
+        neutral={command: 60.0} if template == "usv" else None,
+        n_starts=1,
+        n_candidates=12,
+        n_steps=5,
     )
-    assert np.isfinite(design.score)
+    record = simulate(fit.model, design.experiment, noise=False)
+    low, high = problem.limits.inputs[command]
+    assert low - 1e-9 <= record.input(command).min() <= record.input(command).max() <= high + 1e-9
+    assert np.ptp(record.input(command)) > 0.1 * (high - low)
 
 
 @pytest.mark.parametrize("template", VEHICLES)
