@@ -123,9 +123,8 @@ def test_trajectory_of_the_independent_simulator(attitude: str, current: tuple) 
         last = rotation(*(ours[a][-1] for a in ("phi", "theta", "psi")))
         np.testing.assert_allclose(last, turn[-1], atol=1e-8)
     else:
-        np.testing.assert_allclose(
-            sum(ours[e] ** 2 for e in ("e0", "e1", "e2", "e3")), 1, atol=1e-9
-        )
+        length = (1 + ours["de0"]) ** 2 + sum(ours[e] ** 2 for e in ("e1", "e2", "e3"))
+        np.testing.assert_allclose(length, 1, atol=1e-9)
 
 
 def test_no_singularity_of_the_quaternion() -> None:

@@ -15,7 +15,8 @@ first, has no singularity,
 
 section 2.2.2; the last term keeps its length at one against the error
 of integration, and the rotation divides by that length, so that no start value that an
-estimator tries can be invalid.
+estimator tries can be invalid. The first state is ``de0``, :math:`e_0 - 1`, so that states of
+zero are the attitude of zero angles and not nothing.
 
 References
 ----------
@@ -30,7 +31,7 @@ from dataclasses import dataclass
 
 from oed_sysid.bodies.texts import minus, plus, times
 
-QUATERNION = ("e0", "e1", "e2", "e3")
+QUATERNION = ("de0", "e1", "e2", "e3")
 _PULL = "0.5*(1 - e_norm)"  # gamma = 1 per second
 
 
@@ -107,7 +108,10 @@ def quaternion() -> Attitude:
         "e2": "0.5*(e3*p + e0*q - e1*r)",
         "e3": "0.5*(-e2*p + e1*q + e0*r)",
     }
-    states = {name: f"{rate} + {_PULL}*{name}" for name, rate in rates.items()}
+    states = {
+        state: f"{rates[name]} + {_PULL}*{name}"
+        for state, name in zip(QUATERNION, rates, strict=True)
+    }
     rows = (
         ("1 - 2*(e2**2 + e3**2)/e_norm", "2*(e1*e2 - e3*e0)/e_norm", "2*(e1*e3 + e2*e0)/e_norm"),
         ("2*(e1*e2 + e3*e0)/e_norm", "1 - 2*(e1**2 + e3**2)/e_norm", "2*(e2*e3 - e1*e0)/e_norm"),
@@ -120,7 +124,7 @@ def quaternion() -> Attitude:
         "psi": "atan2(R_21, R_11)",
     }
     norm = "e0**2 + e1**2 + e2**2 + e3**2"
-    return Attitude(states, {"e_norm": norm, **signals}, named, angles)
+    return Attitude(states, {"e0": "1 + de0", "e_norm": norm, **signals}, named, angles)
 
 
 def _named(
@@ -142,16 +146,16 @@ def _named(
 
 
 def quaternion_of(phi: float, theta: float, psi: float) -> dict[str, float]:
-    """Quaternion of Euler angles in rad.
+    """States of the quaternion of Euler angles in rad.
 
     >>> {name: round(value, 4) for name, value in quaternion_of(0.0, 0.0, math.pi).items()}
-    {'e0': 0.0, 'e1': 0.0, 'e2': 0.0, 'e3': 1.0}
+    {'de0': -1.0, 'e1': 0.0, 'e2': 0.0, 'e3': 1.0}
     """
     (cr, sr), (cp, sp), (cy, sy) = (
         (math.cos(angle / 2), math.sin(angle / 2)) for angle in (phi, theta, psi)
     )
     return {
-        "e0": cy * cp * cr + sy * sp * sr,
+        "de0": cy * cp * cr + sy * sp * sr - 1.0,
         "e1": cy * cp * sr - sy * sp * cr,
         "e2": sy * cp * sr + cy * sp * cr,
         "e3": sy * cp * cr - cy * sp * sr,

@@ -60,7 +60,7 @@ _UNITS = {
     **dict.fromkeys(attitude.QUATERNION, "1"),
 }
 _SCALES = {"v": 0.3, "w": 0.3, "p": 0.2, "q": 0.2, "r": 0.2, "x": 10.0, "y": 10.0}
-_SCALES |= {"phi": 0.3, "theta": 0.3}
+_SCALES |= {"phi": 0.3, "theta": 0.3, **dict.fromkeys(attitude.QUATERNION, 0.5)}
 
 
 @dataclass(frozen=True)
@@ -113,11 +113,17 @@ class RigidBody:
     def outputs(self, noise: Mapping[str, float | None] | None = None) -> tuple[Output, ...]:
         """Measured states; ``noise`` names which, with their standard deviation if known.
 
-        By default everything is measured, a quaternion as roll, pitch and yaw.
+        By default everything is measured, a quaternion as roll, pitch and yaw (yaw between
+        -180 and 180 degrees). ``e0 e1 e2 e3`` are the unit quaternion itself.
         """
         plain = [n for n in self.kinematics if n not in (*attitude.QUATERNION, *self.angles)]
-        known = [*self.velocities, *self.angles, *plain]
-        wanted = dict.fromkeys(known) if noise is None else dict(noise)
+        usual = [*self.velocities, *self.angles, *plain]
+        wanted = dict.fromkeys(usual) if noise is None else dict(noise)
+        turned = {}
+        if "de0" in self.kinematics:
+            turned = {e: f"{e}/sqrt(e_norm)" for e in ("e0", "e1", "e2", "e3")}
+        seen = {**self.angles, **turned}
+        known = [*usual, *turned]
         if unknown := [name for name in wanted if name not in known]:
             raise ModelError(
                 f"This body has no {unknown[0]!r} to measure. It has {', '.join(known)}."
@@ -125,9 +131,9 @@ class RigidBody:
         return tuple(
             Output(
                 name,
-                _UNITS[name],
-                _LABELS[name],
-                None if self.angles.get(name, name) == name else self.angles[name],
+                _UNITS.get(name, "1"),
+                _LABELS.get(name, "attitude"),
+                None if seen.get(name, name) == name else seen[name],
                 noise_std=std,
             )
             for name, std in wanted.items()
@@ -188,11 +194,11 @@ class RigidBody:
 
         >>> from oed_sysid.bodies import rigid_body
         >>> body = rigid_body(6, mass=10.0, inertia=(1, 2, 3), attitude="quaternion")
-        >>> body.start(u=1.5, theta=0.0)["e0"]
-        1.0
+        >>> body.start(u=1.5, theta=0.0)["de0"]
+        0.0
         """
         given = {"phi": phi, "theta": theta, "psi": psi}
-        if "e0" in self.kinematics:
+        if "de0" in self.kinematics:
             turned = attitude.quaternion_of(phi, theta, psi)
         else:
             turned = {name: given[name] for name in self.angles}
