@@ -359,3 +359,51 @@ def test_parameters_may_be_free() -> None:
     )
     assert model_of(parts).free_names == ("m", "Y_vdot")
     assert model_of(parts).parameter("Y_vdot").unit == "kg"
+
+
+def test_quaternion_model_can_be_fitted() -> None:
+    """From wrong values and unknown start states a fit with a quaternion finds the truth."""
+    from oed_sysid import Dataset, Experiment, MultipleShooting
+    from oed_sysid.manoeuvres import ZigZag, ZigZagLike
+    from oed_sysid.simulate import simulate
+
+    parts = rigid_body(
+        6,
+        mass=40.0,
+        inertia=(0.4, 6.0, 6.0),
+        centre_of_gravity=(0, 0, 0.02),
+        added_mass={"X_udot": -1.5, "Y_vdot": -45.0, "Z_wdot": -45.0, "M_qdot": -7.0},
+        weight=392.0,
+        attitude="quaternion",
+        position=("z",),
+    )
+    hull = parts.hull({"X_absuu": -3.5, "Y_uv": -25.0, "Z_uw": -25.0, "M_uq": -20.0, "N_ur": -20.0})
+    known = Parameter("K_p", -0.6, fixed=True)
+    fins = (
+        parts.fin("stern", "ds", at=(-0.8, 0, 0), normal="horizontal", lift=14.0),
+        parts.fin("rudder", "dr", at=(-0.8, 0, 0), normal="vertical", lift=14.0),
+    )
+    noise = {**dict.fromkeys("uvw", 0.02), **dict.fromkeys("pqr", 0.004), "z": 0.03}
+    noise |= {"phi": 0.005, "theta": 0.004, "psi": 0.005}
+    model = parts.model(
+        "auv",
+        inputs=(Input("ds", "rad"), Input("dr", "rad"), Input("T", "N")),
+        effects=(hull, parts.hull([known], name="roll"), *fins, parts.thruster("screw", "T")),
+        noise=noise,
+        step=0.05,
+    )
+    run_ = Experiment(
+        "run",
+        (ZigZagLike("ds", 0.12, 0.09), ZigZag("dr", 0.17, 0.17, sign=-1)),
+        duration=40.0,
+        sample_time=0.2,
+        constants={"T": 8.0},
+        initial=parts.start(u=1.5, z=20.0, psi=0.7),
+    )
+    record = simulate(model, run_, rng=np.random.default_rng(3))
+    wrong = model.with_values({name: 1.1 * model.values[name] for name in model.free_names})
+    fit = MultipleShooting().fit(wrong, Dataset((record,)))
+    assert fit.status.ok
+    for name in fit.names:
+        low, high = fit.interval(name, 0.9999)
+        assert low < model.values[name] < high, name

@@ -60,7 +60,7 @@ _UNITS = {
     **dict.fromkeys(attitude.QUATERNION, "1"),
 }
 _SCALES = {"v": 0.3, "w": 0.3, "p": 0.2, "q": 0.2, "r": 0.2, "x": 10.0, "y": 10.0}
-_SCALES |= {"phi": 0.3, "theta": 0.3, **dict.fromkeys(attitude.QUATERNION, 0.5)}
+_SCALES |= {"phi": 0.3, "theta": 0.3, **dict.fromkeys(attitude.QUATERNION, 0.5), "de0": 0.05}
 
 
 @dataclass(frozen=True)

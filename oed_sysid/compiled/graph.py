@@ -326,9 +326,43 @@ def _momentum(
         row, column = axes.index(axis), velocities.index(velocity)
         mass[row, column] += to_casadi(text, scope, tables)
     right = ca.vertcat(*(forces.get(axis, ca.SX(0)) for axis in axes))
-    accelerations = ca.inv_minor(mass) @ right if len(axes) <= 4 else ca.solve(mass, right)
+    if len(axes) <= 4:
+        accelerations = ca.inv_minor(mass) @ right
+    elif all(ca.is_equal(mass[i, j], mass[j, i], 9) for i in range(len(axes)) for j in range(i)):
+        accelerations = _solve_symmetric(mass, right)
+    else:
+        accelerations = ca.solve(mass, right)
     balance = mass @ ca.vertcat(*(speeds[velocity] for velocity in velocities)) - right
     return (
         {velocity: accelerations[row] for row, velocity in enumerate(velocities)},
         {velocity: balance[row] for row, velocity in enumerate(velocities)},
     )
+
+
+def _solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """Solve by the factors L D L'; a third of the operations of CasADi's QR, and no roots.
+
+    Zeros of the matrix stay zeros, so that planes of motion that do not couple cost
+    nothing; an inertia matrix is positive definite, so that no pivot is sought.
+    """
+    n = matrix.size1()
+    low, pivots = ca.SX.eye(n), []
+    for j in range(n):
+        pivot = matrix[j, j]
+        for k in range(j):
+            pivot -= low[j, k] ** 2 * pivots[k]
+        pivots.append(pivot)
+        for i in range(j + 1, n):
+            entry = matrix[i, j]
+            for k in range(j):
+                entry -= low[i, k] * low[j, k] * pivots[k]
+            low[i, j] = entry / pivot
+    found = [right[i] for i in range(n)]
+    for i in range(n):
+        for k in range(i):
+            found[i] -= low[i, k] * found[k]
+    for i in reversed(range(n)):
+        found[i] = found[i] / pivots[i]
+        for k in range(i + 1, n):
+            found[i] -= low[k, i] * found[k]
+    return ca.vertcat(*found)
