@@ -107,8 +107,18 @@ def moving(parts: RigidBody) -> dict[str, float]:
 TIMES = np.linspace(0.0, 5.0, 51)
 
 
-@pytest.mark.parametrize("attitude", ["euler", "quaternion"])
-@pytest.mark.parametrize("current", [(0.0, 0.0, 0.0), (0.3, -0.4, 0.05)])
+STREAM = (0.3, -0.4, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("attitude", "current"),
+    [
+        ("euler", (0.0, 0.0, 0.0)),
+        ("quaternion", STREAM),
+        pytest.param("euler", STREAM, marks=pytest.mark.slow),
+        pytest.param("quaternion", (0.0, 0.0, 0.0), marks=pytest.mark.slow),
+    ],
+)
 def test_trajectory_of_the_independent_simulator(attitude: str, current: tuple) -> None:
     """Six degrees of freedom, with restoring and current, agree to 1e-8."""
     parts = body(attitude)
@@ -127,6 +137,7 @@ def test_trajectory_of_the_independent_simulator(attitude: str, current: tuple) 
         np.testing.assert_allclose(length, 1, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_no_singularity_of_the_quaternion() -> None:
     """A body that pitches through the vertical again and again follows the reference."""
     parts = body("quaternion", heavy=False)
@@ -139,6 +150,7 @@ def test_no_singularity_of_the_quaternion() -> None:
     assert steepest > np.sin(radians(87))
 
 
+@pytest.mark.slow
 def test_quaternion_and_euler_angles_give_the_same_path() -> None:
     """Both attitudes describe one motion, measured angles included."""
     paths, outputs = [], []
@@ -199,6 +211,7 @@ def test_coriolis_matrix_is_skew_and_is_what_the_texts_say() -> None:
         assert abs(nu @ total) < 1e-11
 
 
+@pytest.mark.slow
 def test_drifting_with_the_water_is_moving_in_still_water() -> None:
     """With a current the velocity through the water is that without, the path is displaced."""
     parts = body("quaternion", heavy=True)
@@ -215,7 +228,7 @@ def test_drifting_with_the_water_is_moving_in_still_water() -> None:
     np.testing.assert_allclose(carried["r"], still["r"], atol=1e-8)
 
 
-@pytest.mark.parametrize("dof", [3, 4, 6])
+@pytest.mark.parametrize("dof", [3, 4, pytest.param(6, marks=pytest.mark.slow)])
 def test_zero_current_is_no_current(dof: int) -> None:
     """A current of zero changes nothing at all, in every kind of body."""
     parts = rigid_body(
@@ -232,6 +245,7 @@ def test_zero_current_is_no_current(dof: int) -> None:
         np.testing.assert_allclose(with_zero[name], values, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_fewer_degrees_of_freedom_are_the_plane_motion_of_more() -> None:
     """A symmetric body that moves in the plane follows the six-degree equations."""
     facts = {
@@ -361,6 +375,7 @@ def test_parameters_may_be_free() -> None:
     assert model_of(parts).parameter("Y_vdot").unit == "kg"
 
 
+@pytest.mark.slow
 def test_quaternion_model_can_be_fitted() -> None:
     """From wrong values and unknown start states a fit with a quaternion finds the truth."""
     from oed_sysid import Dataset, Experiment, MultipleShooting

@@ -109,6 +109,7 @@ def test_hull_is_unstable_in_pitch() -> None:
     assert abs(worst.imag) == pytest.approx(PROBLEM.published["pitch_poles"][0].imag, abs=0.02)
 
 
+@pytest.mark.slow
 def test_records_fit_with_what_is_hidden() -> None:
     """With lag and current the fit reaches the noise, and the truth lies within its errors."""
     train = PROBLEM.data().split(test=["wide"])[0]
