@@ -8,17 +8,13 @@ from dataclasses import replace
 from oed_sysid.bodies import attitude as orientation
 from oed_sysid.bodies import momentum as inertial
 from oed_sysid.bodies.momentum import AXES, VELOCITIES, Matrix
+from oed_sysid.bodies.motions import DEGREES, MOTIONS
 from oed_sysid.bodies.rigid_body import FOSSEN, Number, RigidBody
 from oed_sysid.bodies.texts import cross, minus, plus, times
 from oed_sysid.effects.base import Effect, Force
 from oed_sysid.errors import ModelError
 from oed_sysid.language import notation
 from oed_sysid.parameters import Parameter
-
-DEGREES: Mapping[int, str] = {3: "uvr", 4: "uvpr", 6: "uvwpqr"}
-MOTIONS: Mapping[str, str] = dict(
-    zip(("surge", "sway", "heave", "roll", "pitch", "yaw"), VELOCITIES, strict=True)
-)
 
 
 def rigid_body(

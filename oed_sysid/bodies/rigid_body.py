@@ -7,13 +7,11 @@ r"""Equations of motion of a rigid body in water, with three to six degrees of f
 
 Velocities ``u v w p q r`` are in body axes (x forward, y to starboard, z down) about
 an origin of the user's choice, positions in NED. ``u_r v_r w_r`` is the velocity through
-the water; with a current :math:`v_c = \nu_1 - \nu_{r1}` that is steady in NED the added
-inertia carries the term of its turning body axes, so that a vehicle that drifts with the
-water moves as in still water, exactly.
+the water; with a steady current :math:`v_c = \nu_1 - \nu_{r1}` the added inertia carries the
+term of turning axes: a vehicle that drifts with the water moves as in still water.
 
 Weight and buoyancy act along the third row of the rotation matrix, at the centres of
-gravity and buoyancy. A floating body has metacentric heights instead,
-:math:`K = -W\,\overline{GM}_T \sin\varphi`.
+gravity and buoyancy; a floating body has :math:`K = -W\,\overline{GM}_T \sin\varphi`.
 
 References
 ----------
@@ -31,6 +29,7 @@ import numpy as np
 from oed_sysid.bodies import appendages, attitude
 from oed_sysid.bodies import momentum as inertial
 from oed_sysid.bodies.momentum import VELOCITIES, Matrix
+from oed_sysid.bodies.motions import LABELS, SIZES, UNITS
 from oed_sysid.bodies.sensing import accelerometer_text
 from oed_sysid.bodies.texts import Place, minus, plus, times
 from oed_sysid.channels import Input, Output, State
@@ -45,22 +44,6 @@ from oed_sysid.parameters import Parameter
 Number = float | Parameter
 
 FOSSEN = "Fossen (2011), Handbook of marine craft hydrodynamics and motion control, Wiley."
-_MOTIONS = dict(zip(("surge", "sway", "heave", "roll", "pitch", "yaw"), VELOCITIES, strict=True))
-_LABELS = {
-    **{v: f"{m} velocity" for m, v in _MOTIONS.items() if v in "uvw"},
-    **{v: f"{m} rate" for m, v in _MOTIONS.items() if v in "pqr"},
-    **{"x": "north", "y": "east", "z": "depth", "phi": "roll angle", "theta": "pitch angle"},
-    "psi": "heading",
-}
-_UNITS = {
-    **dict.fromkeys("uvw", "m/s"),
-    **dict.fromkeys("pqr", "rad/s"),
-    **dict.fromkeys("xyz", "m"),
-    **dict.fromkeys(("phi", "theta", "psi"), "rad"),
-    **dict.fromkeys(attitude.QUATERNION, "1"),
-}
-_SCALES = {"v": 0.3, "w": 0.3, "p": 0.2, "q": 0.2, "r": 0.2, "x": 10.0, "y": 10.0}
-_SCALES |= {"phi": 0.3, "theta": 0.3, **dict.fromkeys(attitude.QUATERNION, 0.5), "de0": 0.05}
 
 
 @dataclass(frozen=True)
@@ -103,10 +86,10 @@ class RigidBody:
 
     def states(self, scales: Mapping[str, float] | None = None) -> tuple[State, ...]:
         """Velocities, then attitude and position, with typical sizes."""
-        sizes = _SCALES | dict(scales or {})
+        sizes = SIZES | dict(scales or {})
         names = (*self.velocities, *self.kinematics)
         return tuple(
-            State(name, _UNITS[name], _LABELS.get(name, "attitude"), sizes.get(name, 1.0))
+            State(name, UNITS[name], LABELS.get(name, "attitude"), sizes.get(name, 1.0))
             for name in names
         )
 
@@ -119,9 +102,8 @@ class RigidBody:
         plain = [n for n in self.kinematics if n not in (*attitude.QUATERNION, *self.angles)]
         usual = [*self.velocities, *self.angles, *plain]
         wanted = dict.fromkeys(usual) if noise is None else dict(noise)
-        turned = {}
-        if "de0" in self.kinematics:
-            turned = {e: f"{e}/sqrt(e_norm)" for e in ("e0", "e1", "e2", "e3")}
+        whole = ("e0", "e1", "e2", "e3") if "de0" in self.kinematics else ()
+        turned = {e: f"{e}/sqrt(e_norm)" for e in whole}
         seen = {**self.angles, **turned}
         known = [*usual, *turned]
         if unknown := [name for name in wanted if name not in known]:
@@ -131,8 +113,8 @@ class RigidBody:
         return tuple(
             Output(
                 name,
-                _UNITS.get(name, "1"),
-                _LABELS.get(name, "attitude"),
+                UNITS.get(name, "1"),
+                LABELS.get(name, "attitude"),
                 None if seen.get(name, name) == name else seen[name],
                 noise_std=std,
             )

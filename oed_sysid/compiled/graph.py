@@ -346,7 +346,8 @@ def _solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
     nothing; an inertia matrix is positive definite, so that no pivot is sought.
     """
     n = matrix.size1()
-    low, pivots = ca.SX.eye(n), []
+    low = ca.SX.eye(n)
+    pivots: list[ca.SX] = []
     for j in range(n):
         pivot = matrix[j, j]
         for k in range(j):
