@@ -227,7 +227,10 @@ def test_drifting_with_the_water_is_moving_in_still_water() -> None:
     np.testing.assert_allclose(carried["r"], still["r"], atol=1e-8)
 
 
-@pytest.mark.parametrize("dof", [3, 4, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "dof",
+    [3, pytest.param(4, marks=pytest.mark.slow), pytest.param(6, marks=pytest.mark.slow)],
+)
 def test_zero_current_is_no_current(dof: int) -> None:
     """A current of zero changes nothing at all, in every kind of body."""
     parts = rigid_body(

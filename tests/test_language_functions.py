@@ -6,7 +6,18 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed_sysid import Actuator, ExtraState, Force, Function, Input, Model, Output, Parameter, State
+from oed_sysid import (
+    Actuator,
+    ExtraState,
+    Force,
+    Function,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    Sensor,
+    State,
+)
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.errors import ModelError
 from oed_sysid.fitting.archive import decode, encode
@@ -251,3 +262,34 @@ def test_actuator_with_inertia() -> None:
     run = kernel(model).run(times, inputs, model.value_vector, z)
     after = times[10:] - times[10]
     np.testing.assert_allclose(run.states[10:, 2], -1 + 2 * np.exp(-after / 0.5), atol=1e-9)
+
+
+def test_one_function_for_two_targets() -> None:
+    """A function that returns a pair acts on two targets, and one of another length is refused."""
+
+    def pair(v, k):
+        return -k * v, 0.1 * v**2
+
+    effect = Force.from_function("pair", pair, ("X", "x"))
+    assert effect.terms == {"X": "pair_X(v, k)", "x": "pair_x(v, k)"}
+    written = Force("pair", {"X": "-k*v", "x": "0.1*v**2"})
+    results = []
+    for one in (effect, written):
+        model = sled() + one
+        times, inputs, start = drive(model)
+        results.append(kernel(model).run(times, inputs, model.value_vector, start).states)
+    np.testing.assert_allclose(results[0], results[1], rtol=1e-14)
+    with pytest.raises(ModelError, match="expected a tuple of 3 results"):
+        Force.from_function("pair", pair, ("X", "x", "v"))
+
+
+def test_actuator_and_sensor_from_functions() -> None:
+    """Functions serve every stage: an actuator that saturates softly, a sensor that is bent."""
+    soft = Actuator.from_function("soft", lambda push: ca.tanh(push), "push")
+    bent = Sensor.from_function("bent", lambda v: v + 0.1 * v**2, "v")
+    model = sled(effects=(soft, Force("push", {"X": "push"}), bent))
+    times, inputs, start = drive(model)
+    run = kernel(model).run(times, inputs, model.value_vector, start)
+    v = run.states[:, 1]
+    np.testing.assert_allclose(run.outputs[:, 0], v + 0.1 * v**2, rtol=1e-14)
+    np.testing.assert_allclose(np.diff(v), 0.05 * np.tanh(inputs[:-1, 0]) / 2.0, rtol=1e-9)
