@@ -7,15 +7,24 @@ dimensions. Text makes a model printable, comparable, storable and safe to
 load, and lets a user write physics without knowing CasADi.
 
 Functions: ``sin cos tan asin acos atan atan2 sinh cosh tanh sqrt exp log abs
-sign min max where`` and the tables that an effect declares.
+sign floor min max clip where``, and the tables and functions that a model or an
+effect declares. ``a if c else b`` is ``where(c, a, b)``; conditions are comparisons
+joined by ``and``, ``or`` and ``not``; ``pi`` is a number. What a sensor sees may
+also name ``dot(state)``, the rate of a state, and ``force("Y")`` or
+``force("Y", "effect")``, the sum of all forces on an axis or that of one effect.
+
+Kinks and jumps are allowed, their smoothness is the author's concern: gradients are
+exact on either side, and zero where only a condition depends on a parameter.
 """
 
 from __future__ import annotations
 
 import ast
 import difflib
+import math
 from collections.abc import Callable, Iterable, Mapping
-from functools import lru_cache
+from functools import lru_cache, reduce
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -23,6 +32,7 @@ import numpy as np
 
 from oed_sysid.errors import ModelError
 from oed_sysid.language import typeset
+from oed_sysid.language.callables import numeric_library, symbolic_library
 
 _CASADI: dict[str, Callable[..., Any]] = {
     "sin": ca.sin,
@@ -40,9 +50,14 @@ _CASADI: dict[str, Callable[..., Any]] = {
     "log": ca.log,
     "abs": ca.fabs,
     "sign": ca.sign,
-    "min": ca.fmin,
-    "max": ca.fmax,
+    "floor": ca.floor,
+    "min": lambda *x: reduce(ca.fmin, x),
+    "max": lambda *x: reduce(ca.fmax, x),
+    "clip": lambda x, low, high: ca.fmin(ca.fmax(x, low), high),
     "where": ca.if_else,
+    "and": lambda *x: reduce(ca.logic_and, x),
+    "or": lambda *x: reduce(ca.logic_or, x),
+    "not": ca.logic_not,
 }
 _NUMPY: dict[str, Callable[..., Any]] = {
     "sin": np.sin,
@@ -60,20 +75,29 @@ _NUMPY: dict[str, Callable[..., Any]] = {
     "log": np.log,
     "abs": np.abs,
     "sign": np.sign,
-    "min": np.minimum,
-    "max": np.maximum,
+    "floor": np.floor,
+    "min": lambda *x: reduce(np.minimum, x),
+    "max": lambda *x: reduce(np.maximum, x),
+    "clip": lambda x, low, high: np.minimum(np.maximum(x, low), high),
     "where": np.where,
+    "and": lambda *x: reduce(np.logical_and, x),
+    "or": lambda *x: reduce(np.logical_or, x),
+    "not": np.logical_not,
 }
-FUNCTIONS = tuple(_CASADI)
-_ARGUMENT_COUNT = {"atan2": 2, "min": 2, "max": 2, "where": 3}
+FUNCTIONS = tuple(name for name in _CASADI if name not in ("and", "or", "not"))
+CONSTANTS = {"pi": math.pi}
+_MANY = ("min", "max")  # two arguments or more
+_ARGUMENT_COUNT = {"atan2": 2, "min": 2, "max": 2, "where": 3, "clip": 3}
+_PARTS = (ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Call, ast.Name, ast.Constant, ast.Compare)
+_LESS = (ast.operator, ast.unaryop, ast.boolop, ast.cmpop, ast.expr_context)
 
 
 # Beyond these a text is not what a person wrote, and would exhaust the stack.
 MOST_CHARACTERS, DEEPEST = 20_000, 150
 _INSTEAD = {
     ast.BitXor: "Write ** for a power.",
-    ast.Mod: "Write where(...) or a sine for what repeats.",
-    ast.FloorDiv: "Write / for a quotient.",
+    ast.Mod: "Write a - b*floor(a/b) for what repeats.",
+    ast.FloorDiv: "Write floor(a/b), or / for a quotient.",
     ast.MatMult: "Write * for a product.",
 }
 
@@ -128,20 +152,9 @@ def _parse(expression: str) -> ast.expr:
             f"{shown} is nested {depth} deep, more than {DEEPEST}. Name parts of it in definitions "
             "or signals."
         )
+    tree = _Plain(expression).visit(tree)
     for node in ast.walk(tree):
-        if not isinstance(
-            node,
-            ast.BinOp
-            | ast.UnaryOp
-            | ast.Call
-            | ast.Name
-            | ast.Constant
-            | ast.Compare
-            | ast.operator
-            | ast.unaryop
-            | ast.cmpop
-            | ast.expr_context,
-        ):
+        if not isinstance(node, (*_PARTS, *_LESS)):
             raise ModelError(
                 f"Expression {expression!r} uses {type(node).__name__}, which is not arithmetic. "
                 f"Use + - * / **, comparisons and the functions {', '.join(FUNCTIONS)}."
@@ -162,12 +175,12 @@ def _check_operator(node: ast.AST, shown: str) -> None:
             f"{shown} uses the operator {type(node.op).__name__}, which is no arithmetic of "
             f"numbers. {_INSTEAD.get(type(node.op), 'Use + - * / and **.')}"
         )
-    if isinstance(node, ast.UnaryOp) and not isinstance(node.op, ast.USub | ast.UAdd):
-        raise ModelError(f"{shown} uses {type(node.op).__name__}. Use + - * / and **.")
-    if isinstance(node, ast.Compare) and (len(node.ops) != 1 or type(node.ops[0]) not in _COMPARE):
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Invert):
+        raise ModelError(f"{shown} uses ~. Write 'not' before a condition.")
+    if isinstance(node, ast.Compare) and type(node.ops[0]) not in _COMPARE:
         raise ModelError(
-            f"{shown}: write one comparison at a time, with <, <=, > or >=, for instance "
-            "(a < b)*(b < c)."
+            f"{shown} compares with {type(node.ops[0]).__name__}. Use <, <=, > or >=: two computed "
+            "numbers are never exactly equal."
         )
 
 
@@ -178,7 +191,9 @@ def _constant(node: ast.AST, shown: str) -> float | None:
         for child in ast.iter_child_nodes(node)
         if isinstance(child, ast.expr) and child is not getattr(node, "func", None)
     ]
-    if isinstance(node, ast.Name) or any(part is None for part in parts):
+    if isinstance(node, ast.Name):
+        return CONSTANTS.get(node.id)
+    if any(part is None for part in parts):
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div) and parts[1] == 0.0:
             raise ModelError(f"{shown} divides by zero.")
         return None
@@ -197,6 +212,46 @@ def _constant(node: ast.AST, shown: str) -> float | None:
     return number.real
 
 
+class _Plain(ast.NodeTransformer):
+    """Rewrite what has a shorter form: conditional, chained comparison, dot and force."""
+
+    def __init__(self, expression: str) -> None:
+        self.expression = expression
+
+    def visit_IfExp(self, node: ast.IfExp) -> ast.expr:
+        parts = [self.visit(part) for part in (node.test, node.body, node.orelse)]
+        return ast.Call(ast.Name("where", ast.Load()), parts, [])
+
+    def visit_Compare(self, node: ast.Compare) -> ast.expr:
+        sides = [self.visit(side) for side in (node.left, *node.comparators)]
+        pairs = [
+            ast.Compare(left, [operator], [right])
+            for left, operator, right in zip(sides[:-1], node.ops, sides[1:], strict=True)
+        ]
+        return pairs[0] if len(pairs) == 1 else ast.BoolOp(ast.And(), list(pairs))
+
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        function = node.func.id if isinstance(node.func, ast.Name) else ""
+        if function not in ("dot", "force"):
+            self.generic_visit(node)
+            return node
+        texts = [
+            part.id
+            if isinstance(part, ast.Name)
+            else part.value
+            if isinstance(part, ast.Constant) and isinstance(part.value, str)
+            else ""
+            for part in node.args
+        ]
+        most = 1 if function == "dot" else 2
+        if not 1 <= len(texts) <= most or not all(texts) or node.keywords:
+            raise ModelError(
+                f'Expression {self.expression!r}: write dot(state), as dot(v), and force("axis") '
+                'or force("axis", "effect"), as force("Y", "rudder").'
+            )
+        return ast.Name(f"{function}({', '.join(texts)})", ast.Load())
+
+
 def names(expression: str) -> frozenset[str]:
     """Names that an expression refers to, functions excluded.
 
@@ -212,7 +267,9 @@ def _names(expression: str) -> frozenset[str]:
     tree = parse(expression)
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     return frozenset(
-        node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called
+        node.id
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Name) and id(node) not in called and node.id not in CONSTANTS
     )
 
 
@@ -232,10 +289,21 @@ def _calls(expression: str) -> tuple[tuple[str, int], ...]:
     )
 
 
-def check(expression: str, known: Iterable[str], *, where: str, tables: Iterable[str] = ()) -> None:
-    """Raise :class:`ModelError` if an expression uses an unknown name or function."""
+def check(
+    expression: str,
+    known: Iterable[str],
+    *,
+    where: str,
+    tables: Mapping[str, int] = MappingProxyType({}),
+) -> None:
+    """Raise :class:`ModelError` if an expression uses an unknown name or function.
+
+    ``tables`` gives the number of arguments of each declared table and function.
+    """
     known = set(known)
     for name in sorted(names(expression) - known):
+        if name.startswith(("dot(", "force(")):
+            _refuse_rate(expression, name, known, where)
         near = difflib.get_close_matches(name, sorted(known), n=3)
         hint = f" Did you mean {' or '.join(near)}?" if near else ""
         raise ModelError(
@@ -245,19 +313,43 @@ def check(expression: str, known: Iterable[str], *, where: str, tables: Iterable
     check_calls(expression, where=where, tables=tables)
 
 
-def check_calls(expression: str, *, where: str, tables: Iterable[str] = ()) -> None:
-    """Raise :class:`ModelError` if an expression calls what is no function, or wrongly."""
-    for name in sorted(functions(expression) - set(FUNCTIONS) - set(tables)):
+def check_calls(
+    expression: str,
+    *,
+    where: str,
+    tables: Mapping[str, int] = MappingProxyType({}),
+    complete: bool = True,
+) -> None:
+    """Raise :class:`ModelError` if an expression calls what is no function, or wrongly.
+
+    ``complete=False``: a function that is not known yet may be one that the model declares.
+    """
+    calls = [call for call in _calls(expression) if complete or call[0] in {*FUNCTIONS, *tables}]
+    for name in sorted({name for name, _ in calls} - set(FUNCTIONS) - set(tables)):
         raise ModelError(
             f"{where}: expression {expression!r} calls the unknown function {name!r}. "
             f"Known functions: {', '.join(FUNCTIONS)}."
         )
-    for name, count in _calls(expression):
-        expected = _ARGUMENT_COUNT.get(name, 1)
-        if count != expected:
+    for name, count in calls:
+        expected = tables[name] if name in tables else _ARGUMENT_COUNT.get(name, 1)
+        if count != expected and not (name in _MANY and count > expected):
             raise ModelError(
                 f"{where}: {name} in {expression!r} got {count} arguments, expected {expected}."
             )
+
+
+def _refuse_rate(expression: str, name: str, known: set[str], where: str) -> None:
+    """Say why a rate or a force is not known here."""
+    there = sorted(other for other in known if other.startswith(name.partition("(")[0] + "("))
+    if not there:
+        raise ModelError(
+            f"{where}: expression {expression!r} uses {name}, which only outputs and sensor "
+            "effects can see: there it would need its own result. Write the force out instead."
+        )
+    raise ModelError(
+        f"{where}: expression {expression!r} uses {name}, which does not exist. "
+        f"Known here: {', '.join(there)}."
+    )
 
 
 _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
@@ -280,7 +372,9 @@ def _walk(node: ast.expr, scope: Mapping[str, Any], library: Mapping[str, Callab
         case ast.Constant():
             return float(node.value)  # type: ignore[arg-type]
         case ast.Name():
-            return scope[node.id]
+            return CONSTANTS[node.id] if node.id in CONSTANTS else scope[node.id]
+        case ast.UnaryOp(op=ast.Not()):
+            return library["not"](_walk(node.operand, scope, library))
         case ast.UnaryOp():
             value = _walk(node.operand, scope, library)
             return -value if isinstance(node.op, ast.USub) else value
@@ -289,16 +383,15 @@ def _walk(node: ast.expr, scope: Mapping[str, Any], library: Mapping[str, Callab
                 base, power = _walk(node.left, scope, library), node.right.value
                 # Products have simpler derivatives than a general power.
                 return base * base if power == 2 else base**power
-            operator = _BINARY.get(type(node.op))
-            if operator is None:
-                raise ModelError(f"Operator {type(node.op).__name__} is not known in expressions.")
+            operator = _BINARY[type(node.op)]
             return operator(_walk(node.left, scope, library), _walk(node.right, scope, library))
         case ast.Compare():
-            if len(node.ops) != 1 or type(node.ops[0]) not in _COMPARE:
-                raise ModelError("Write one comparison at a time, with <, <=, > or >=.")
             return _COMPARE[type(node.ops[0])](
                 _walk(node.left, scope, library), _walk(node.comparators[0], scope, library)
             )
+        case ast.BoolOp():
+            join = library["and" if isinstance(node.op, ast.And) else "or"]
+            return join(*(_walk(value, scope, library) for value in node.values))
         case ast.Call():
             function = library[node.func.id]  # type: ignore[attr-defined]
             return function(*(_walk(argument, scope, library) for argument in node.args))
@@ -306,9 +399,7 @@ def _walk(node: ast.expr, scope: Mapping[str, Any], library: Mapping[str, Callab
 
 
 def to_casadi(
-    expression: str,
-    scope: Mapping[str, ca.SX],
-    tables: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+    expression: str, scope: Mapping[str, ca.SX], tables: Mapping[str, Any] | None = None
 ) -> ca.SX:
     """Evaluate an expression on CasADi symbols.
 
@@ -319,37 +410,21 @@ def to_casadi(
     scope : mapping
         Symbols by name.
     tables : mapping, optional
-        ``name -> (abscissae (n,), ordinates (n,))``, linear between points and
-        extrapolated with the end slopes.
+        Tables and functions by name, see :mod:`oed_sysid.language.callables`.
     """
-    library = dict(_CASADI)
-    for name, (abscissae, ordinates) in (tables or {}).items():
-        library[name] = lambda x, a=abscissae, o=ordinates: ca.pw_lin(
-            x, ca.DM(np.asarray(a, float)), ca.DM(np.asarray(o, float))
-        )
+    library = _CASADI | symbolic_library(tables) if tables else _CASADI
     return ca.SX(_walk(parse(expression), scope, library))
 
 
-def _interpolate(x: Any, abscissae: np.ndarray, ordinates: np.ndarray) -> Any:
-    """Linear between points, with the end slopes beyond, as in the compiled model."""
-    a, o = np.asarray(abscissae, float), np.asarray(ordinates, float)
-    i = np.clip(np.searchsorted(a, x, side="right") - 1, 0, len(a) - 2)
-    return o[i] + (x - a[i]) * (o[i + 1] - o[i]) / (a[i + 1] - a[i])
-
-
 def to_numpy(
-    expression: str,
-    scope: Mapping[str, Any],
-    tables: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+    expression: str, scope: Mapping[str, Any], tables: Mapping[str, Any] | None = None
 ) -> np.ndarray:
     """Evaluate an expression on numbers or arrays.
 
-    >>> float(to_numpy("2*w*abs(w)", {"w": -3.0}))
+    >>> float(to_numpy("2*w*abs(w) if w < 0 and w > -pi else 0", {"w": -3.0}))
     -18.0
     """
-    library = dict(_NUMPY)
-    for name, (abscissae, ordinates) in (tables or {}).items():
-        library[name] = lambda x, a=abscissae, o=ordinates: _interpolate(x, a, o)
+    library = _NUMPY | numeric_library(tables) if tables else _NUMPY
     # As arrays, so that a division by zero gives infinity and no exception.
     numbers = {name: np.asarray(value) for name, value in scope.items()}
     return np.asarray(_walk(parse(expression), numbers, library))
