@@ -16,6 +16,7 @@ _HOME = {
     "Environment": "effects",
     "ExtraState": "effects",
     "Force": "effects",
+    "Function": "language.callables",
     "Inertia": "effects",
     "Memory": "effects",
     "Sensor": "effects",
@@ -130,6 +131,7 @@ if TYPE_CHECKING:
     from oed_sysid.estimators import MultipleShooting
     from oed_sysid.experiment import Experiment, Limits
     from oed_sysid.fitting.fit import Fit
+    from oed_sysid.language.callables import Function
     from oed_sysid.manoeuvres import (
         PRBS,
         Chirp,

@@ -24,8 +24,8 @@ LAYERS = (
     "parameters",
     "data",
     "effects",
-    "model_parts",
     "model",
+    "bodies",
     "compiled",
     "manoeuvres",
     "experiment",
@@ -53,7 +53,6 @@ USES_PUBLIC_API = ("testing", "demo", "app", "cli")
 CASADI_LAYERS = (
     "language",
     "effects",
-    "model_parts",
     "model",
     "compiled",
     "simulate",

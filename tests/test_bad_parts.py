@@ -43,15 +43,15 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
     "amplitude NaN": (lambda: m.ZigZag("r", NAN, 0.1), "amplitude nan"),
     "table of unequal rows": (
         lambda: Force("f", {"X": "E*T(u)"}, SIZE, tables={"T": ([0, 1], [1])}),
-        "table 'T'",
+        "Table 'T'",
     ),
     "table that runs backwards": (
         lambda: Force("f", {"X": "E*T(u)"}, SIZE, tables={"T": ([1, 0], [1, 2])}),
-        "abscissae increasing",
+        "does not increase strictly",
     ),
     "table as a number": (
         lambda: Force("f", {"X": "E*T(u)"}, SIZE, tables={"T": 5}),
-        "abscissae increasing",
+        "expected rows of numbers",
     ),
     "unit of an added state": (lambda: ExtraState("mu", "-mu", "0", "foo"), "Unknown unit 'foo'"),
     "noise level below zero": (lambda: Output("y", "m", noise_std=-1.0), "noise_std -1.0"),

@@ -272,6 +272,15 @@ def test_time_column(write: Write) -> None:
         read_csv(write(HEADER.replace("z [m]", "time [s]")), CHANNELS)
 
 
+def test_a_thrust_T_is_no_time(write: Write) -> None:
+    """A column T beside the time t is a signal; only names that are equal are ambiguous."""
+    path = write(HEADER)
+    extra = path.with_name("thrust.csv")
+    lines = path.read_text().splitlines()
+    extra.write_text("\n".join([lines[0] + ",T [N]", *(line + ",5.0" for line in lines[1:])]))
+    assert read_csv(extra, CHANNELS)[0].n_samples == N_ROWS
+
+
 def test_too_few_rows(write: Write) -> None:
     """Three rows are not a record."""
     with pytest.raises(DataError, match="Record 'dive' has 3 samples; at least 5"):

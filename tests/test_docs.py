@@ -128,3 +128,44 @@ def test_tutorial_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     (code,) = blocks(page, "python")
     exec(code, {})
     assert "yaw_quadratic_damping" in capsys.readouterr().out
+
+
+def test_own_vehicle_page_runs(capsys) -> None:
+    """The problem of the page takes at most 25 lines, and its code runs and prints an equation."""
+    page = ROOT / "docs" / "own_vehicle.md"
+    first, second = blocks(page, "python")
+    lines = [line for line in first.splitlines() if line.strip()]
+    assert len(lines) <= 25
+    assert max(map(len, lines)) <= 100
+    names: dict = {}
+    exec(first, names)
+    assert len(names["model"].state_names) == 10
+    assert names["problem"].experiments
+    exec(second, names)
+    assert "blade(u_r, T, E_blade)" in capsys.readouterr().out
+
+
+def test_language_of_the_page_is_that_of_the_package() -> None:
+    """The table of functions on the page names every function of the language."""
+    from oed_sysid.language.expressions import FUNCTIONS
+
+    text = (ROOT / "docs" / "own_vehicle.md").read_text(encoding="utf-8")
+    table = text.split("## 4. What a text may say")[1].split("Everything is checked")[0]
+    assert [name for name in FUNCTIONS if not re.search(rf"\b{name}\b", table)] == []
+
+
+@pytest.mark.slow
+def test_own_vehicle_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The commands of the page end well, the log of the second being one of the first's."""
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / "own_vehicle.md").read_text(encoding="utf-8")
+    fenced = re.findall(r"^```(\w*)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    lines = "\n".join(block for language, block in fenced if not language).splitlines()
+    commands = [shlex.split(line) for line in lines if line.startswith("oed-sysid ")]
+    assert len(commands) == 5
+    for command in commands:
+        if "--from" in command:
+            record = load_problem(tmp_path / "my_auv").data()[0]
+            write_csv(record, tmp_path / "log.csv")
+            command = [part if part != "rudder" else "dr" for part in command]
+        assert main(command[1:]) == DONE, command

@@ -183,3 +183,34 @@ def test_sensor_chain_starts_without_transient() -> None:
     assert measured[0] == 6.0
     settled = 6 + 2 * (times[-1] - 0.6) + 0.25 * times[-1]
     assert measured[-1] == pytest.approx(settled, abs=1e-6)
+
+
+def test_one_parameter_for_several_channels() -> None:
+    """Shared lag, delay and rate limit move each channel as its own effect would."""
+    from oed_sysid import Force, Input, Model, Output, State
+    from oed_sysid.compiled.kernels import kernel
+    from oed_sysid.effects import actuator_delay, actuator_lag, rate_limit
+
+    def pair(*effects):
+        return Model(
+            "pair",
+            (State("x", "m"), State("y", "m")),
+            (Input("a", "rad"), Input("b", "rad")),
+            (Output("x", "m"), Output("y", "m")),
+            {"x": "0", "y": "0"},
+            effects=(*effects, Force("push", {"x": "a", "y": "b"})),
+            step=0.1,
+        )
+
+    times = 0.1 * np.arange(80)
+    inputs = np.column_stack([np.sign(np.sin(2 * times)), 0.4 * np.sign(np.cos(times))])
+    for make, value in ((actuator_lag, 0.3), (actuator_delay, 0.25), (rate_limit, 1.5)):
+        shared = pair(make("both", ("a", "b"), value=value))
+        single = pair(make("one", "a", value=value), make("two", "b", value=value))
+        assert len(shared.free_names) == 1
+        found = []
+        for model in (shared, single):
+            z, _ = kernel(model).start(np.zeros(2), inputs[0], model.value_vector, 0.0)
+            found.append(kernel(model).run(times, inputs, model.value_vector, z).outputs)
+        np.testing.assert_allclose(found[0], found[1], rtol=1e-13, atol=1e-14)
+        assert np.abs(found[0][-1]).max() > 0.05

@@ -33,7 +33,7 @@ ODD = {
     *("dvl_misalignment", "rudder_neutral_angle", "single_screw_asymmetry", "wave_yaw_moment"),
     *("bias_r", "bias_psi", "log_misalignment", "heel_moment", "wave_roll_moment", "bias_phi"),
 }
-UNCLAIMED = {"hull_compressibility", "nonlinear_yaw_damping", "current"}
+UNCLAIMED = {"hull_compressibility", "nonlinear_yaw_damping", "current", "wind"}
 
 
 def claim(effect: Effect, mirror: tuple[str, ...]) -> dict:

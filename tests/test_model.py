@@ -110,7 +110,7 @@ def test_equations_read_well() -> None:
         ({"parameters": (Parameter("k", 1.0), Parameter("k", 2.0))}, "twice"),
         ({"inertia": {("Z", "w"): "1"}}, "does not belong"),
         ({"effects": (Force("f", {"Z": "1"}),)}, "no force effect can change"),
-        ({"effects": (Actuator("a", {"push": "push + x"}),)}, "unknown name 'x'"),
+        ({"effects": (Actuator("a", {"push": "push + nothing"}),)}, "unknown name 'nothing'"),
         ({"effects": (Inertia("i", {("X", "x"): "1"}),)}, "no inertia effect can change"),
         ({"effects": (Sensor("s", {"x": "x + bias"}),)}, "unknown name 'bias'"),
     ],

@@ -59,14 +59,40 @@ def problems(
 
 def new(
     folder: Annotated[Path, typer.Argument(help="The folder to make; its name names the problem.")],
+    template: Annotated[
+        str,
+        typer.Option(
+            "--template",
+            metavar="KIND",
+            help="generic, ship, auv, usv, torpedo or sailboat.",
+        ),
+    ] = "generic",
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="CSV",
+            help="A log with units in its headers: channels and a first linear model come from it.",
+            show_default=False,
+        ),
+    ] = None,
+    inputs: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--input",
+            metavar="NAME...",
+            help="With --from: a column that is a command; by default its name says so.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Write a starter folder for a vehicle of your own.
 
-    [bold]Example[/bold]: oed-sysid new my_vehicle
+    [bold]Example[/bold]: oed-sysid new my_auv --template auv
     """
     from oed_sysid.problem import new_problem
 
-    made = new_problem(folder)
+    made = new_problem(folder, template=template, log=log, inputs=tuple(inputs or ()))
     say(f"Written: {made}")
     say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {made}")
 

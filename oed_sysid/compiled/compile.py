@@ -48,6 +48,9 @@ def _compiler() -> str | None:
 _GENERATOR = (
     "compiled/graph.py",
     "language/expressions.py",
+    "language/grammar.py",
+    "language/callables.py",
+    "model/validation.py",
     "compiled/generate.py",
     "compiled/trajectory.c",
     "compiled/filter.c",

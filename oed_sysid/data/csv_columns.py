@@ -82,6 +82,8 @@ class Columns:
             )
             if header in wanted or name in wanted or (time is None and name.lower() in wanted)
         ]
+        if len(matches) > 1:  # a thrust T beside a time t
+            matches = [i for i in matches if self.parsed[i][0] in wanted] or matches
         if len(matches) != 1:
             what = "no" if not matches else "more than one"
             raise DataError(

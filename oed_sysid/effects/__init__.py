@@ -38,10 +38,21 @@ from oed_sysid.effects.environment import (
     current_down,
     current_forward,
     current_horizontal_plane,
+    steady_wind,
     wave_force,
     wind_load,
 )
 from oed_sysid.effects.inertia import added_mass_coupling, added_mass_error, added_mass_factor
+from oed_sysid.effects.mechanical import (
+    bouc_wen_hysteresis,
+    cogging,
+    coulomb_friction,
+    dahl_friction,
+    dead_zone,
+    delayed_force,
+    mechanical_effects,
+    stribeck_friction,
+)
 from oed_sysid.effects.memory import fluid_memory
 from oed_sysid.effects.propulsion import (
     propeller_thrust,
@@ -73,8 +84,10 @@ from oed_sysid.effects.steering import (
     rudder_in_slipstream,
     rudder_neutral_angle,
     rudder_stall,
+    shallow_water,
     speed_loss_in_turn,
 )
+from oed_sysid.effects.table_files import table_from_csv
 from oed_sysid.effects.vocabulary import (
     diving_plane_effects,
     roll_effects,
@@ -119,6 +132,8 @@ __all__ = [
     "current_horizontal_plane",
     "wave_force",
     "wind_load",
+    "steady_wind",
+    "shallow_water",
     "propeller_thrust",
     "thrust_decay",
     "thrust_speed_loss",
@@ -148,6 +163,15 @@ __all__ = [
     "sensor_lag",
     "sensor_delay",
     "sensor_drift",
+    "coulomb_friction",
+    "stribeck_friction",
+    "dahl_friction",
+    "bouc_wen_hysteresis",
+    "cogging",
+    "dead_zone",
+    "delayed_force",
+    "table_from_csv",
+    "mechanical_effects",
     "diving_plane_effects",
     "surface_ship_effects",
     "roll_effects",

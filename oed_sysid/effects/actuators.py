@@ -3,12 +3,14 @@
 Every constructor takes the signal that it changes. Commands are held between
 samples, and the value handed on is the mean over the integration step; lag,
 delay and rate limit are exact in this sense, so that they are smooth functions
-of their parameter and exactly absent at zero.
+of their parameter and exactly absent at zero. Lag, delay and rate limit take one
+signal or several that share the parameter, such as the fins of one make.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from oed_sysid.effects.amplitudes import amplitude
 from oed_sysid.effects.base import Actuator, Memory
@@ -70,17 +72,31 @@ def stall(name: str, signal: str, *, scale: float = 2.0, value: float = 0.0) -> 
 
 
 def actuator_lag(
-    name: str, signal: str, *, scale: float = 0.25, value: float = 0.0, parameter: str | None = None
+    name: str,
+    signal: str | Sequence[str],
+    *,
+    scale: float = 0.25,
+    value: float = 0.0,
+    parameter: str | None = None,
 ) -> Actuator:
-    """First-order lag of time constant ``E``."""
+    """First-order lag of time constant ``E``, of one signal or of several alike.
+
+    >>> sorted(actuator_lag("lag", ("port", "starboard")).terms)
+    ['port', 'starboard']
+    """
     size = amplitude(name, "s", scale=scale, value=value, parameter=parameter, positive=True)
+    terms, memory = {}, []
+    for channel, actual in _remembered(signal):
+        behind = f"({actual} - {channel})"
+        terms[channel] = f"{channel} + {behind}*{size.name}/h*(1 - decay)"
+        memory.append(Memory(actual, f"{channel} + {behind}*decay", channel))
     return Actuator(
         name,
-        {signal: f"{signal} + (actual - {signal})*{size.name}/h*(1 - decay)"},
+        terms,
         (size,),
         definitions={"decay": f"exp(-h/({size.name} + {_GUARD}))"},
-        memory=(Memory("actual", f"{signal} + (actual - {signal})*decay", signal),),
-        description=f"{signal} follows its command with a first-order lag",
+        memory=tuple(memory),
+        description=f"{_listed(signal)} follows its command with a first-order lag",
         source=FRANKLIN,
         needs="steps or reversals, sampled faster than the lag",
     )
@@ -88,7 +104,7 @@ def actuator_lag(
 
 def actuator_delay(
     name: str,
-    signal: str,
+    signal: str | Sequence[str],
     *,
     max_delay: float = 1.0,
     step: float = 0.1,
@@ -100,20 +116,34 @@ def actuator_delay(
     See :func:`~oed_sysid.effects.registers.delay_register`.
     """
     size = amplitude(name, "s", scale=scale, value=value, positive=True, bound=max_delay)
-    late, memory = delay_register(signal, size.name, max_delay=max_delay, step=step)
+    terms: dict[str, str] = {}
+    memory: list[Memory] = []
+    channels = _channels(signal)
+    for channel in channels:
+        prefix = "past" if len(channels) == 1 else f"past_{channel}"
+        late, past = delay_register(
+            channel, size.name, max_delay=max_delay, step=step, prefix=prefix
+        )
+        terms[channel] = late
+        memory += past
     return Actuator(
         name,
-        {signal: late},
+        terms,
         (size,),
-        memory=memory,
-        description=f"{signal} follows its command after a dead time",
+        memory=tuple(memory),
+        description=f"{_listed(signal)} follows its command after a dead time",
         source=FRANKLIN,
         needs="steps or reversals, sampled faster than the delay",
     )
 
 
 def rate_limit(
-    name: str, signal: str, unit: str = "rad", *, scale: float = 3.0, value: float = 0.0
+    name: str,
+    signal: str | Sequence[str],
+    unit: str = "rad",
+    *,
+    scale: float = 3.0,
+    value: float = 0.0,
 ) -> Actuator:
     """Limited rate, by its slowness ``E = 1/rate`` so that zero means unlimited.
 
@@ -123,18 +153,44 @@ def rate_limit(
         name, f"s/{unit}", scale=scale, value=value, positive=True, description="1 / maximum rate"
     )
     reach = f"h/max({size.name}, {_GUARD})"
-    arrives = f"abs(way)*{size.name} <= h"
-    mean = f"where({arrives}, {signal} - way*abs(way)*{size.name}/(2*h), actual + toward*{reach}/2)"
+    terms: dict[str, str] = {}
+    definitions: dict[str, str] = {}
+    memory: list[Memory] = []
+    for channel, actual in _remembered(signal):
+        ending = actual.removeprefix("actual")
+        way, toward = f"way{ending}", f"toward{ending}"
+        arrives = f"abs({way})*{size.name} <= h"
+        definitions |= {way: f"{channel} - {actual}", toward: f"sign({way})"}
+        terms[channel] = (
+            f"where({arrives}, {channel} - {way}*abs({way})*{size.name}/(2*h), "
+            f"{actual} + {toward}*{reach}/2)"
+        )
+        after = f"where({arrives}, {channel}, {actual} + {toward}*{reach})"
+        memory.append(Memory(actual, after, channel))
     return Actuator(
         name,
-        {signal: mean},
+        terms,
         (size,),
-        definitions={"way": f"{signal} - actual", "toward": "sign(way)"},
-        memory=(Memory("actual", f"where({arrives}, {signal}, actual + toward*{reach})", signal),),
-        description=f"{signal} changes at no more than 1/{size.name} per second",
+        definitions=definitions,
+        memory=tuple(memory),
+        description=f"{_listed(signal)} changes at no more than 1/{size.name} per second",
         source=AMERONGEN,
         needs="steps of different size: the time to arrive grows with the step",
     )
+
+
+def _channels(signal: str | Sequence[str]) -> tuple[str, ...]:
+    return (signal,) if isinstance(signal, str) else tuple(signal)
+
+
+def _remembered(signal: str | Sequence[str]) -> list[tuple[str, str]]:
+    """Each signal with the name of its remembered actual value."""
+    channels = _channels(signal)
+    return [(c, "actual" if len(channels) == 1 else f"actual_{c}") for c in channels]
+
+
+def _listed(signal: str | Sequence[str]) -> str:
+    return " and ".join(_channels(signal))
 
 
 def maximum_rate(effect: Actuator) -> float:

@@ -6,15 +6,15 @@ command -> **actuator** -> **environment** (relative flow) -> **force** ->
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
-
-import numpy as np
+from functools import partial
+from typing import Any, ClassVar, Self
 
 from oed_sysid.channels import check_kinds, check_signal
 from oed_sysid.errors import ModelError
-from oed_sysid.language import expressions
+from oed_sysid.language import callables, expressions
+from oed_sysid.language.callables import Function, Table, argument_names
 from oed_sysid.parameters import Parameter, check_unique
 
 STAGES = ("actuator", "environment", "force", "inertia", "sensor")
@@ -90,6 +90,14 @@ class RandomProcess:
     known: bool = False
 
 
+_KINDS: Mapping[str, type] = {
+    "parameters": Parameter,
+    "states": ExtraState,
+    "memory": Memory,
+    "functions": Function,
+}
+
+
 @dataclass(frozen=True)
 class Effect:
     """Base of the five kinds of effect; never used directly.
@@ -105,11 +113,11 @@ class Effect:
     definitions : mapping
         Local names, evaluated in order before the terms.
     states : tuple of ExtraState
-        Continuous states the effect adds (force and environment stages).
+        Continuous states the effect adds (actuator, force and environment stages).
     memory : tuple of Memory
         Sampled memory (actuator and sensor stages).
     tables : mapping
-        ``name -> (abscissae, ordinates)``, callable in expressions.
+        ``name -> (x, y)`` or ``(x, y, values)``, callable in expressions.
     amplitudes : tuple of str or None
         Parameters that are all zero when the effect is absent; ``None`` means
         every parameter of the effect that is not fixed.
@@ -120,6 +128,8 @@ class Effect:
     noise : RandomProcess or None
         Level and time of what is random about the effect; see
         :mod:`oed_sysid.effects.random`.
+    functions : tuple of Function
+        Functions of CasADi symbols, callable in expressions.
     """
 
     name: str
@@ -128,12 +138,13 @@ class Effect:
     definitions: Mapping[str, str] = field(default_factory=dict)
     states: tuple[ExtraState, ...] = ()
     memory: tuple[Memory, ...] = ()
-    tables: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    tables: Mapping[str, Table] = field(default_factory=dict)
     amplitudes: tuple[str, ...] | None = None
     description: str = ""
     source: str = ""
     needs: str = ""
     noise: RandomProcess | None = None
+    functions: tuple[Function, ...] = ()
 
     stage: ClassVar[str] = ""
 
@@ -143,32 +154,113 @@ class Effect:
         where = f"Effect {self.name!r:.60}"
         if not isinstance(self.name, str) or not isinstance(self.terms, Mapping):
             raise ModelError(f"{where}: expected a name and a mapping of terms, {{'Z': 'E*w'}}.")
-        for what, kind in (("parameters", Parameter), ("states", ExtraState), ("memory", Memory)):
+        for what, kind in _KINDS.items():
             parts = getattr(self, what)
             if isinstance(parts, kind):
                 raise ModelError(f"{where}: {what} is one {kind.__name__}; write it as (...,).")
             object.__setattr__(self, what, tuple(parts))
             check_kinds(where, what, getattr(self, what), kind)
+        tables = {name: callables.check_table(name, t) for name, t in self.tables.items()}
+        object.__setattr__(self, "tables", tables)
         check_unique(self.parameters, owner=f"Effect {self.name!r}")
         if not self.terms and not self.states:
             raise ModelError(f"Effect {self.name!r} contributes nothing: give at least one term.")
-        if self.states and self.stage not in ("force", "environment"):
+        if self.states and self.stage not in ("actuator", "force", "environment"):
             raise ModelError(f"Effect {self.name!r}: a {self.stage} effect cannot add states.")
         if self.memory and self.stage not in ("actuator", "sensor"):
             raise ModelError(f"Effect {self.name!r}: a {self.stage} effect cannot keep memory.")
+        if self.memory and self.states:
+            raise ModelError(
+                f"Effect {self.name!r} has both sampled memory and continuous states. Keep one: an "
+                "effect with states works within the equations of motion."
+            )
         for name in self.amplitudes or ():
             if name not in {parameter.name for parameter in self.parameters}:
                 raise ModelError(
                     f"Effect {self.name!r} names the amplitude {name!r}, which is not one of its "
                     f"parameters: {', '.join(p.name for p in self.parameters)}."
                 )
-        for name, table in self.tables.items():
-            _check_table(f"{where}, table {name!r}", table)
-        texts = [*self.terms.values(), *self.definitions.values()]
-        texts += [text for state in self.states for text in (state.rate, state.initial)]
-        texts += [text for memory in self.memory for text in (memory.update, memory.initial)]
-        for text in texts:
-            expressions.check_calls(text, where=where, tables=self.tables)
+        counts = {name: callables.n_arguments(table) for name, table in tables.items()}
+        counts |= {one.name: callables.n_arguments(one) for one in self.functions}
+        for text in self._texts():
+            expressions.check_calls(text, where=where, tables=counts, complete=False)
+
+    @classmethod
+    def from_function(
+        cls,
+        name: str,
+        function: Callable[..., Any],
+        targets: str | Sequence[str],
+        *,
+        parameters: Sequence[Parameter] = (),
+        arguments: Sequence[str] = (),
+        amplitudes: Sequence[str] | None = None,
+        description: str = "",
+        source: str = "",
+        needs: str = "",
+    ) -> Self:
+        """Return the effect that a Python function of CasADi symbols describes.
+
+        Parameters
+        ----------
+        name : str
+            Name of the effect; the model prints it as ``name(arguments)``.
+        function : callable
+            Its arguments are named as states, signals and parameters of the model.
+            It returns one scalar, or one for each of several targets.
+        targets : str or sequence of str
+            What the results are added to (forces) or replace (other stages).
+        parameters, amplitudes, description, source, needs
+            As of any effect.
+        arguments : sequence of str, optional
+            Names of the arguments, where the function's own do not say them.
+
+        Examples
+        --------
+        >>> import casadi as ca
+        >>> E = Parameter("E_soft", 0.0, "N s^2/m^2", scale=1.0)
+        >>> drag = Force.from_function(
+        ...     "soft_drag", lambda u, E_soft: -E_soft * u * ca.sqrt(u**2 + 1e-4), "X",
+        ...     parameters=(E,),
+        ... )
+        >>> drag.terms
+        {'X': 'soft_drag(u, E_soft)'}
+        """
+        keys = (targets,) if isinstance(targets, str) else tuple(targets)
+        named = tuple(arguments) or argument_names(name, function)
+        functions = tuple(
+            Function(
+                name if len(keys) == 1 else f"{name}_{key}",
+                partial(_result, name, function, place, len(keys)),
+                named,
+            )
+            for place, key in enumerate(keys)
+        )
+        calls = [f"{part.name}({', '.join(named)})" for part in functions]
+        return cls(
+            name,
+            dict(zip(keys, calls, strict=True)),
+            tuple(parameters),
+            amplitudes=None if amplitudes is None else tuple(amplitudes),
+            description=description,
+            source=source,
+            needs=needs,
+            functions=functions,
+        )
+
+    def uses(self) -> frozenset[str]:
+        """Names that the effect refers to and does not define itself."""
+        own = {*self.definitions, *(m.name for m in self.memory), *(s.name for s in self.states)}
+        inside = [*self.terms.values(), *self.definitions.values()]
+        inside += [*(s.rate for s in self.states), *(m.update for m in self.memory)]
+        return frozenset(name for text in inside for name in expressions.names(text)) - own
+
+    def _texts(self) -> tuple[str, ...]:
+        return (
+            *(*self.terms.values(), *self.definitions.values()),
+            *(text for state in self.states for text in (state.rate, state.initial)),
+            *(text for memory in self.memory for text in (memory.update, memory.initial)),
+        )
 
     @property
     def amplitude_names(self) -> tuple[str, ...]:
@@ -207,27 +299,20 @@ class Effect:
             tuple(self.definitions.items()),
             tuple((s.name, s.rate, s.initial) for s in self.states),
             tuple((m.name, m.update, m.initial) for m in self.memory),
-            tuple(
-                (name, np.asarray(x, float).tobytes().hex(), np.asarray(y, float).tobytes().hex())
-                for name, (x, y) in self.tables.items()
-            ),
+            tuple((name, *callables.digest(table)) for name, table in self.tables.items()),
             tuple(p.name for p in self.parameters),
+            tuple((f.name, *callables.digest(f)) for f in self.functions),
         )
 
 
-def _check_table(where: str, table: Any) -> None:
-    """Refuse a table that is not two rows of numbers over increasing abscissae."""
-    try:
-        abscissae, ordinates = (np.asarray(one, dtype=float) for one in table)
-        good = abscissae.ndim == 1 and abscissae.shape == ordinates.shape and abscissae.size > 1
-        good = good and bool(np.all(np.isfinite(ordinates)) and np.all(np.diff(abscissae) > 0))
-    except (TypeError, ValueError):
-        good = False
-    if not good:
-        raise ModelError(
-            f"{where} is {table!r:.80}. Expected (abscissae, ordinates), two or more numbers each, "
-            "finite, abscissae increasing."
-        )
+def _result(name: str, function: Callable[..., Any], place: int, count: int, *x: Any) -> Any:
+    """One of the results of a function that serves several targets."""
+    results = function(*x)
+    if count == 1:
+        return results
+    if not isinstance(results, tuple | list) or len(results) != count:
+        raise ModelError(f"{name!r} returns {results!r}; expected a tuple of {count} results.")
+    return results[place]
 
 
 @dataclass(frozen=True)
@@ -239,6 +324,10 @@ class Actuator(Effect):
     memory, the time ``t`` and the step ``h``. The value is the mean over the
     integration step, so that lags, delays and rate limits are exact for held
     commands.
+
+    An effect that names states of the model, or adds states, acts within the
+    equations of motion instead, on what the sampled effects leave: a steering
+    engine that slows down under load, a thruster with inertia.
     """
 
     stage: ClassVar[str] = "actuator"

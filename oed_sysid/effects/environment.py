@@ -128,6 +128,54 @@ def wave_force(
     )
 
 
+def steady_wind(
+    name: str = "wind",
+    *,
+    axes: tuple[str, ...] = ("X", "Y", "N"),
+    heading: str = "psi",
+    force: float = 1.0,
+    arm: float = 1.0,
+) -> Force:
+    r"""Steady wind on a vehicle whose own speed is small against it, without coefficient tables.
+
+    .. math:: X = E_n\cos\psi + E_e\sin\psi, \quad Y = E_e\cos\psi - E_n\sin\psi, \quad
+              N = l\,Y
+
+    Two amplitudes are the force towards north and east; the third, its lever of ``Y``, is a
+    length that is zero when the wind pushes at the origin. Like a hull of equal
+    resistance from all sides: a first candidate, to be replaced by :func:`wind_load`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect.
+    axes : tuple of str
+        Which of ``X Y N`` the model has.
+    heading : str
+        State or signal of the heading.
+    force, arm : float
+        Typical force in N and lever in m.
+    """
+    north = amplitude(f"{name}_north", "N", scale=force)
+    east = amplitude(f"{name}_east", "N", scale=force)
+    lever = Parameter(f"arm_{name}", 0.0, "m", -3 * arm, 3 * arm, scale=arm, description="lever")
+    side = f"({east.name}*cos({heading}) - {north.name}*sin({heading}))"
+    terms = {
+        "X": f"{north.name}*cos({heading}) + {east.name}*sin({heading})",
+        "Y": side,
+        "N": f"{lever.name}*{side}",
+    }
+    return Force(
+        name,
+        {axis: terms[axis] for axis in axes},
+        (north, east, lever) if "N" in axes else (north, east),
+        amplitudes=(north.name, east.name),
+        description="force of a steady wind",
+        source=WIND,
+        needs="several headings to the wind (a turning circle)",
+    )
+
+
 def wind_load(
     name: str,
     coefficients: Mapping[str, tuple[Sequence[float], Sequence[float]]],

@@ -8,7 +8,7 @@ from oed_sysid.effects.base import Memory
 
 
 def delay_register(
-    signal: str, delay: str, *, max_delay: float, step: float
+    signal: str, delay: str, *, max_delay: float, step: float, prefix: str = "past"
 ) -> tuple[str, tuple[Memory, ...]]:
     """Delayed value of a sampled signal and the memory that it needs.
 
@@ -28,6 +28,8 @@ def delay_register(
         Longest delay, in s.
     step : float
         Shortest time between two samples, in s.
+    prefix : str
+        First part of the names of the past values.
 
     Returns
     -------
@@ -42,7 +44,7 @@ def delay_register(
     >>> value, memory[0].update
     ('where(E < h, 1 - E/h, 0)*d + where(E < 1*h, E/h, 1)*past_1', 'd')
     """
-    past = [f"past_{i}" for i in range(1, math.ceil(max_delay / step - 1e-9) + 1)]
+    past = [f"{prefix}_{i}" for i in range(1, math.ceil(max_delay / step - 1e-9) + 1)]
     pieces = [f"where({delay} < h, 1 - {delay}/h, 0)*{signal}"]
     for i, name in enumerate(past, start=1):
         rise = f"where({delay} < {i - 1}*h, 0, {delay}/h - {i - 1})" if i > 1 else f"{delay}/h"

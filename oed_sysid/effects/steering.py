@@ -11,6 +11,7 @@ from oed_sysid.effects.derivatives import ABKOWITZ, THROUGH_WATER, derivative, d
 
 NORRBIN = "Norrbin (1971), Theory and observations on the use of a mathematical model, SSPA 68."
 BECH = "Bech & Wagner Smith (1969), Analogue simulation of ship manoeuvres, HyA report Hy-14."
+VANTORRE = "Vantorre et al. (2017), Manoeuvring in shallow and confined water, Encyclopedia."
 MMG = "Yasukawa & Yoshimura (2015), Introduction of MMG standard method, J. Mar. Sci. Tech. 20."
 
 
@@ -65,6 +66,30 @@ def nonlinear_yaw_damping(
         description="turning rate is no linear function of the rudder angle",
         source=f"{NORRBIN} {BECH}",
         needs="a spiral test, or turns with small and large rudder angles to both sides",
+    )
+
+
+def shallow_water(
+    name: str = "shallow_water",
+    *,
+    terms: Mapping[str, str],
+    scale: float = 0.3,
+    value: float = 0.0,
+) -> Force:
+    r"""Hull forces that grow in proportion where the water is shallow, :math:`E\,\tau_{hull}`.
+
+    ``terms`` holds the hull forces of the believed model, for instance
+    ``{"Y": "Y_uv*u_r*v_r", "N": "N_ur*u_r*r"}``. Added masses grow as well: see
+    :func:`~oed_sysid.effects.inertia.added_mass_factor`. One depth per data set.
+    """
+    size = amplitude(name, "1", scale=scale, value=value, bound=3.0)
+    return Force(
+        name,
+        {axis: f"{size.name}*({text})" for axis, text in terms.items()},
+        (size,),
+        description="hull forces changed in proportion, by the depth of the water",
+        source=VANTORRE,
+        needs="turns at several speeds in one depth of water",
     )
 
 

@@ -126,6 +126,7 @@ def surface_ship_effects(
         coupling("sway_yaw_coupling", "Y", "r", scale=prime("Y_ur", 1e-3)),
         coupling("yaw_sway_coupling", "N", "v_r", scale=prime("N_uv", 5e-4)),
         drag.linear_damping("surge_linear_drag", "X", "u_r", scale=prime("X_u", 2e-4)),
+        drag.deflection_drag("surge_rudder_drag", "delta", scale=prime("X_uudeltadelta", 1e-3)),
         steer.rudder_stall("sway_rudder_stall", "Y", scale=prime("Y_uudeltadeltadelta", 2e-3)),
         steer.rudder_stall("yaw_rudder_stall", "N", scale=prime("N_uudeltadeltadelta", 1e-3)),
         steer.rudder_in_slipstream("yaw_slipstream", "N", thrust=thrust, scale=0.15 * length),
@@ -140,6 +141,7 @@ def surface_ship_effects(
             "yaw_added_inertia_error", "N", "r", scale=spin, bound=3 * spin
         ),
         environment.current_horizontal_plane(scale=0.05 * speed),
+        environment.steady_wind(force=prime("X_absuu", 1e-4) * speed**2, arm=0.1 * length),
         environment.wave_force(
             "wave_yaw_moment", "N", "N m", frequency=0.6, scale=prime("N_rr", 1e-4) * yaw_rate**2
         ),

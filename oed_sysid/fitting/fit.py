@@ -20,7 +20,7 @@ from oed_sysid.fitting.judgement import Concern, judge
 from oed_sysid.fitting.prediction import Initial, Prediction, predict
 from oed_sysid.fitting.saved import check_fit, decode_result, made_by, write_result
 from oed_sysid.information import Information, Whiteness, whiteness
-from oed_sysid.model import Model
+from oed_sysid.model import Function, Model
 from oed_sysid.noise.disturbances import places
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.parameters import Parameter
@@ -488,7 +488,7 @@ def align(rows: Sequence[Sequence[str]]) -> list[str]:
 
 # Everything that a saved fit is made of.
 ARCHIVED: tuple[type, ...] = (
-    *(Fit, Status, Information, NoiseModel, Model, Parameter, Dataset, Record, Channels),
+    *(Fit, Status, Information, NoiseModel, Model, Function, Parameter, Dataset, Record, Channels),
     *(State, Input, Output, Actuator, Environment, Force, Inertia, Sensor, ExtraState, Memory),
     RandomProcess,
 )

@@ -17,7 +17,7 @@ from oed_sysid.language.units import Dimension
 
 _GUARD = 1e-6
 LARGEST_POWER = 100
-_SAME = ("abs", "min", "max", "where")
+_SAME = ("abs", "floor", "min", "max", "clip", "where")
 _RATIO = ("atan2",)
 
 
@@ -67,7 +67,11 @@ class _Walk:
             case ast.Constant():
                 return None if abs(node.value) <= _GUARD else Dimension()  # type: ignore[arg-type]
             case ast.Name():
-                return self.dimensions.get(node.id)
+                return Dimension() if node.id == "pi" else self.dimensions.get(node.id)
+            case ast.BoolOp():
+                for value in node.values:
+                    self.of(value)
+                return Dimension()
             case ast.UnaryOp():
                 return self.of(node.operand)
             case ast.BinOp():

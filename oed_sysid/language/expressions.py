@@ -7,15 +7,23 @@ dimensions. Text makes a model printable, comparable, storable and safe to
 load, and lets a user write physics without knowing CasADi.
 
 Functions: ``sin cos tan asin acos atan atan2 sinh cosh tanh sqrt exp log abs
-sign min max where`` and the tables that an effect declares.
+sign floor min max clip where``, and the tables and functions that a model or an
+effect declares. ``a if c else b`` is ``where(c, a, b)``; conditions are comparisons
+joined by ``and``, ``or`` and ``not``; ``pi`` is a number. What a sensor sees may
+also name ``dot(state)``, the rate of a state, and ``force("Y")`` or
+``force("Y", "effect")``, the sum of all forces on an axis or that of one effect.
+
+Kinks and jumps are allowed, their smoothness is the author's concern: gradients are
+exact on either side, and zero where only a condition depends on a parameter.
 """
 
 from __future__ import annotations
 
 import ast
 import difflib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -23,178 +31,17 @@ import numpy as np
 
 from oed_sysid.errors import ModelError
 from oed_sysid.language import typeset
-
-_CASADI: dict[str, Callable[..., Any]] = {
-    "sin": ca.sin,
-    "cos": ca.cos,
-    "tan": ca.tan,
-    "asin": ca.asin,
-    "acos": ca.acos,
-    "atan": ca.atan,
-    "atan2": ca.atan2,
-    "sinh": ca.sinh,
-    "cosh": ca.cosh,
-    "tanh": ca.tanh,
-    "sqrt": ca.sqrt,
-    "exp": ca.exp,
-    "log": ca.log,
-    "abs": ca.fabs,
-    "sign": ca.sign,
-    "min": ca.fmin,
-    "max": ca.fmax,
-    "where": ca.if_else,
-}
-_NUMPY: dict[str, Callable[..., Any]] = {
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "atan2": np.arctan2,
-    "sinh": np.sinh,
-    "cosh": np.cosh,
-    "tanh": np.tanh,
-    "sqrt": np.sqrt,
-    "exp": np.exp,
-    "log": np.log,
-    "abs": np.abs,
-    "sign": np.sign,
-    "min": np.minimum,
-    "max": np.maximum,
-    "where": np.where,
-}
-FUNCTIONS = tuple(_CASADI)
-_ARGUMENT_COUNT = {"atan2": 2, "min": 2, "max": 2, "where": 3}
-
-
-# Beyond these a text is not what a person wrote, and would exhaust the stack.
-MOST_CHARACTERS, DEEPEST = 20_000, 150
-_INSTEAD = {
-    ast.BitXor: "Write ** for a power.",
-    ast.Mod: "Write where(...) or a sine for what repeats.",
-    ast.FloorDiv: "Write / for a quotient.",
-    ast.MatMult: "Write * for a product.",
-}
-
-
-def parse(expression: str) -> ast.expr:
-    """Parse one expression.
-
-    Parameters
-    ----------
-    expression : str
-        Python arithmetic over names and the functions of this module.
-
-    Returns
-    -------
-    ast.expr
-        The syntax tree.
-
-    Raises
-    ------
-    ModelError
-        If the text is not an expression of the allowed kind.
-    """
-    if not isinstance(expression, str):
-        raise ModelError(
-            f"An expression is text, but this is a {type(expression).__name__}: "
-            f"{expression!r:.60}. Put it in quotation marks."
-        )
-    return _parse(expression)
-
-
-@lru_cache(maxsize=4096)
-def _parse(expression: str) -> ast.expr:
-    shown = f"Expression {expression!r:.200}"
-    if len(expression) > MOST_CHARACTERS:
-        raise ModelError(
-            f"{shown} has {len(expression)} characters, more than {MOST_CHARACTERS}. Name parts of "
-            "it in definitions or signals."
-        )
-    try:
-        tree = ast.parse(expression.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ModelError(
-            f"{shown} cannot be read ({getattr(error, 'msg', error)}). "
-            "Write ordinary arithmetic, for instance 'Z_absww*w*abs(w)'."
-        ) from None
-    level, depth = [tree], 0
-    while level:
-        depth += 1
-        level = [child for node in level for child in ast.iter_child_nodes(node)]  # type: ignore[misc]
-    if depth > DEEPEST:
-        raise ModelError(
-            f"{shown} is nested {depth} deep, more than {DEEPEST}. Name parts of it in definitions "
-            "or signals."
-        )
-    for node in ast.walk(tree):
-        if not isinstance(
-            node,
-            ast.BinOp
-            | ast.UnaryOp
-            | ast.Call
-            | ast.Name
-            | ast.Constant
-            | ast.Compare
-            | ast.operator
-            | ast.unaryop
-            | ast.cmpop
-            | ast.expr_context,
-        ):
-            raise ModelError(
-                f"Expression {expression!r} uses {type(node).__name__}, which is not arithmetic. "
-                f"Use + - * / **, comparisons and the functions {', '.join(FUNCTIONS)}."
-            )
-        if isinstance(node, ast.Call) and (not isinstance(node.func, ast.Name) or node.keywords):
-            raise ModelError(f"Expression {expression!r} calls something that is not a function.")
-        if isinstance(node, ast.Constant) and type(node.value) not in (int, float):
-            raise ModelError(f"Expression {expression!r} holds {node.value!r}: expected numbers.")
-        _check_operator(node, shown)
-    _constant(tree, shown)
-    return tree
-
-
-def _check_operator(node: ast.AST, shown: str) -> None:
-    """Refuse operators that look like arithmetic and are none here."""
-    if isinstance(node, ast.BinOp) and type(node.op) not in _BINARY:
-        raise ModelError(
-            f"{shown} uses the operator {type(node.op).__name__}, which is no arithmetic of "
-            f"numbers. {_INSTEAD.get(type(node.op), 'Use + - * / and **.')}"
-        )
-    if isinstance(node, ast.UnaryOp) and not isinstance(node.op, ast.USub | ast.UAdd):
-        raise ModelError(f"{shown} uses {type(node.op).__name__}. Use + - * / and **.")
-    if isinstance(node, ast.Compare) and (len(node.ops) != 1 or type(node.ops[0]) not in _COMPARE):
-        raise ModelError(
-            f"{shown}: write one comparison at a time, with <, <=, > or >=, for instance "
-            "(a < b)*(b < c)."
-        )
-
-
-def _constant(node: ast.AST, shown: str) -> float | None:
-    """Value of a part without names; refused where it is no finite real number."""
-    parts = [
-        _constant(child, shown)
-        for child in ast.iter_child_nodes(node)
-        if isinstance(child, ast.expr) and child is not getattr(node, "func", None)
-    ]
-    if isinstance(node, ast.Name) or any(part is None for part in parts):
-        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div) and parts[1] == 0.0:
-            raise ModelError(f"{shown} divides by zero.")
-        return None
-    if isinstance(node, ast.Call) and node.func.id not in FUNCTIONS:  # type: ignore[attr-defined]
-        return None
-    try:
-        with np.errstate(all="ignore"):
-            value = _walk(node, {}, _NUMPY)  # type: ignore[arg-type]
-        number = complex(value)
-    except (ArithmeticError, TypeError, ValueError):  # the number of arguments is checked later
-        number = complex("nan") if not isinstance(node, ast.Call) else 0j
-    if number.imag or not np.isfinite(number.real):
-        raise ModelError(
-            f"{shown} contains {ast.unparse(node):.60}, which is no finite real number."
-        )
-    return number.real
+from oed_sysid.language.callables import numeric_library, symbolic_library
+from oed_sysid.language.grammar import (
+    ARGUMENT_COUNT,
+    CONSTANTS,
+    FUNCTIONS,
+    MANY,
+    NUMERIC,
+    SYMBOLIC,
+    parse,
+    walk,
+)
 
 
 def names(expression: str) -> frozenset[str]:
@@ -212,7 +59,9 @@ def _names(expression: str) -> frozenset[str]:
     tree = parse(expression)
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     return frozenset(
-        node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called
+        node.id
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Name) and id(node) not in called and node.id not in CONSTANTS
     )
 
 
@@ -232,10 +81,21 @@ def _calls(expression: str) -> tuple[tuple[str, int], ...]:
     )
 
 
-def check(expression: str, known: Iterable[str], *, where: str, tables: Iterable[str] = ()) -> None:
-    """Raise :class:`ModelError` if an expression uses an unknown name or function."""
+def check(
+    expression: str,
+    known: Iterable[str],
+    *,
+    where: str,
+    tables: Mapping[str, int] = MappingProxyType({}),
+) -> None:
+    """Raise :class:`ModelError` if an expression uses an unknown name or function.
+
+    ``tables`` gives the number of arguments of each declared table and function.
+    """
     known = set(known)
     for name in sorted(names(expression) - known):
+        if name.startswith(("dot(", "force(")):
+            _refuse_rate(expression, name, known, where)
         near = difflib.get_close_matches(name, sorted(known), n=3)
         hint = f" Did you mean {' or '.join(near)}?" if near else ""
         raise ModelError(
@@ -245,70 +105,47 @@ def check(expression: str, known: Iterable[str], *, where: str, tables: Iterable
     check_calls(expression, where=where, tables=tables)
 
 
-def check_calls(expression: str, *, where: str, tables: Iterable[str] = ()) -> None:
-    """Raise :class:`ModelError` if an expression calls what is no function, or wrongly."""
-    for name in sorted(functions(expression) - set(FUNCTIONS) - set(tables)):
+def check_calls(
+    expression: str,
+    *,
+    where: str,
+    tables: Mapping[str, int] = MappingProxyType({}),
+    complete: bool = True,
+) -> None:
+    """Raise :class:`ModelError` if an expression calls what is no function, or wrongly.
+
+    ``complete=False``: a function that is not known yet may be one that the model declares.
+    """
+    calls = [call for call in _calls(expression) if complete or call[0] in {*FUNCTIONS, *tables}]
+    for name in sorted({name for name, _ in calls} - set(FUNCTIONS) - set(tables)):
         raise ModelError(
             f"{where}: expression {expression!r} calls the unknown function {name!r}. "
             f"Known functions: {', '.join(FUNCTIONS)}."
         )
-    for name, count in _calls(expression):
-        expected = _ARGUMENT_COUNT.get(name, 1)
-        if count != expected:
+    for name, count in calls:
+        expected = tables[name] if name in tables else ARGUMENT_COUNT.get(name, 1)
+        if count != expected and not (name in MANY and count > expected):
             raise ModelError(
                 f"{where}: {name} in {expression!r} got {count} arguments, expected {expected}."
             )
 
 
-_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
-    ast.Add: lambda a, b: a + b,
-    ast.Sub: lambda a, b: a - b,
-    ast.Mult: lambda a, b: a * b,
-    ast.Div: lambda a, b: a / b,
-    ast.Pow: lambda a, b: a**b,
-}
-_COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
-    ast.Lt: lambda a, b: a < b,
-    ast.LtE: lambda a, b: a <= b,
-    ast.Gt: lambda a, b: a > b,
-    ast.GtE: lambda a, b: a >= b,
-}
-
-
-def _walk(node: ast.expr, scope: Mapping[str, Any], library: Mapping[str, Callable]) -> Any:
-    match node:
-        case ast.Constant():
-            return float(node.value)  # type: ignore[arg-type]
-        case ast.Name():
-            return scope[node.id]
-        case ast.UnaryOp():
-            value = _walk(node.operand, scope, library)
-            return -value if isinstance(node.op, ast.USub) else value
-        case ast.BinOp():
-            if isinstance(node.op, ast.Pow) and isinstance(node.right, ast.Constant):
-                base, power = _walk(node.left, scope, library), node.right.value
-                # Products have simpler derivatives than a general power.
-                return base * base if power == 2 else base**power
-            operator = _BINARY.get(type(node.op))
-            if operator is None:
-                raise ModelError(f"Operator {type(node.op).__name__} is not known in expressions.")
-            return operator(_walk(node.left, scope, library), _walk(node.right, scope, library))
-        case ast.Compare():
-            if len(node.ops) != 1 or type(node.ops[0]) not in _COMPARE:
-                raise ModelError("Write one comparison at a time, with <, <=, > or >=.")
-            return _COMPARE[type(node.ops[0])](
-                _walk(node.left, scope, library), _walk(node.comparators[0], scope, library)
-            )
-        case ast.Call():
-            function = library[node.func.id]  # type: ignore[attr-defined]
-            return function(*(_walk(argument, scope, library) for argument in node.args))
-    raise ModelError(f"Expression node {type(node).__name__} is not known.")
+def _refuse_rate(expression: str, name: str, known: set[str], where: str) -> None:
+    """Say why a rate or a force is not known here."""
+    there = sorted(other for other in known if other.startswith(name.partition("(")[0] + "("))
+    if not there:
+        raise ModelError(
+            f"{where}: expression {expression!r} uses {name}, which only outputs and sensor "
+            "effects can see: there it would need its own result. Write the force out instead."
+        )
+    raise ModelError(
+        f"{where}: expression {expression!r} uses {name}, which does not exist. "
+        f"Known here: {', '.join(there)}."
+    )
 
 
 def to_casadi(
-    expression: str,
-    scope: Mapping[str, ca.SX],
-    tables: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+    expression: str, scope: Mapping[str, ca.SX], tables: Mapping[str, Any] | None = None
 ) -> ca.SX:
     """Evaluate an expression on CasADi symbols.
 
@@ -319,40 +156,24 @@ def to_casadi(
     scope : mapping
         Symbols by name.
     tables : mapping, optional
-        ``name -> (abscissae (n,), ordinates (n,))``, linear between points and
-        extrapolated with the end slopes.
+        Tables and functions by name, see :mod:`oed_sysid.language.callables`.
     """
-    library = dict(_CASADI)
-    for name, (abscissae, ordinates) in (tables or {}).items():
-        library[name] = lambda x, a=abscissae, o=ordinates: ca.pw_lin(
-            x, ca.DM(np.asarray(a, float)), ca.DM(np.asarray(o, float))
-        )
-    return ca.SX(_walk(parse(expression), scope, library))
-
-
-def _interpolate(x: Any, abscissae: np.ndarray, ordinates: np.ndarray) -> Any:
-    """Linear between points, with the end slopes beyond, as in the compiled model."""
-    a, o = np.asarray(abscissae, float), np.asarray(ordinates, float)
-    i = np.clip(np.searchsorted(a, x, side="right") - 1, 0, len(a) - 2)
-    return o[i] + (x - a[i]) * (o[i + 1] - o[i]) / (a[i + 1] - a[i])
+    library = SYMBOLIC | symbolic_library(tables) if tables else SYMBOLIC
+    return ca.SX(walk(parse(expression), scope, library))
 
 
 def to_numpy(
-    expression: str,
-    scope: Mapping[str, Any],
-    tables: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+    expression: str, scope: Mapping[str, Any], tables: Mapping[str, Any] | None = None
 ) -> np.ndarray:
     """Evaluate an expression on numbers or arrays.
 
-    >>> float(to_numpy("2*w*abs(w)", {"w": -3.0}))
+    >>> float(to_numpy("2*w*abs(w) if w < 0 and w > -pi else 0", {"w": -3.0}))
     -18.0
     """
-    library = dict(_NUMPY)
-    for name, (abscissae, ordinates) in (tables or {}).items():
-        library[name] = lambda x, a=abscissae, o=ordinates: _interpolate(x, a, o)
+    library = NUMERIC | numeric_library(tables) if tables else NUMERIC
     # As arrays, so that a division by zero gives infinity and no exception.
     numbers = {name: np.asarray(value) for name, value in scope.items()}
-    return np.asarray(_walk(parse(expression), numbers, library))
+    return np.asarray(walk(parse(expression), numbers, library))
 
 
 def to_text(expression: str) -> str:

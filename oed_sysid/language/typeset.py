@@ -72,6 +72,11 @@ class Printer(ABC):
         """Write any expression."""
         if isinstance(node, ast.Compare):
             return self.comparison(node)
+        if isinstance(node, ast.BoolOp):
+            word = self.word("and" if isinstance(node.op, ast.And) else "or")
+            return word.join(self.condition(value) for value in node.values)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            return f"{self.word('not').lstrip()}{self.condition(node.operand)}"
         text = ""
         for product in terms(node):
             if text:
@@ -80,6 +85,11 @@ class Printer(ABC):
                 text = "-"
             text += self.product(product)
         return text
+
+    def condition(self, node: ast.expr) -> str:
+        """Write a condition so that it can stand beside ``and``, ``or`` and ``not``."""
+        text = self.sum(node)
+        return self.parentheses(text) if isinstance(node, ast.BoolOp) else text
 
     def factor(self, node: ast.expr) -> str:
         """Write an expression so that it can stand in a product."""
@@ -106,6 +116,10 @@ class Printer(ABC):
     @abstractmethod
     def comparison(self, node: ast.Compare) -> str:
         """Write a condition."""
+
+    @abstractmethod
+    def word(self, word: str) -> str:
+        """Write ``and``, ``or`` or ``not`` with the space around it."""
 
     @abstractmethod
     def number(self, value: float) -> str:
@@ -156,6 +170,10 @@ class TextPrinter(Printer):
         """Write ``a ≤ b``."""
         symbol = _COMPARE_TEXT[type(node.ops[0])]
         return f"{self.sum(node.left)} {symbol} {self.sum(node.comparators[0])}"
+
+    def word(self, word: str) -> str:
+        """`` and ``."""
+        return f" {word} "
 
     def number(self, value: float) -> str:
         """Six significant digits."""
@@ -210,6 +228,10 @@ class LatexPrinter(Printer):
         symbol = _COMPARE_LATEX[type(node.ops[0])]
         return f"{self.sum(node.left)} {symbol} {self.sum(node.comparators[0])}"
 
+    def word(self, word: str) -> str:
+        r"""``\land``, ``\lor`` or ``\lnot``."""
+        return {"and": r" \land ", "or": r" \lor ", "not": r" \lnot "}[word]
+
     def number(self, value: float) -> str:
         """Six significant digits, powers of ten written out."""
         mantissa, _, exponent = f"{value:g}".partition("e")
@@ -220,6 +242,15 @@ class LatexPrinter(Printer):
 
     def name(self, name: str) -> str:
         """Symbol of a parameter or signal, as the notation has it."""
+        if name == "pi":
+            return r"\pi"
+        kind, _, inside = name.removesuffix(")").partition("(")
+        if inside and kind == "dot":
+            return rf"\dot{{{notation.latex(inside)}}}"
+        if inside:
+            axis, _, effect = inside.partition(", ")
+            spelled = effect.replace("_", r"\_")
+            return rf"{axis}_{{\mathrm{{{spelled}}}}}" if effect else rf"\Sigma {axis}"
         return notation.latex(name)
 
     def call(self, function: str, arguments: list[ast.expr]) -> str:
@@ -227,6 +258,8 @@ class LatexPrinter(Printer):
         inner = [self.sum(argument) for argument in arguments]
         if function == "abs":
             return rf"\left|{inner[0]}\right|"
+        if function == "floor":
+            return rf"\left\lfloor {inner[0]} \right\rfloor"
         if function == "sqrt":
             return rf"\sqrt{{{inner[0]}}}"
         if function == "where":

@@ -11,6 +11,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.manoeuvres import checks
 from oed_sysid.manoeuvres.base import OpenLoop, Waveform
 from oed_sysid.manoeuvres.checks import FloatArray
+from oed_sysid.manoeuvres.waveforms import about, centre
 
 # Feedback taps of maximum-length shift registers, one set of each order:
 # P. Alfke, Efficient Shift Registers, LFSR Counters, and Long Pseudo-Random
@@ -89,6 +90,9 @@ class PRBS(OpenLoop):
         period the sequence begins. Draw it from a generator for a random one.
     start : float
         Time of the first bit [s]; zero before.
+    neutral : float
+        Command about which it swings, held before and after: 0, or for instance the
+        revolutions of cruise.
 
     References
     ----------
@@ -109,6 +113,7 @@ class PRBS(OpenLoop):
     order: int = 7
     seed: int = 1
     start: float = 0.0
+    neutral: float = 0.0
 
     def _validate(self) -> None:
         owner = self._owner
@@ -125,6 +130,7 @@ class PRBS(OpenLoop):
             order=int(self.order),
             seed=int(self.seed),
             start=checks.finite(owner, "start", self.start),
+            neutral=checks.finite(owner, "neutral", self.neutral),
         )
 
     @property
@@ -146,11 +152,11 @@ class PRBS(OpenLoop):
             bits = np.floor((times - self.start) / self.bit_time + 1e-9).astype(int)
             return np.where(bits < 0, 0.0, levels[bits % len(levels)])
 
-        return play
+        return about(self.neutral, play)
 
     def describe(self) -> str:
         """Return one line in words."""
         return (
             f"PRBS of {self.input}: +-{self.amplitude:.4g}, {2**self.order - 1} bits of "
-            f"{self.bit_time:g} s, from {self.start:g} s"
+            f"{self.bit_time:g} s, from {self.start:g} s{centre(self.neutral)}"
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from oed_sysid.manoeuvres import checks
 from oed_sysid.manoeuvres.base import OpenLoop, Waveform
-from oed_sysid.manoeuvres.waveforms import staircase
+from oed_sysid.manoeuvres.waveforms import about, centre, staircase
 
 _OTHER_SIDE = "Use first=-1 to begin to the other side."
 
@@ -34,6 +34,9 @@ class Doublet(OpenLoop):
         Time of the first pulse [s].
     first : int
         Side of the first pulse, +1 or -1.
+    neutral : float
+        Command about which it swings, held before and after: 0, or for instance the
+        revolutions of cruise.
 
     Examples
     --------
@@ -47,12 +50,14 @@ class Doublet(OpenLoop):
     pulse_time: float
     start: float = 0.0
     first: int = 1
+    neutral: float = 0.0
 
     def _validate(self) -> None:
         self._set(
             amplitude=checks.positive(self._owner, "amplitude", self.amplitude, _OTHER_SIDE),
             pulse_time=checks.positive(self._owner, "pulse_time", self.pulse_time),
             start=checks.finite(self._owner, "start", self.start),
+            neutral=checks.finite(self._owner, "neutral", self.neutral),
             first=checks.side(self._owner, "first", self.first),
         )
 
@@ -63,14 +68,17 @@ class Doublet(OpenLoop):
 
     def waveform(self) -> Waveform:
         """Return the function of time."""
-        return _pulses(self.start, self.first * self.amplitude, self.pulse_time, (1, 1))
+        return about(
+            self.neutral,
+            _pulses(self.start, self.first * self.amplitude, self.pulse_time, (1, 1)),
+        )
 
     def describe(self) -> str:
         """Return one line in words."""
         height = self.first * self.amplitude
         return (
             f"doublet of {self.input}: {height:+.4g} then {-height:+.4g}, "
-            f"{self.pulse_time:g} s each, from {self.start:g} s"
+            f"{self.pulse_time:g} s each, from {self.start:g} s{centre(self.neutral)}"
         )
 
 
@@ -90,6 +98,9 @@ class ThreeTwoOneOne(OpenLoop):
         Time of the first pulse [s].
     first : int
         Side of the first pulse, +1 or -1.
+    neutral : float
+        Command about which it swings, held before and after: 0, or for instance the
+        revolutions of cruise.
 
     References
     ----------
@@ -108,12 +119,14 @@ class ThreeTwoOneOne(OpenLoop):
     unit_time: float
     start: float = 0.0
     first: int = 1
+    neutral: float = 0.0
 
     def _validate(self) -> None:
         self._set(
             amplitude=checks.positive(self._owner, "amplitude", self.amplitude, _OTHER_SIDE),
             unit_time=checks.positive(self._owner, "unit_time", self.unit_time),
             start=checks.finite(self._owner, "start", self.start),
+            neutral=checks.finite(self._owner, "neutral", self.neutral),
             first=checks.side(self._owner, "first", self.first),
         )
 
@@ -124,13 +137,16 @@ class ThreeTwoOneOne(OpenLoop):
 
     def waveform(self) -> Waveform:
         """Return the function of time."""
-        return _pulses(self.start, self.first * self.amplitude, self.unit_time, (3, 2, 1, 1))
+        return about(
+            self.neutral,
+            _pulses(self.start, self.first * self.amplitude, self.unit_time, (3, 2, 1, 1)),
+        )
 
     def describe(self) -> str:
         """Return one line in words."""
         return (
             f"3-2-1-1 of {self.input}: {self.first * self.amplitude:+.4g} first, unit "
-            f"{self.unit_time:g} s, from {self.start:g} s"
+            f"{self.unit_time:g} s, from {self.start:g} s{centre(self.neutral)}"
         )
 
 

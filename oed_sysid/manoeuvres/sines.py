@@ -13,7 +13,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.manoeuvres import checks
 from oed_sysid.manoeuvres.base import OpenLoop, Waveform
 from oed_sysid.manoeuvres.checks import FloatArray, Numbers
-from oed_sysid.manoeuvres.waveforms import within
+from oed_sysid.manoeuvres.waveforms import about, centre, within
 
 _OVERSAMPLING = 64  # grid points in the shortest cycle of a multisine
 _MOST_HARMONICS = 20_000  # beyond, a multisine counts as not periodic
@@ -42,6 +42,9 @@ class Multisine(OpenLoop):
         a common period are scaled by the sum of their amplitudes.
     start : float
         Time at which it begins [s]; zero before.
+    neutral : float
+        Command about which it swings, held before and after: 0, or for instance the
+        revolutions of cruise.
 
     References
     ----------
@@ -64,6 +67,7 @@ class Multisine(OpenLoop):
     phases: Numbers | None = None
     peak: float | None = None
     start: float = 0.0
+    neutral: float = 0.0
 
     def _validate(self) -> None:
         owner = self._owner
@@ -89,6 +93,7 @@ class Multisine(OpenLoop):
             amplitudes=sizes,
             phases=angles,
             start=checks.finite(owner, "start", self.start),
+            neutral=checks.finite(owner, "neutral", self.neutral),
         )
         if self.peak is not None:
             factor = checks.positive(owner, "peak", self.peak) / self.largest
@@ -129,14 +134,14 @@ class Multisine(OpenLoop):
 
     def waveform(self) -> Waveform:
         """Return the function of time."""
-        return within(self.start, math.inf, self._sum)
+        return about(self.neutral, within(self.start, math.inf, self._sum))
 
     def describe(self) -> str:
         """Return one line in words."""
         return (
             f"multisine of {self.input}: {len(self.frequencies)} lines from "
             f"{self.frequencies[0]:.4g} to {self.frequencies[-1]:.4g} Hz, at most "
-            f"{self.largest:.4g}, from {self.start:g} s"
+            f"{self.largest:.4g}, from {self.start:g} s{centre(self.neutral)}"
         )
 
     def _sum(self, elapsed: FloatArray) -> FloatArray:
@@ -180,6 +185,9 @@ class Chirp(OpenLoop):
         Equal time for equal differences, or for equal ratios of frequency.
     start : float
         Time at which it begins [s].
+    neutral : float
+        Command about which it swings, held before and after: 0, or for instance the
+        revolutions of cruise.
 
     Examples
     --------
@@ -196,6 +204,7 @@ class Chirp(OpenLoop):
     sweep_time: float
     law: str = "linear"
     start: float = 0.0
+    neutral: float = 0.0
 
     def _validate(self) -> None:
         owner = self._owner
@@ -206,6 +215,7 @@ class Chirp(OpenLoop):
             sweep_time=checks.positive(owner, "sweep_time", self.sweep_time),
             law=checks.choice(owner, "law", self.law, ("linear", "log")),
             start=checks.finite(owner, "start", self.start),
+            neutral=checks.finite(owner, "neutral", self.neutral),
         )
 
     @property
@@ -215,14 +225,15 @@ class Chirp(OpenLoop):
 
     def waveform(self) -> Waveform:
         """Return the function of time."""
-        return within(self.start, self.start + self.sweep_time, self._sweep)
+        swing = within(self.start, self.start + self.sweep_time, self._sweep)
+        return about(self.neutral, swing)
 
     def describe(self) -> str:
         """Return one line in words."""
         return (
             f"{self.law} chirp of {self.input}: +-{self.amplitude:.4g}, "
             f"{self.first_frequency:g} to {self.last_frequency:g} Hz in {self.sweep_time:g} s, "
-            f"from {self.start:g} s"
+            f"from {self.start:g} s{centre(self.neutral)}"
         )
 
     def _sweep(self, elapsed: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from oed_sysid.manoeuvres import checks
 from oed_sysid.manoeuvres.base import Controller, OpenLoop, Stepwise, Waveform
 from oed_sysid.manoeuvres.checks import Numbers
-from oed_sysid.manoeuvres.waveforms import interval, staircase
+from oed_sysid.manoeuvres.waveforms import about, interval, staircase
 from oed_sysid.manoeuvres.zigzag import measured_signal
 
 
@@ -35,6 +35,8 @@ class Spiral(OpenLoop):
         Time of the first angle [s].
     rate : float or None
         Largest slope of the command [rad/s]; None lets it jump.
+    neutral : float
+        Command about which it moves, held before: 0, or the trim of the command.
     """
 
     kind: ClassVar[str] = "spiral"
@@ -43,6 +45,7 @@ class Spiral(OpenLoop):
     hold: float
     start: float = 0.0
     rate: float | None = None
+    neutral: float = 0.0
 
     @classmethod
     def direct(
@@ -89,6 +92,7 @@ class Spiral(OpenLoop):
             angles=checks.numbers(self._owner, "angles", self.angles),
             hold=checks.positive(self._owner, "hold", self.hold),
             start=checks.finite(self._owner, "start", self.start),
+            neutral=checks.finite(self._owner, "neutral", self.neutral),
             rate=checks.slope(self._owner, self.rate),
         )
 
@@ -99,7 +103,8 @@ class Spiral(OpenLoop):
 
     def waveform(self) -> Waveform:
         """Return the function of time; the last angle is kept."""
-        return staircase(_legs(self.start, self.hold, self.angles), self.angles, rate=self.rate)
+        legs = _legs(self.start, self.hold, self.angles)
+        return about(self.neutral, staircase(legs, self.angles, rate=self.rate))
 
     def describe(self) -> str:
         """Return one line in words."""
@@ -138,6 +143,8 @@ class ReverseSpiral(Stepwise):
         +1 if a positive command lets the feedback grow, -1 if it falls.
     start : float
         Time of the first rate [s].
+    neutral : float
+        Command about which it moves, held before: 0, or the trim of the command.
     """
 
     kind: ClassVar[str] = "reverse_spiral"
@@ -150,6 +157,7 @@ class ReverseSpiral(Stepwise):
     feedback: Sequence[str] = ("r",)
     sign: int = 1
     start: float = 0.0
+    neutral: float = 0.0
 
     def _validate(self) -> None:
         owner = self._owner
@@ -162,6 +170,7 @@ class ReverseSpiral(Stepwise):
             feedback=checks.feedback(owner, self.feedback),
             sign=checks.side(owner, "sign", self.sign),
             start=checks.finite(owner, "start", self.start),
+            neutral=checks.finite(owner, "neutral", self.neutral),
         )
 
     @property
@@ -189,13 +198,13 @@ class _RateSteering(Controller):
         self._edges = np.array(_legs(settings.start, settings.hold, settings.rates))
         self._integral = 0.0
         self._time: float | None = None
-        self._command = 0.0
+        self._command = settings.neutral
 
     def command(self, time: float, signals: Mapping[str, float]) -> float:
         settings = self._settings
         leg = int(interval(np.array([time]), self._edges)[0]) - 1
         if leg < 0:
-            return 0.0
+            return settings.neutral
         measured = measured_signal(settings.input, settings.feedback[0], signals)
         elapsed = 0.0 if self._time is None else time - self._time
         self._time = time
@@ -205,7 +214,8 @@ class _RateSteering(Controller):
         integral = self._integral + error * elapsed / settings.reset_time
         # An integral beyond the limit could not be undone in time (windup).
         self._integral = _bounded(integral, settings.limit)
-        self._command = _bounded(error + self._integral, settings.limit)
+        swing = _bounded(error + self._integral, settings.limit)
+        self._command = settings.neutral + swing
         return self._command
 
 

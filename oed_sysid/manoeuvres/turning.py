@@ -10,7 +10,7 @@ import numpy as np
 
 from oed_sysid.manoeuvres import checks
 from oed_sysid.manoeuvres.base import OpenLoop, Waveform
-from oed_sysid.manoeuvres.waveforms import staircase
+from oed_sysid.manoeuvres.waveforms import about, staircase
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,8 @@ class TurningCircle(OpenLoop):
         Time of the execute [s].
     rate : float or None
         Largest slope of the command [rad/s]; None lets it jump.
+    neutral : float
+        Command about which it moves, held before: 0, or the trim of the command.
 
     References
     ----------
@@ -68,6 +70,7 @@ class TurningCircle(OpenLoop):
     _: KW_ONLY
     start: float = 0.0
     rate: float | None = None
+    neutral: float = 0.0
 
     def _validate(self) -> None:
         self._set(
@@ -75,6 +78,7 @@ class TurningCircle(OpenLoop):
                 self._owner, "amplitude", self.amplitude, "Its sign is the side."
             ),
             start=checks.finite(self._owner, "start", self.start),
+            neutral=checks.finite(self._owner, "neutral", self.neutral),
             rate=checks.slope(self._owner, self.rate),
         )
 
@@ -85,7 +89,8 @@ class TurningCircle(OpenLoop):
 
     def waveform(self) -> Waveform:
         """Return the function of time."""
-        return staircase([self.start], [self.amplitude], rate=self.rate)
+        swing = staircase([self.start], [self.amplitude], rate=self.rate)
+        return about(self.neutral, swing)
 
     def describe(self) -> str:
         """Return one line in words."""
@@ -112,6 +117,8 @@ class PullOut(OpenLoop):
         Time of the execute [s].
     rate : float or None
         Largest slope of the command [rad/s]; None lets it jump.
+    neutral : float
+        Command about which it moves, held before: 0, or the trim of the command.
     """
 
     kind: ClassVar[str] = "pull_out"
@@ -120,6 +127,7 @@ class PullOut(OpenLoop):
     turn_duration: float
     start: float = 0.0
     rate: float | None = None
+    neutral: float = 0.0
 
     def _validate(self) -> None:
         self._set(
@@ -128,6 +136,7 @@ class PullOut(OpenLoop):
             ),
             turn_duration=checks.positive(self._owner, "turn_duration", self.turn_duration),
             start=checks.finite(self._owner, "start", self.start),
+            neutral=checks.finite(self._owner, "neutral", self.neutral),
             rate=checks.slope(self._owner, self.rate),
         )
 
@@ -139,7 +148,8 @@ class PullOut(OpenLoop):
     def waveform(self) -> Waveform:
         """Return the function of time."""
         release = self.start + self.turn_duration
-        return staircase([self.start, release], [self.amplitude, 0.0], rate=self.rate)
+        swing = staircase([self.start, release], [self.amplitude, 0.0], rate=self.rate)
+        return about(self.neutral, swing)
 
     def describe(self) -> str:
         """Return one line in words."""

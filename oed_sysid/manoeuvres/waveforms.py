@@ -63,6 +63,16 @@ def staircase(
     return lambda moments: np.interp(moments, corner_times, corner_values)
 
 
+def about(neutral: float, swing: Waveform) -> Waveform:
+    """Return a waveform about a neutral command instead of about zero."""
+    return swing if neutral == 0.0 else lambda moments: neutral + swing(moments)
+
+
+def centre(neutral: float) -> str:
+    """Return words for a neutral command that is not zero."""
+    return f", about {neutral:g}" if neutral else ""
+
+
 def within(start: float, end: float, inside: Waveform) -> Waveform:
     """Return ``inside`` of the time since ``start``, and zero outside start to end [s]."""
 

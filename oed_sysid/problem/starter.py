@@ -1,9 +1,14 @@
-"""A folder to begin with: a small problem that works, to be changed into the user's own."""
+"""A folder to begin with: a small problem that works, to be changed into the user's own.
+
+Each template is a ``problem.py`` as text; example data is simulated from the truth that it
+states. From a log, the template is written anew: see :mod:`oed_sysid.problem.from_log`.
+"""
 
 from __future__ import annotations
 
 import re
 import tempfile
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
@@ -15,13 +20,56 @@ from oed_sysid.data.dataset import write_csv
 from oed_sysid.errors import FileError, ProblemError
 from oed_sysid.files import write_text
 from oed_sysid.problem.catalogue import FILE, load_problem
+from oed_sysid.problem.from_log import write_from_log
 from oed_sysid.simulate import simulate
 
 # Example data is the same wherever it is made.
 _SEED = 20240229
 
 
-def new_problem(folder: str | Path) -> Path:
+# What each template is, the columns of its data, the run to judge by and what is hidden.
+TEMPLATES: dict[str, dict[str, str]] = {
+    "generic": {},
+    "ship": {
+        "what": "A ship in surge, sway and yaw, with rudder and propeller",
+        "columns": "rudder [deg], thrust [kN], psi [deg], r [deg/s]",
+        "test": "circle",
+        "hidden": "surge_rudder_drag",
+    },
+    "auv": {
+        "what": "An underwater vehicle in six degrees of freedom",
+        "columns": "ds [deg], dr [deg], T [N], theta [deg], q [deg/s]",
+        "test": "wide",
+        "hidden": "fin_lag",
+    },
+    "usv": {
+        "what": "A catamaran that steers by its two propellers",
+        "columns": "n_port [rpm], n_starboard [rpm], psi [deg], r [deg/s]",
+        "test": "turns",
+        "hidden": "propeller_lag",
+    },
+    "torpedo": {
+        "what": "A torpedo-shaped vehicle in the diving plane",
+        "columns": "stern [deg], thrust [N], theta [deg], q [deg/s]",
+        "test": "zigzag_15",
+        "hidden": "fin_lag",
+    },
+    "sailboat": {
+        "what": "A sailing drone that surges, sways, rolls and yaws in measured wind",
+        "columns": "rudder [deg], wind [m/s], angle [deg], phi [deg], psi [deg]",
+        "test": "broad",
+        "hidden": "rudder_lag",
+    },
+}
+
+
+def new_problem(
+    folder: str | Path,
+    *,
+    template: str = "generic",
+    log: str | Path | None = None,
+    inputs: Sequence[str] = (),
+) -> Path:
     """Write a starter folder: ``problem.py``, ``README.md`` and example data.
 
     Parameters
@@ -29,6 +77,14 @@ def new_problem(folder: str | Path) -> Path:
     folder : str or Path
         Where to; its last part becomes the problem's name. It must not exist,
         or be empty.
+    template : str
+        What kind of vehicle: ``generic`` (a heading that answers to a rudder), ``ship``,
+        ``auv``, ``usv``, ``torpedo`` or ``sailboat``.
+    log : str or Path, optional
+        A CSV file with units in its headers: channels, units and a first linear model are
+        taken from it, and it is copied to the folder; no template is used.
+    inputs : sequence of str
+        With a log, columns that are commands; by default those whose names say so.
 
     Returns
     -------
@@ -38,7 +94,9 @@ def new_problem(folder: str | Path) -> Path:
     Raises
     ------
     ProblemError
-        If the folder is in use or cannot be written.
+        If the folder is in use or cannot be written, or the template is not known.
+    DataError
+        If the log cannot be read.
 
     Examples
     --------
@@ -57,29 +115,41 @@ def new_problem(folder: str | Path) -> Path:
             f"{place} exists already and is not an empty folder. Give a new name, or load it with "
             "oed_sysid.load_problem."
         )
+    if template not in TEMPLATES:
+        raise ProblemError(f"No template is called {template!r}. Choose {', '.join(TEMPLATES)}.")
     words = {"name": name, "title": name.replace("_", " ").capitalize(), "folder": place.as_posix()}
     is_new = not place.exists()
     try:
         place.mkdir(parents=True, exist_ok=True)
         # Made inside, hidden, and moved when all of it is there.
         with tempfile.TemporaryDirectory(dir=place, prefix=".") as made:
-            _fill(Path(made), words)
+            if log is not None:
+                write_from_log(Path(made), Path(log), tuple(inputs), words)
+            else:
+                _write_template(Path(made), template, words)
             for entry in sorted(Path(made).iterdir()):
                 entry.rename(place / entry.name)
-    except (OSError, FileError) as error:
+    except BaseException as error:
         if is_new:
             with suppress(OSError):
                 place.rmdir()
-        raise ProblemError(f"{place} cannot be written: {error}") from None
+        if isinstance(error, OSError | FileError):
+            raise ProblemError(f"{place} cannot be written: {error}") from None
+        raise
     return place
 
 
-def _fill(place: Path, words: dict[str, str]) -> None:
-    """Write the files of a starter folder."""
-    for source, target in (("problem.txt", FILE), ("readme.txt", "README.md")):
-        text = files("oed_sysid.problem").joinpath("starter_files", source).read_text("utf-8")
-        write_text(place / target, Template(text).substitute(words))
+def _write_template(place: Path, template: str, words: dict[str, str]) -> None:
+    """Write the files of a template, and example data simulated from its truth."""
+    kind = TEMPLATES[template]
+    folder = files("oed_sysid.problem").joinpath("starter_files")
+    code = Template(folder.joinpath(f"{template}.txt").read_text("utf-8")).substitute(words)
+    write_text(place / FILE, code)
     problem = load_problem(place / FILE)
+    runs = [run for run in problem.experiments if run != kind.get("test")]
+    words = words | kind | {"train": " ".join(f"{words['folder']}/data/{r}.csv" for r in runs)}
+    page = folder.joinpath("readme.txt" if kind else "generic_readme.txt").read_text("utf-8")
+    write_text(place / "README.md", Template(page).substitute(words))
     rng = np.random.default_rng(_SEED)
     true = problem.true_model()
     for experiment in problem.experiments.values():

@@ -15,11 +15,11 @@ import numpy as np
 from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.effects import Effect
 from oed_sysid.errors import ModelError
-from oed_sysid.language import expressions
-from oed_sysid.model_parts import settle_parts
-from oed_sysid.parameters import Parameter, check_unique
-
-RESERVED = ("t", "h")
+from oed_sysid.language import callables, expressions
+from oed_sysid.language.callables import Function, Table
+from oed_sysid.model.parts import settle_parts
+from oed_sysid.model.validation import validate
+from oed_sysid.parameters import Parameter
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,10 @@ class Model:
         ``"explicit"``, the classical Runge-Kutta method of order four; or, for stiff
         models, ``"implicit"``: L-stable, of order three (:mod:`oed_sysid.compiled.graph`).
         A motion much faster than the step, such as that of a quick actuator, needs it.
+    tables : mapping
+        ``name -> (x, y)`` or ``(x, y, values)``, callable in every text.
+    functions : tuple of Function
+        Functions of CasADi symbols, callable in every text.
 
     Examples
     --------
@@ -96,10 +100,12 @@ class Model:
     parameters: tuple[Parameter, ...] = ()
     step: float = 0.1
     integrator: str = "explicit"
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    functions: tuple[Function, ...] = ()
 
     def __post_init__(self) -> None:
         settle_parts(self)
-        _validate(self)
+        validate(self)
 
     # -- what the model is made of -------------------------------------------------
 
@@ -132,6 +138,16 @@ class Model:
     def actuator_signals(self) -> dict[str, str]:
         """Ideal actuator signals; the inputs themselves unless stated otherwise."""
         return dict(self.actuators) or {name: name for name in self.input_names}
+
+    @property
+    def library(self) -> dict[str, Table | Function]:
+        """Tables and functions that the texts of the model and its effects may call."""
+        found: dict[str, Table | Function] = {}
+        owners: tuple[Model | Effect, ...] = (self, *self.effects)
+        for owner in owners:
+            found |= owner.tables
+            found |= {function.name: function for function in owner.functions}
+        return found
 
     @property
     def all_parameters(self) -> tuple[Parameter, ...]:
@@ -310,100 +326,7 @@ class Model:
             self.parameter_names,
             self.free_names,
             *(() if self.integrator == "explicit" else (self.integrator,)),
+            tuple((name, *callables.digest(t)) for name, t in sorted(self.tables.items())),
+            tuple((f.name, *callables.digest(f)) for f in self.functions),
         )
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
-
-
-def _validate(model: Model) -> None:
-    """Check names, references and completeness of a model."""
-    check_unique(model.all_parameters, owner=f"Model {model.name!r}")
-    if not model.states or not model.outputs:
-        raise ModelError(f"Model {model.name!r} needs at least one state and one output.")
-    if not model.step > 0:
-        raise ModelError(f"Model {model.name!r} has step {model.step}. Give seconds above zero.")
-    if model.integrator not in ("explicit", "implicit"):
-        raise ModelError(
-            f"Model {model.name!r} has integrator {model.integrator!r}. Choose explicit, or "
-            "implicit for a stiff model."
-        )
-    states = list(model.state_names)
-    driven = [*model.kinematics, *model.axes.values()]
-    for name in states:
-        if driven.count(name) != 1:
-            raise ModelError(
-                f"State {name!r} of model {model.name!r} has {driven.count(name)} equations, "
-                "expected one: name it in kinematics or as the velocity of one axis."
-            )
-    for name in driven:
-        if name not in states:
-            raise ModelError(f"Model {model.name!r} has an equation for unknown state {name!r}.")
-    for axis, state in model.inertia:
-        if axis not in model.axes or state not in model.axes.values():
-            raise ModelError(
-                f"Inertia entry ({axis!r}, {state!r}) of model {model.name!r} does not belong to "
-                f"the axes {dict(model.axes)}."
-            )
-    parameters = set(model.parameter_names)
-    base = [*states, *model.input_names, *parameters]
-    for name in {n for n in base if base.count(n) > 1}:
-        raise ModelError(f"Model {model.name!r} uses the name {name!r} for two things.")
-    for name in RESERVED:
-        if name in base:
-            raise ModelError(f"The name {name!r} is reserved (t: time, h: step). Rename it.")
-    extra = [state.name for effect in model.effects for state in effect.states]
-    commands = {*model.input_names, *parameters, *RESERVED}
-    where = f"Model {model.name!r}"
-    for signal, text in model.actuator_signals.items():
-        expressions.check(text, commands, where=f"{where}, actuator {signal!r}")
-    known = {*states, *extra, *model.actuator_signals, *parameters, *RESERVED}
-    tables = {name for effect in model.effects for name in effect.tables}
-    for signal, text in model.signals.items():
-        expressions.check(text, known, where=f"{where}, signal {signal!r}", tables=tables)
-        known.add(signal)
-    for state, text in model.kinematics.items():
-        expressions.check(text, known, where=f"{where}, rate of {state!r}", tables=tables)
-    for key, text in model.inertia.items():
-        expressions.check(text, known, where=f"{where}, inertia {key}")
-    for output in model.outputs:
-        sensor = f"{where}, output {output.name!r}"
-        expressions.check(output.source, known, where=sensor, tables=tables)
-    for effect in model.effects:
-        _validate_effect(model, effect, known, commands, tables)
-
-
-def _validate_effect(
-    model: Model, effect: Effect, known: set[str], commands: set[str], tables: set[str]
-) -> None:
-    """Check one effect of a model: its targets exist and its names resolve."""
-    where = f"Effect {effect.name!r} in model {model.name!r}"
-    targets: dict[str, set] = {
-        "actuator": set(model.actuator_signals),
-        "environment": set(model.signals),
-        "force": {*model.axes, *model.kinematics},
-        "inertia": {(axis, state) for axis in model.axes for state in model.axes.values()},
-        "sensor": set(model.output_names),
-    }
-    for key in effect.terms:
-        if key not in targets[effect.stage]:
-            raise ModelError(
-                f"{where} acts on {key!r}, which no {effect.stage} effect can change here. "
-                f"Choose among: {', '.join(sorted(map(str, targets[effect.stage])))}."
-            )
-    scope = set(known)
-    if effect.stage == "actuator":
-        scope = {*commands, *model.actuator_signals}
-    if effect.stage == "sensor":
-        scope |= set(model.output_names)
-    scope |= {memory.name for memory in effect.memory}
-    scope |= {state.name for state in effect.states}
-    for name, text in effect.definitions.items():
-        expressions.check(text, scope, where=where, tables=tables)
-        scope.add(name)
-    for text in effect.terms.values():
-        expressions.check(text, scope, where=where, tables=tables)
-    for memory in effect.memory:
-        expressions.check(memory.update, scope, where=where, tables=tables)
-    for state in effect.states:
-        expressions.check(state.rate, scope, where=where, tables=tables)
-        start = {*model.state_names, *commands, *model.actuator_signals}
-        expressions.check(state.initial, start, where=where)

@@ -9,7 +9,8 @@ from typing import Any
 from oed_sysid.channels import Input, Output, State, check_kinds
 from oed_sysid.effects import Effect
 from oed_sysid.errors import ModelError
-from oed_sysid.language import expressions
+from oed_sysid.language import callables, expressions
+from oed_sysid.language.callables import Function
 from oed_sysid.parameters import Parameter
 
 _TUPLES: Mapping[str, type] = {
@@ -18,8 +19,9 @@ _TUPLES: Mapping[str, type] = {
     "outputs": Output,
     "effects": Effect,
     "parameters": Parameter,
+    "functions": Function,
 }
-_MAPPINGS = ("kinematics", "axes", "inertia", "actuators", "signals")
+_MAPPINGS = ("kinematics", "axes", "inertia", "actuators", "signals", "tables")
 
 
 def settle_parts(model: Any) -> None:
@@ -56,6 +58,8 @@ def settle_parts(model: Any) -> None:
                 "{'psi': 'r'}."
             )
         object.__setattr__(model, what, dict(value))
+    tables = {name: callables.check_table(name, table) for name, table in model.tables.items()}
+    object.__setattr__(model, "tables", tables)
     for key in model.inertia:
         if not (isinstance(key, tuple) and len(key) == 2):
             raise ModelError(f"{owner}: inertia has the key {key!r:.60}, expected ('Z', 'w').")

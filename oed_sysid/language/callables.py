@@ -1,0 +1,318 @@
+"""What a text can call by name: tables of one or two arguments, and the user's own functions.
+
+A table is a plain tuple, ``(x (n,), y (n,))`` or ``(x (n,), y (m,), values (n, m))``,
+linear (bilinear) between its points and continued with the slope of its end pieces.
+A :class:`Function` is built from a Python function of CasADi symbols, which is called
+once; what is kept is the list of its elementary operations. That list can be printed,
+compared, stored and read back without executing anybody's code.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from oed_sysid.errors import ModelError
+
+Table = tuple[np.ndarray, ...]
+
+# Elementary operations that a function may consist of: the word stored, its meaning.
+_OPERATIONS: dict[str, tuple[int, Callable[..., Any]]] = {
+    "copy": (ca.OP_ASSIGN, lambda a: a),
+    "add": (ca.OP_ADD, lambda a, b: a + b),
+    "sub": (ca.OP_SUB, lambda a, b: a - b),
+    "mul": (ca.OP_MUL, lambda a, b: a * b),
+    "div": (ca.OP_DIV, lambda a, b: a / b),
+    "neg": (ca.OP_NEG, lambda a: -a),
+    "exp": (ca.OP_EXP, ca.exp),
+    "log": (ca.OP_LOG, ca.log),
+    "pow": (ca.OP_POW, ca.power),
+    "constpow": (ca.OP_CONSTPOW, ca.constpow),
+    "sqrt": (ca.OP_SQRT, ca.sqrt),
+    "sq": (ca.OP_SQ, lambda a: a * a),
+    "twice": (ca.OP_TWICE, lambda a: 2 * a),
+    "inv": (ca.OP_INV, lambda a: 1 / a),
+    "sin": (ca.OP_SIN, ca.sin),
+    "cos": (ca.OP_COS, ca.cos),
+    "tan": (ca.OP_TAN, ca.tan),
+    "asin": (ca.OP_ASIN, ca.asin),
+    "acos": (ca.OP_ACOS, ca.acos),
+    "atan": (ca.OP_ATAN, ca.atan),
+    "atan2": (ca.OP_ATAN2, ca.atan2),
+    "sinh": (ca.OP_SINH, ca.sinh),
+    "cosh": (ca.OP_COSH, ca.cosh),
+    "tanh": (ca.OP_TANH, ca.tanh),
+    "asinh": (ca.OP_ASINH, ca.asinh),
+    "acosh": (ca.OP_ACOSH, ca.acosh),
+    "atanh": (ca.OP_ATANH, ca.atanh),
+    "erf": (ca.OP_ERF, ca.erf),
+    "abs": (ca.OP_FABS, ca.fabs),
+    "sign": (ca.OP_SIGN, ca.sign),
+    "floor": (ca.OP_FLOOR, ca.floor),
+    "ceil": (ca.OP_CEIL, ca.ceil),
+    "fmod": (ca.OP_FMOD, ca.fmod),
+    "copysign": (ca.OP_COPYSIGN, ca.copysign),
+    "remainder": (ca.OP_REMAINDER, ca.remainder),
+    "hypot": (ca.OP_HYPOT, ca.hypot),
+    "log1p": (ca.OP_LOG1P, ca.log1p),
+    "expm1": (ca.OP_EXPM1, ca.expm1),
+    "fmin": (ca.OP_FMIN, ca.fmin),
+    "fmax": (ca.OP_FMAX, ca.fmax),
+    "lt": (ca.OP_LT, lambda a, b: a < b),
+    "le": (ca.OP_LE, lambda a, b: a <= b),
+    "eq": (ca.OP_EQ, lambda a, b: a == b),
+    "ne": (ca.OP_NE, lambda a, b: a != b),
+    "not": (ca.OP_NOT, ca.logic_not),
+    "and": (ca.OP_AND, ca.logic_and),
+    "or": (ca.OP_OR, ca.logic_or),
+    "if": (ca.OP_IF_ELSE_ZERO, lambda c, a: ca.if_else(c, a, 0)),
+}
+_WORDS = {code: word for word, (code, _) in _OPERATIONS.items()}
+
+
+@dataclass(frozen=True)
+class Function:
+    """The user's own function of CasADi symbols, callable in texts by its name.
+
+    Smoothness is the user's concern: gradients are exact derivatives of what is
+    written, so a kink or a jump gives a one-sided or a zero derivative there.
+
+    Parameters
+    ----------
+    name : str
+        Name in texts.
+    definition : callable or str
+        Python function of scalar CasADi symbols that returns one scalar (a CasADi
+        ``Function`` will do), called once at construction; or the operations that
+        another instance has stored.
+    arguments : tuple of str, optional
+        Names of the arguments; by default those of the Python function.
+
+    Raises
+    ------
+    ModelError
+        If the function cannot be called with symbols, or its result is not one scalar.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> thrust = Function("thrust", lambda n, u: n * ca.fabs(n) - 0.1 * ca.fabs(n) * u)
+    >>> thrust.arguments, float(thrust.evaluate(2.0, 1.0))
+    (('n', 'u'), 3.8)
+    >>> Function("thrust", thrust.definition, thrust.arguments) == thrust
+    True
+    """
+
+    name: str
+    definition: str | Callable[..., Any]
+    arguments: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.name, str) and self.name.isidentifier()):
+            raise ModelError(f"Function name {self.name!r} is no identifier.")
+        if isinstance(self.definition, str):
+            object.__setattr__(self, "arguments", tuple(self.arguments))
+            _rebuilt(self.definition, len(self.arguments))
+            return
+        arguments = tuple(self.arguments) or argument_names(self.name, self.definition)
+        symbols = [ca.SX.sym(argument) for argument in arguments]
+        try:
+            result = ca.SX(self.definition(*symbols))
+        except Exception as error:
+            raise ModelError(
+                f"Function {self.name!r} cannot be called with CasADi symbols: "
+                f"{type(error).__name__}: {error}. Use arithmetic and casadi functions "
+                "(casadi.sin, casadi.if_else ...) instead of numpy, math, if and for loops "
+                "that depend on values."
+            ) from None
+        if result.shape != (1, 1):
+            raise ModelError(
+                f"Function {self.name!r} returns a result of shape {result.shape}; expected one "
+                "scalar. Write one function for each result."
+            )
+        object.__setattr__(self, "definition", _recorded(self.name, symbols, result))
+        object.__setattr__(self, "arguments", arguments)
+
+    def symbolic(self, *values: ca.SX) -> ca.SX:
+        """Return the function of CasADi symbols."""
+        return _rebuilt(str(self.definition), len(self.arguments))(*values)
+
+    def evaluate(self, *values: Any) -> np.ndarray:
+        """Return the function of numbers or arrays that NumPy can broadcast."""
+        arrays = np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in values))
+        rows = [ca.DM(array.reshape(1, -1)) for array in arrays]
+        result = _rebuilt(str(self.definition), len(self.arguments))(*rows)
+        return np.asarray(result, dtype=float).reshape(arrays[0].shape)
+
+
+def argument_names(name: str, definition: Callable[..., Any]) -> tuple[str, ...]:
+    """Names of the arguments of a Python or CasADi function."""
+    if isinstance(definition, ca.Function):
+        return tuple(definition.name_in())
+    try:
+        parameters = inspect.signature(definition).parameters.values()
+    except (TypeError, ValueError):
+        parameters = ()  # type: ignore[assignment]
+    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    found = tuple(p.name for p in parameters if p.kind in kinds and p.default is p.empty)
+    if not found:
+        raise ModelError(
+            f"Function {name!r} does not say its arguments. Give them: "
+            "Function(name, definition, arguments=('u', 'v'))."
+        )
+    return found
+
+
+def _recorded(name: str, symbols: list[ca.SX], result: ca.SX) -> str:
+    """Operations of an expression, one after the other, as text."""
+    graph = ca.Function("f", symbols, [ca.densify(result)], {"cse": True})
+    steps = []
+    for k in range(graph.n_instructions()):
+        code, inputs = graph.instruction_id(k), graph.instruction_input(k)
+        outputs = graph.instruction_output(k)
+        if code == ca.OP_CONST:
+            steps.append(f"{outputs[0]}=const {graph.instruction_constant(k)!r}")
+        elif code == ca.OP_INPUT:
+            steps.append(f"{outputs[0]}=input {inputs[0]}")
+        elif code == ca.OP_OUTPUT:
+            steps.append(f"result {inputs[0]}")
+        elif code in _WORDS:
+            steps.append(f"{outputs[0]}={_WORDS[code]} {' '.join(map(str, inputs))}")
+        else:
+            raise ModelError(
+                f"Function {name!r} uses CasADi's operation {code}, which a model cannot store. "
+                "Use elementary functions (no interpolants, integrators or external functions)."
+            )
+    return "; ".join(steps)
+
+
+@lru_cache(maxsize=256)
+def _rebuilt(text: str, n_arguments: int) -> ca.Function:
+    """CasADi function of recorded operations."""
+    symbols = [ca.SX.sym(f"a{i}") for i in range(n_arguments)]
+    work: dict[str, ca.SX] = {}
+    result = None
+    try:
+        for step in text.split("; "):
+            if step.startswith("result "):
+                result = work[step.split()[1]]
+                continue
+            target, _, operation = step.partition("=")
+            word, *operands = operation.split()
+            if word == "const":
+                work[target] = ca.SX(float(operands[0]))
+            elif word == "input":
+                work[target] = symbols[int(operands[0])]
+            else:
+                work[target] = ca.SX(_OPERATIONS[word][1](*(work[i] for i in operands)))
+    except (KeyError, IndexError, ValueError, TypeError):
+        result = None
+    if result is None:
+        raise ModelError(f"{text[:40]!r} is not a function that Function has stored.")
+    return ca.Function("f", symbols, [result])
+
+
+def check_table(name: str, table: Table) -> Table:
+    """Return a table as arrays, or raise :class:`ModelError` if it is not one."""
+    try:
+        arrays = tuple(np.asarray(part, dtype=float) for part in table)
+    except (TypeError, ValueError):
+        raise ModelError(
+            f"Table {name!r} is {table!r:.80}; expected rows of numbers, (x, y) or (x, y, values)."
+        ) from None
+    if len(arrays) not in (2, 3):
+        raise ModelError(
+            f"Table {name!r} has {len(arrays)} parts; expected (x, y), or (x, y, values) with "
+            "values of shape (len(x), len(y))."
+        )
+    *grids, values = arrays
+    for place, grid in zip(("first", "second"), grids, strict=False):
+        if grid.ndim != 1 or len(grid) < 2:
+            raise ModelError(
+                f"Table {name!r}: its {place} argument has shape {grid.shape}; expected at least "
+                "two values in one row."
+            )
+        if not np.all(np.isfinite(grid)) or np.any(np.diff(grid) <= 0):
+            raise ModelError(
+                f"Table {name!r}: its {place} argument does not increase strictly. Sort the rows "
+                "and remove repetitions."
+            )
+    expected = tuple(len(grid) for grid in grids)
+    if values.shape != expected:
+        raise ModelError(
+            f"Table {name!r} has values of shape {values.shape}; expected {expected}, one for "
+            "each point of its grid."
+        )
+    if not np.all(np.isfinite(values)):
+        raise ModelError(f"Table {name!r} has a value that is not finite. Fill the gap.")
+    return arrays
+
+
+def n_arguments(entry: Table | Function) -> int:
+    """Number of arguments of a table or a function."""
+    return len(entry.arguments) if isinstance(entry, Function) else len(entry) - 1
+
+
+def digest(entry: Table | Function) -> tuple[str, ...]:
+    """Everything that shapes the code of a table or a function."""
+    if isinstance(entry, Function):
+        return (str(entry.definition), *entry.arguments)
+    return tuple(np.asarray(part, float).tobytes().hex() for part in entry)
+
+
+def symbolic_library(entries: Mapping[str, Any]) -> dict[str, Callable[..., ca.SX]]:
+    """Tables and functions as functions of CasADi symbols."""
+    return {
+        name: entry.symbolic
+        if isinstance(entry, Function)
+        else lambda *x, table=entry: _symbolic_table(table, *x)
+        for name, entry in entries.items()
+    }
+
+
+def numeric_library(entries: Mapping[str, Any]) -> dict[str, Callable[..., np.ndarray]]:
+    """Tables and functions as functions of numbers or arrays."""
+    return {
+        name: entry.evaluate
+        if isinstance(entry, Function)
+        else lambda *x, table=entry: interpolate(table, *x)
+        for name, entry in entries.items()
+    }
+
+
+def _symbolic_table(table: Table, *x: ca.SX) -> ca.SX:
+    first = ca.DM(np.asarray(table[0], float))
+    if len(table) == 2:
+        return ca.pw_lin(x[0], first, ca.DM(np.asarray(table[1], float)))
+    second = ca.DM(np.asarray(table[1], float))
+    # Along the second argument in every row, then along the first between the rows.
+    rows = [ca.pw_lin(x[1], second, ca.DM(row)) for row in np.asarray(table[2], float)]
+    return ca.pw_lin(x[0], ca.SX(first), ca.vertcat(*rows))
+
+
+def interpolate(table: Table, *x: Any) -> Any:
+    """Linear or bilinear between points, with the end slopes beyond.
+
+    >>> float(interpolate(([0.0, 1.0], [0.0, 2.0], [[0.0, 2.0], [1.0, 5.0]]), 0.5, 1.0))
+    2.0
+    """
+    grid, values = np.asarray(table[0], float), np.asarray(table[-1], float)
+    i, s = _place(grid, x[0])
+    if len(table) == 2:
+        return values[i] + s * (values[i + 1] - values[i])
+    j, r = _place(np.asarray(table[1], float), x[1])
+    low = values[i, j] + r * (values[i, j + 1] - values[i, j])
+    high = values[i + 1, j] + r * (values[i + 1, j + 1] - values[i + 1, j])
+    return low + s * (high - low)
+
+
+def _place(grid: np.ndarray, x: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Piece of the grid that a value lies in, and where in the piece."""
+    i = np.clip(np.searchsorted(grid, x, side="right") - 1, 0, len(grid) - 2)
+    return i, (x - grid[i]) / (grid[i + 1] - grid[i])

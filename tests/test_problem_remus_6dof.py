@@ -1,0 +1,134 @@
+"""REMUS in six degrees of freedom: the thesis's tables, its instability, the hidden effects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from oed_sysid import MultipleShooting, improve, load_problem
+from oed_sysid.language import expressions
+from oed_sysid.simulate import simulate
+
+PROBLEM = load_problem("remus_6dof")
+AXES = "XYZKMN"
+# Prestero (2001), tables B.1 and B.2: products of two velocities, and fins.
+TABLE_B = {
+    "X_wq": -35.5,
+    "X_qq": -1.93,
+    "X_vr": 35.5,
+    "X_rr": -1.93,
+    "Y_uv": -28.6,
+    "Y_ur": 5.22,
+    "Y_wp": 35.5,
+    "Y_pq": 1.93,
+    "Y_uudr": 9.64,
+    "Z_uw": -28.6,
+    "Z_uq": -5.22,
+    "Z_vp": -35.5,
+    "Z_rp": 1.93,
+    "Z_uuds": -9.64,
+    "M_uw": 24.0,
+    "M_uq": -2.00,
+    "M_vp": -1.93,
+    "M_rp": 4.81,
+    "M_uuds": -6.15,
+    "N_uv": -24.0,
+    "N_ur": -2.00,
+    "N_wp": -1.93,
+    "N_pq": -4.81,
+    "N_uudr": -6.15,
+}
+
+
+def forces(**motion: float) -> np.ndarray:
+    """Forces on six axes of water, hull and fins; ``ds`` and ``dr`` may be given."""
+    model = PROBLEM.model
+    scope = model.values | dict.fromkeys((*"uvwpqr", "ds", "dr", "T"), 0.0) | motion
+    scope |= {f"{v}_r": scope[v] for v in "uvw"}
+    total = np.zeros(6)
+    for name in ("added_mass", "hull", "stern_planes", "rudder"):
+        effect, local = model.effect(name), dict(scope)
+        for word, text in effect.definitions.items():
+            local[word] = float(expressions.to_numpy(text, local))
+        for axis, text in effect.terms.items():
+            total[AXES.index(axis)] += float(expressions.to_numpy(text, local))
+    return total
+
+
+def mixed(axis: str, first: str, second: str) -> float:
+    """Coefficient of the product of two velocities, without squares of either."""
+    i = AXES.index(axis)
+    corners = [a * b * forces(**{first: a, second: b})[i] for a in (1.0, -1.0) for b in (1.0, -1.0)]
+    return sum(corners) / 4
+
+
+def coefficient(name: str) -> float:
+    """Combined coefficient of the model under a name of table B."""
+    axis, factors = name.split("_")
+    i = AXES.index(axis)
+    if factors.startswith("uud"):
+        fin = factors[2:]
+        return (forces(u=1.0, **{fin: 0.1})[i] - forces(u=1.0, **{fin: -0.1})[i]) / 0.2
+    first, second = factors
+    if first == second:
+        return (forces(**{first: 1.0})[i] + forces(**{first: -1.0})[i]) / 2
+    return mixed(axis, first, second)
+
+
+@pytest.mark.parametrize("name", TABLE_B)
+def test_combined_coefficients_of_the_thesis(name: str) -> None:
+    """Builder, fins and hull add up to tables B.1 and B.2, within their three digits."""
+    assert coefficient(name) == pytest.approx(TABLE_B[name], rel=3e-3, abs=0.02)
+
+
+def test_propeller_torque_heels_the_vehicle() -> None:
+    """At cruise the torque of 0.543 N m balances z_G W sin(phi)."""
+    experiment = PROBLEM.experiment("cruise")
+    record = simulate(PROBLEM.model, experiment, noise=False)
+    mean = float(np.mean(record.output("phi")))
+    assert mean == pytest.approx(-np.arcsin(0.543 / (0.0196 * 299)), abs=0.02)
+
+
+def test_hull_is_unstable_in_pitch() -> None:
+    """The pitch motion at 1.54 m/s has the growing pair of poles 0.43 +- 0.18i."""
+    import casadi as ca
+
+    from oed_sysid.compiled.graph import build
+
+    model, graph = PROBLEM.model, build(PROBLEM.model)
+    names = list(graph.state_names)
+    state = np.zeros(len(names))
+    state[names.index("u")] = 1.54
+    x = ca.SX.sym("x", len(names))
+    rates = graph.rates(x, ca.DM([0, 0, 3.84]), model.value_vector, 0.0)
+    jacobian = np.array(ca.Function("j", [x], [ca.jacobian(rates, x)])(state))
+    plane = [names.index(name) for name in ("u", "w", "q", "theta")]
+    poles = np.linalg.eigvals(jacobian[np.ix_(plane, plane)])
+    worst = poles[np.argmax(poles.real)]
+    assert worst.real == pytest.approx(PROBLEM.published["pitch_poles"][0].real, abs=0.02)
+    assert abs(worst.imag) == pytest.approx(PROBLEM.published["pitch_poles"][0].imag, abs=0.02)
+
+
+@pytest.mark.slow
+def test_records_fit_with_what_is_hidden() -> None:
+    """With lag and current the fit reaches the noise, and the truth lies within its errors."""
+    train = PROBLEM.data().split(test=["wide"])[0]
+    model = PROBLEM.model + PROBLEM.effect("fin_lag") + PROBLEM.effect("current")
+    fit = MultipleShooting().fit(model, train)
+    noise = np.array([output.noise_std for output in model.outputs])
+    rms = np.sqrt(np.mean(np.concatenate(fit.residuals) ** 2, axis=0))
+    np.testing.assert_allclose(rms, noise, rtol=0.1)
+    for name, value in fit.values.items():
+        low, high = fit.interval(name, 0.9999)
+        assert low < PROBLEM.truth.get(name, PROBLEM.model.values.get(name, value)) < high, name
+
+
+@pytest.mark.slow
+def test_hidden_effects_are_found() -> None:
+    """Improvement names the lag of the fins and the current, and nothing false."""
+    train, test = PROBLEM.data().split(test=["wide"])
+    found = improve(PROBLEM.model, train, test, candidates=PROBLEM.effects)
+    assert set(found.model.effect_names) - set(PROBLEM.model.effect_names) == {
+        "fin_lag",
+        "current",
+    }
