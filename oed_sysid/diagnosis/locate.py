@@ -212,7 +212,7 @@ def along_fit(fit: FilteredSolution, unit: NoiseModel, *, pieces: int = 1) -> tu
     problem = fit.problem
     passes = problem.passes(fit.point.unknowns, columns=False)
     size = problem.kernel.n_full
-    kept = np.arange(size) if problem.active is None else problem.active
+    kept = np.arange(size) if problem.own is None else problem.own
     records, nodes, local = [], [], []
     for record, part, own in zip(problem.records, passes, fit.local, strict=True):
         edges = np.linspace(0, record.n_samples, pieces + 1).astype(int)

@@ -222,10 +222,7 @@ def deadband(
 def backlash(
     name: str, signal: str, unit: str = "rad", *, scale: float = 0.03, value: float = 0.0
 ) -> Actuator:
-    """Play of half-width ``E``: the actual value moves when its flank is touched.
-
-    At ``E = 0`` flanks always touch, so that derivatives pass through an absent play.
-    """
+    """Play of half-width ``E``: the actual value moves when its flank is touched."""
     size = amplitude(name, unit, scale=scale, value=value, positive=True, description="half-width")
     low, high = f"{signal} - {size.name}", f"{signal} + {size.name}"
     return Actuator(
@@ -233,7 +230,7 @@ def backlash(
         {signal: "held"},
         (size,),
         definitions={
-            "held": f"where(actual >= {high}, {high}, where(actual <= {low}, {low}, actual))"
+            "held": f"where(actual > {high}, {high}, where(actual < {low}, {low}, actual))"
         },
         memory=(Memory("actual", "held", signal),),
         description=f"play between command and actual {signal}",

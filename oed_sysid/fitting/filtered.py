@@ -93,7 +93,8 @@ class Filtered:
         for name, value in model.values.items():
             self._base[positions[name]] = value
         self._free = np.array([positions[name] for name in model.free_names], dtype=int)
-        self.active = active_components(wide, model)
+        self.own = active_components(wide, model)
+        self.active = active_components(wide, model, passing=True)
         self._columns = tuple(self.layout.record_columns(i) for i in range(len(self.records)))
 
     # -- points --------------------------------------------------------------------
@@ -337,8 +338,12 @@ def disturbed_model(model: Model, disturbances: Sequence[str]) -> Model:
     return model + effects
 
 
-def active_components(wide: Model, model: Model) -> np.ndarray | None:
-    """Components of the wide model's full state that a smaller model has; None for all."""
+def active_components(wide: Model, model: Model, *, passing: bool = False) -> np.ndarray | None:
+    """Components of the wide model's full state that a smaller model has; None for all.
+
+    With ``passing`` the one memory of an absent actuator effect counts among them: where a
+    command stands still, derivatives pass an absent play through what it remembers.
+    """
     if set(wide.effect_names) - set(model.effect_names) <= {
         e.name for e in wide.effects if not (e.states or e.memory)
     }:
@@ -346,16 +351,17 @@ def active_components(wide: Model, model: Model) -> np.ndarray | None:
     own = set(model.effect_names)
     kept, position = list(range(len(wide.states))), len(wide.states)
 
-    def extend(parts: Sequence[tuple[str, int]]) -> None:
+    def extend(parts: Sequence[tuple[str, int]], *, single: bool = False) -> None:
         nonlocal position
         for name, count in parts:
-            if name in own:
+            if name in own or (passing and single and count == 1):
                 kept.extend(range(position, position + count))
             position += count
 
     extend([(e.name, len(e.states)) for e in wide.effects])
     for stage in ("actuator", "sensor"):
-        extend([(e.name, len(e.memory)) for e in wide.effects if e.stage == stage])
+        memories = [(e.name, len(e.memory)) for e in wide.effects if e.stage == stage]
+        extend(memories, single=stage == "actuator")
     return np.array(kept, dtype=int)
 
 

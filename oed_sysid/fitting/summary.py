@@ -154,7 +154,7 @@ def summarise_filtered(
         own = problem.initial_state(unknowns, index)
         outputs, path, _ = problem.kernel.simulate(record.times, record.inputs, values, own)
         predictions.append(outputs)
-        states.append(path if problem.active is None else path[:, problem.active])
+        states.append(path if problem.own is None else path[:, problem.own])
         residuals.append(record.outputs - outputs)
         initial.append(own.copy())
         local.append({layout.free_names[i]: float(free[index][i]) for i in layout.local})

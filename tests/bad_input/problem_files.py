@@ -174,7 +174,6 @@ REFUSED: tuple[tuple[str, str | dict[str, str | bytes], tuple[str, ...]], ...] =
     ("expression that calls Python", swap("K*rudder", "__import__('os').getpid()*rudder"),
      ("Expression",)),
     ("power with a hat", swap("r*abs(r)", "r^2"), ("BitXor", "Write ** for a power")),
-    ("chained comparison", swap("r*abs(r)", "r*(0 < r < 1)"), ("one comparison at a time",)),
     ("root of a negative number", swap("r*abs(r)", "r*(-1)**0.5"), ("no finite real number",)),
     ("number beyond all numbers", swap("r*abs(r)", "r*10**400"), ("no finite real number",)),
     ("division by zero in a rate", swap("- r)/T", "- r)/0"), ("divides by zero",)),
