@@ -14,7 +14,7 @@ from oed_sysid.estimators import MultipleShooting
 from oed_sysid.fitting.gauss_newton import Progress
 from oed_sysid.parameters import Parameter
 
-CONDENSED = MultipleShooting(noise=NOISE, coloured="never")
+CONDENSED = MultipleShooting(noise=NOISE, coloured="never", disturbances="none")
 
 
 def difference(fit, other) -> float:  # type: ignore[no-untyped-def]
@@ -120,7 +120,7 @@ def test_noise_levels_and_progress(capfd: pytest.CaptureFixture[str]) -> None:
     fit = MultipleShooting(noise="estimate", solver="ipopt", progress=seen.append).fit(
         yaw_model(), data
     )
-    other = MultipleShooting(noise="estimate").fit(yaw_model(), data)
+    other = MultipleShooting(noise="estimate", disturbances="none").fit(yaw_model(), data)
     assert np.allclose(fit.sigma, other.sigma, rtol=2e-3)
     assert len(seen) > 3
     assert seen[-1].defect < 1e-4

@@ -96,7 +96,7 @@ def integral(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
     --------
     >>> t = np.linspace(0.0, 3.0, 31)
     >>> print(round(float(integral(t, np.cos(t)[:, None])[-1, 0] / np.sin(3.0)), 6))
-    0.999972
+    0.999996
     """
     steps = np.diff(times)[:, None]
     slopes = np.gradient(columns, times, axis=0)

@@ -334,12 +334,13 @@ def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray,
     floor, _ = credible_levels(dataset)
     sigma = given_levels(_model(given[0]).outputs)
     for fit in reversed(fits):
-        sigma = np.where(fit.sigma_estimated, sigma, fit.sigma)
+        sigma = np.where(fit.sigma_estimated, sigma, fit.noise.sensors)
     unknown = np.isnan(sigma)
     names = dataset.channels.output_names
     notes = []
     if unknown.any() and fits:
-        smallest = np.min([fit.sigma for fit in fits], axis=0)
+        # A sensor's noise is all of it, white and coloured.
+        smallest = np.min([fit.noise.sensors for fit in fits], axis=0)
         sigma = np.where(unknown, smallest, sigma)
         for name, level, low in zip(names, sigma, floor, strict=True):
             if unknown[names.index(name)] and level > SUSPECT_NOISE * low:

@@ -135,6 +135,8 @@ def improve(
     if test is not None:
         check_disjoint(train, test)
     log = quick_check(train if test is None else _together(train, test), model)
+    # Overlaps of training and validation records were refused above.
+    log = replace(log, findings=tuple(f for f in log.findings if f.kind != "duplicate"))
     tell("fitting the nominal model")
     study, base = Study.begin(model, train, test, candidates, known_noise=known_noise)
     state = _State(study, (), base, (base,))

@@ -195,17 +195,15 @@ def consistency(square: float, count: int) -> Status:
     """
     if count < ENOUGH or 1.0 / INCONSISTENT <= square <= INCONSISTENT:
         return Status("converged", "")
-    if square > 1.0:
-        todo = (
-            "the stated errors are too small. Give process_std, more noise_std, or use "
-            "MultipleShooting(disturbances='auto')."
-        )
-    else:
+    found = f"the normalised innovations squared are {square:.3g} on average (expected 1): "
+    if square < 1.0:  # values can be used, their errors are on the safe side
         todo = "the stated errors are too large. Declare less noise_std or process_std."
-    return Status(
-        "inconsistent",
-        f"the normalised innovations squared are {square:.3g} on average (expected 1): {todo}",
+        return Status("converged", found + todo)
+    todo = (
+        "the stated errors are too small. Give process_std, more noise_std, or use "
+        "MultipleShooting(disturbances='auto')."
     )
+    return Status("inconsistent", found + todo)
 
 
 class JointFilter:

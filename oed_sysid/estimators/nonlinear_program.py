@@ -250,13 +250,17 @@ class _Constraints:
         scope = dict(zip(model.parameter_names, ca.vertsplit(values), strict=True))
         differences, lower, upper = [], [], []
         for text in texts:
-            tree = expressions.parse(text)
+            try:  # an equation is allowed here, in expressions it is not
+                tree = ast.parse(text, mode="eval").body
+            except (SyntaxError, ValueError, MemoryError, RecursionError):
+                tree = None
             if not isinstance(tree, ast.Compare) or len(tree.ops) != 1:
                 raise ModelError(
                     f"Constraint {text!r} is not one comparison. Write for instance 'M_uq < 0'."
                 )
-            expressions.check(text, model.parameter_names, where="Constraint")
             left, right = ast.unparse(tree.left), ast.unparse(tree.comparators[0])
+            for side in (left, right):
+                expressions.check(side, model.parameter_names, where="Constraint")
             difference = expressions.to_casadi(left, scope) - expressions.to_casadi(right, scope)
             differences.append(difference)
             kind = type(tree.ops[0])
