@@ -12,7 +12,6 @@ The cache folder is ``$OED_SYSID_CACHE``, or ``~/.cache/oed_sysid``.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -217,137 +216,7 @@ class Kernel:
         return Run(y, z, dy, ends, dends, failed)
 
 
-@dataclass(frozen=True, eq=False)
-class SelectedRun:
-    """One continuous trajectory with chosen sensitivities.
-
-    Attributes
-    ----------
-    outputs : ndarray (n_times, n_outputs)
-    states : ndarray (n_times, n_own)
-        The model's own states.
-    jacobian : ndarray (n_times, n_outputs, n_own + n_chosen) or None
-        Derivatives of the outputs by initial states, then by chosen parameters.
-    ok : bool
-        Whether the whole trajectory is finite.
-    """
-
-    outputs: np.ndarray
-    states: np.ndarray
-    jacobian: np.ndarray | None
-    ok: bool
-
-
-class SelectableKernel:
-    """Continuous trajectories with sensitivities by parameters chosen at run time.
-
-    One compiled library serves every sub-model of a model that holds many
-    candidate effects.
-
-    Parameters
-    ----------
-    model : Model
-        The large model; candidate effects are absent at their zero values.
-    """
-
-    def __init__(self, model: Model) -> None:
-        self.model = model
-        self.plain = Kernel(model, compiled=False)
-        self.n_own = self.plain.n_own
-        self._names = {name: index for index, name in enumerate(model.free_names)}
-        self._library = load(model, selectable=True)
-
-    def run(
-        self,
-        times: np.ndarray,
-        inputs: np.ndarray,
-        values: np.ndarray,
-        own: np.ndarray,
-        names: Sequence[str] = (),
-        *,
-        sensitivities: bool = True,
-    ) -> SelectedRun:
-        """Simulate one record.
-
-        Parameters
-        ----------
-        times : ndarray (n_times,)
-        inputs : ndarray (n_times, n_inputs)
-        values : ndarray (n_parameters,)
-        own : ndarray (n_own,)
-            The model's own initial states.
-        names : sequence of str
-            Free parameters that get a column.
-        sensitivities : bool
-            Whether to return derivatives.
-
-        """
-        plain = self.plain
-        times = np.ascontiguousarray(times, dtype=float)
-        inputs = np.ascontiguousarray(inputs, dtype=float).reshape(len(times), plain.n_inputs)
-        values = np.ascontiguousarray(values, dtype=float)
-        chosen = np.array([self._names[name] for name in names], dtype=int)
-        z0, dz0 = self._start(own, inputs[0], values, times[0])
-        first = np.ascontiguousarray(np.hstack([dz0[:, : self.n_own], dz0[:, self.n_own + chosen]]))
-        n_columns = first.shape[1]
-        if self._library is None:
-            run = plain.run(times, inputs, values, z0, sensitivities=sensitivities)
-            dy = run.output_sensitivities
-            if dy is None:
-                return SelectedRun(run.outputs, run.states[:, : self.n_own], None, run.ok)
-            jacobian = dy[:, :, : plain.n_full] @ first
-            jacobian[:, :, self.n_own :] += dy[:, :, plain.n_full + chosen]
-            return SelectedRun(run.outputs, run.states[:, : self.n_own], jacobian, run.ok)
-        y = np.full((len(times), plain.n_outputs), np.nan)
-        z = np.full((len(times), plain.n_full), np.nan)
-        dy = np.empty((*y.shape, n_columns)) if sensitivities else None
-        columns = np.full(max(plain.n_free, 1), -1, dtype=np.intc)
-        columns[chosen] = self.n_own + np.arange(len(chosen))
-        failed = self._library.kernel_select(
-            len(times),
-            _pointer(times),
-            _pointer(inputs),
-            _pointer(values),
-            ctypes.c_double(self.model.step),
-            _pointer(z0),
-            n_columns,
-            columns.ctypes.data_as(ctypes.c_void_p),
-            _pointer(first),
-            _pointer(z),
-            _pointer(y),
-            _pointer(dy),
-        )
-        return SelectedRun(y, z[:, : self.n_own], dy, failed < 0)
-
-    def _start(
-        self, own: np.ndarray, inputs: np.ndarray, values: np.ndarray, time: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        if self._library is None:
-            return self.plain.start(own, inputs, values, time)
-        z = np.empty(self.plain.n_full)
-        dz = np.empty((self.plain.n_full, self.n_own + self.plain.n_free))
-        own, inputs = (np.ascontiguousarray(a, dtype=float) for a in (own, inputs))
-        self._library.kernel_start(
-            _pointer(own),
-            _pointer(inputs),
-            _pointer(values),
-            ctypes.c_double(time),
-            _pointer(z),
-            _pointer(dz),
-        )
-        return z, dz
-
-
 _CACHE: dict[tuple[str, float], Kernel] = {}
-_SELECTABLE: dict[tuple[str, float], SelectableKernel] = {}
-
-
-def selectable_kernel(model: Model) -> SelectableKernel:
-    """Return the selectable kernel of a model, compiled at most once per structure."""
-    key = (model.structure_key(), model.step)
-    if key not in _SELECTABLE:
-        _SELECTABLE[key] = SelectableKernel(model)
-    return _SELECTABLE[key]
 
 
 def kernel(model: Model) -> Kernel:

@@ -389,46 +389,6 @@ void kernel_start(const double *own, const double *input, const double *p, doubl
     start_jac(arg, res, iw, w, 0);
 }
 
-#ifdef SELECT
-/* One continuous trajectory with chosen columns.
- *
- * columns (NF) maps each free parameter to its column or to -1; s0 (NZ x nc)
- * holds the sensitivities at the start. Results: z (n x NZ), y (n x NY),
- * dy (n x NY x nc), each may be NULL. Returns as kernel_run does.
- */
-int kernel_select(int n, const double *times, const double *inputs, const double *p, double h_max,
-                  const double *z0, int nc, const int *columns, const double *s0, double *z_out,
-                  double *y_out, double *dy_out)
-{
-    const int with_sensitivities = dy_out != 0;
-    double z[MAX1(NZ)], y[MAX1(NY)];
-    SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
-    active_width(nc);
-    column_of = columns;
-    memcpy(z, z0, sizeof(double) * NZ);
-    if (with_sensitivities)
-        for (int i = 0; i < NZ; ++i) {
-            memset(s[i], 0, sizeof(double) * ACTIVE);
-            memcpy(s[i], s0 + (size_t)i * nc, sizeof(double) * nc);
-        }
-    for (int k = 0; k < n; ++k) {
-        const double *input = inputs + (size_t)k * NU;
-        const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
-        double check = 0.0;
-        for (int i = 0; i < NZ; ++i) check += z[i];
-        if (!isfinite(check)) return k;
-        if (z_out) memcpy(z_out + (size_t)k * NZ, z, sizeof(double) * NZ);
-        sample_step(z, s, input, p, times[k], since, y, sy, with_sensitivities);
-        if (y_out) memcpy(y_out + (size_t)k * NY, y, sizeof(double) * NY);
-        if (dy_out)
-            for (int i = 0; i < NY; ++i)
-                memcpy(dy_out + ((size_t)k * NY + i) * nc, sy[i], sizeof(double) * nc);
-        if (k + 1 < n) advance_interval(z, s, times, input, p, h_max, k, with_sensitivities);
-    }
-    return -1;
-}
-#endif
-
 /* Run segments of one record.
  *
  * times (n), inputs (n x NU), p (NP), starts (n_segments: index of the first
