@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from time import perf_counter
 
 import numpy as np
 
@@ -267,7 +268,7 @@ class Study:
 
     def result(self, found: FilteredSolution, label: str) -> Fit:
         """The fit of a model that was found and polished."""
-        fit = summarise_filtered(found, self.estimated, label, found.iterations, _now())
+        fit = summarise_filtered(found, self.estimated, label, found.iterations, perf_counter())
         return replace(fit, seconds=0.0)
 
     # -- validation ------------------------------------------------------------------
@@ -414,9 +415,3 @@ def _best_test(
 
 def _scaled(matrix: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return matrix * scale[:, None] * scale
-
-
-def _now() -> float:
-    import time
-
-    return time.perf_counter()

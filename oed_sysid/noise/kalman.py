@@ -10,15 +10,14 @@ they say (Kristensen, Madsen & Jorgensen 2004).
 from __future__ import annotations
 
 import ctypes
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 
 import numpy as np
 
+from oed_sysid.batch.threads import both_cores
 from oed_sysid.compiled.compile import call, load_source
 from oed_sysid.noise.model import NoiseModel
 
@@ -82,9 +81,7 @@ def innovations(jobs: Sequence[Job]) -> list[Innovations]:
     jobs : sequence of (NoiseModel, Deviations, ndarray (n_times, n_outputs, n_columns))
         Noise model, record and columns; entries not measured are ignored.
     """
-    if len(jobs) == 1:
-        return [_filter(jobs[0])]
-    return list(pool().map(_filter, jobs))
+    return both_cores(_filter, jobs)
 
 
 def whiten(
@@ -101,12 +98,6 @@ def whiten(
     found = innovations([(noise, d, c) for d, c in zip(deviations, columns, strict=True)])
     whitened = [part.white.reshape(-1, part.white.shape[2]) for part in found]
     return whitened, sum(part.log_determinant for part in found)
-
-
-@lru_cache(maxsize=1)
-def pool() -> ThreadPoolExecutor:
-    """Threads that run compiled filters side by side."""
-    return ThreadPoolExecutor(max_workers=os.cpu_count() or 1)
 
 
 def _filter(job: Job) -> Innovations:
