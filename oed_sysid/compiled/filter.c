@@ -23,13 +23,6 @@ static inline void axpy(double *restrict target, double factor, const double *re
     for (int j = 0; j < n; j += 4) *(four_t *)(target + j) += factor * *(const four_t *)(source + j);
 }
 
-static inline double dot(const double *restrict a, const double *restrict b, int n)
-{
-    double sum = 0.0;
-    for (int j = 0; j < n; ++j) sum += a[j] * b[j];
-    return sum;
-}
-
 /* A row of measurement derivatives is mostly zero: its other entries, n of them. */
 typedef struct {
     int n;
@@ -53,32 +46,134 @@ static inline double dot_sparse(const sparse_t *h, const double *vector)
     return sum;
 }
 
-/* target <- F source F' for symmetric source; all n x n with stride; product is scratch.
- * F = [A G; 0 phi]: ag holds [A G] by rows (na x m), turned its transpose (m x wide rows). */
-static void sandwich(double *restrict target, const double *restrict source,
-                     const double *restrict ag, const double *restrict turned,
-                     const double *restrict phi, int na, int m, int n, int stride,
-                     double *restrict product)
+static inline void keep_entry(sparse_t *h, int index, double value)
 {
-    const int narrow = round4(na);
-    for (int i = 0; i < na; ++i) {
-        double *row = product + (size_t)i * stride;
-        for (int j = 0; j < stride; ++j) row[j] = 0.0;
-        for (int l = 0; l < m; ++l) {
-            const double v = ag[(size_t)i * m + l];
-            if (v != 0.0) axpy(row, v, source + (size_t)l * stride, stride);
+    if (value == 0.0) return;
+    h->index[h->n] = index;
+    h->value[h->n++] = value;
+}
+
+/* The transition F = [A G; 0 phi] of a step: the entries of [A G] that are not zero, by rows. */
+typedef struct {
+    int na, size;
+    const int *first; /* na + 1 places in index and value */
+    const int *index;
+    const double *value;
+    const double *phi; /* of all size components, those from na on in use */
+} transition_t;
+
+/* target <- F source, rows of a width known when compiled. */
+static inline __attribute__((always_inline)) void moved(double *restrict target,
+                                                        const transition_t *f,
+                                                        const double *restrict source,
+                                                        const int width)
+{
+    for (int i = 0; i < f->na; ++i) {
+        four_t sum[width / 4];
+        for (int j = 0; j < width / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
+        for (int r = f->first[i]; r < f->first[i + 1]; ++r) {
+            const double value = f->value[r];
+            const double *row = source + (size_t)f->index[r] * width;
+            for (int j = 0; j < width / 4; ++j) sum[j] += value * *(const four_t *)(row + 4 * j);
+        }
+        for (int j = 0; j < width / 4; ++j) *(four_t *)(target + (size_t)i * width + 4 * j) = sum[j];
+    }
+    for (int i = f->na; i < f->size; ++i)
+        for (int j = 0; j < width; j += 4)
+            *(four_t *)(target + (size_t)i * width + j) =
+                f->phi[i] * *(const four_t *)(source + (size_t)i * width + j);
+}
+
+/* matrix <- F matrix F' for a symmetric matrix; product and turned are scratch. */
+static inline __attribute__((always_inline)) void sandwiched(double *restrict matrix,
+                                                             const transition_t *f,
+                                                             double *restrict product,
+                                                             double *restrict turned,
+                                                             const int stride)
+{
+    moved(product, f, matrix, stride);
+    for (int i = 0; i < f->size; ++i)
+        for (int j = 0; j < f->size; ++j)
+            turned[(size_t)j * stride + i] = product[(size_t)i * stride + j];
+    moved(matrix, f, turned, stride);
+}
+
+/* One scalar measurement as the tangents see it. */
+typedef struct {
+    sparse_t h;
+    double e, inverse; /* innovation, one over its variance */
+    int output, missing; /* one that is missing moves nothing */
+    double *g;           /* P h */
+    double *row, *rowq;  /* de and q of the levels */
+} scalar_t;
+
+/* Mean and covariance tangents of one level through the n scalar measurements of a sample. */
+static inline __attribute__((always_inline)) void level_measured(double *restrict d,
+                                                                 double *restrict mu, int level,
+                                                                 int white_of, scalar_t *scalars,
+                                                                 int n, int size, const int stride)
+{
+    for (int i = 0; i < n; ++i) {
+        const scalar_t *one = scalars + i;
+        const double *g = one->g, inverse = one->inverse;
+        double v[stride];
+        for (int j = 0; j < stride; ++j) v[j] = 0.0;
+        for (int r = 0; r < one->h.n; ++r) {
+            const double value = one->h.value[r];
+            const double *row = d + (size_t)one->h.index[r] * stride;
+            for (int j = 0; j < stride; j += 4)
+                *(four_t *)(v + j) += value * *(const four_t *)(row + j);
+        }
+        const double dS = dot_sparse(&one->h, v) + (white_of == one->output ? 1.0 : 0.0);
+        const double de = -dot_sparse(&one->h, mu), q = dS * inverse;
+        one->row[level] = de;
+        one->rowq[level] = q;
+        if (one->missing) continue;
+        const double by_v = one->e * inverse, by_g = (de - q * one->e) * inverse;
+        for (int j = 0; j < stride; j += 4)
+            *(four_t *)(mu + j) += by_v * *(four_t *)(v + j) + by_g * *(const four_t *)(g + j);
+        for (int r = 0; r < size; ++r) {
+            const double b = g[r] * inverse, a = v[r] * inverse - b * q;
+            double *restrict line = d + (size_t)r * stride;
+            for (int j = 0; j < stride; j += 4)
+                *(four_t *)(line + j) -= a * *(const four_t *)(g + j) + b * *(four_t *)(v + j);
         }
     }
-    for (int i = na; i < n; ++i)
-        for (int j = 0; j < stride; ++j)
-            product[(size_t)i * stride + j] = phi[i] * source[(size_t)i * stride + j];
-    for (int i = 0; i < n; ++i) {
-        const double *from = product + (size_t)i * stride;
-        double *row = target + (size_t)i * stride;
-        for (int j = 0; j < stride; ++j) row[j] = 0.0;
-        for (int l = 0; l < m; ++l) axpy(row, from[l], turned + (size_t)l * narrow, narrow);
-        for (int j = na; j < n; ++j) row[j] = from[j] * phi[j];
+}
+
+/* The same with a width that the compiler knows, where it is a common one. */
+#define WIDTHS(width, CALL) \
+    switch (width) { \
+    case 4: CALL(4); break; \
+    case 8: CALL(8); break; \
+    case 12: CALL(12); break; \
+    case 16: CALL(16); break; \
+    case 20: CALL(20); break; \
+    case 24: CALL(24); break; \
+    default: CALL(width); \
     }
+
+static ONCE void move_rows(double *target, const transition_t *f, const double *source, int width)
+{
+#define CALL(w) moved(target, f, source, w)
+    WIDTHS(width, CALL)
+#undef CALL
+}
+
+static ONCE void sandwich(double *matrix, const transition_t *f, double *product, double *turned,
+                          int stride)
+{
+#define CALL(w) sandwiched(matrix, f, product, turned, w)
+    WIDTHS(stride, CALL)
+#undef CALL
+}
+
+static ONCE void measure_level(double *d, double *mu, int level, int white_of, scalar_t *scalars,
+                               int n, int size, int stride)
+{
+#define CALL(w) level_measured(d, mu, level, white_of, scalars, n, size, w)
+    WIDTHS(stride, CALL)
+#undef CALL
 }
 
 enum { FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME };
@@ -87,8 +182,8 @@ enum { FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME 
 size_t kernel_filter_work(int na, int nq, int ncol, int nx, int nl)
 {
     const size_t n = na + nq + ncol, stride = round4((int)n), wide = round4(nx + nl + 1);
-    return n * stride * (3 + (size_t)nl) + 2 * n * round4(nx) + (size_t)nl * 3 * stride + 8 * stride +
-           (size_t)round4(na) * 2 * (na + nq) + 2 * wide + wide * wide + 64;
+    return n * stride * (3 + (size_t)nl) + 2 * n * round4(nx) + (size_t)nl * stride + 7 * stride +
+           (size_t)(na + round4(na)) * (na + nq) + NY * (stride + 2 * wide) + (nl + 1) * wide + wide * wide + 64;
 }
 
 /* Filter one record.
@@ -117,18 +212,21 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                   double *rows_out, double *path_out, double *total, double *work)
 {
     const int m = na + nq, size = m + ncol, stride = round4(size), sx = round4(nx);
-    const int width = nx + nl + 1, wide = round4(width);
+    const int width = nx + nl + 1, wide = round4(width), narrow = round4(na);
     const size_t block = (size_t)size * stride;
-    double *P = work, *product = P + block, *swap = product + block;
-    double *dP = swap + (block > (size_t)size * sx ? block : (size_t)size * sx);
-    double *X = dP + block * nl, *dm = X + (size_t)size * sx, *dg = dm + (size_t)nl * stride;
-    double *dnext = dg + (size_t)nl * stride, *h = dnext + (size_t)nl * stride, *g = h + stride;
-    double *delta = g + stride, *mean = delta + stride, *phi = mean + stride, *dphi = phi + stride;
-    double *column = dphi + stride, *spare = column + stride, *ag = spare + stride;
-    double *turned = ag + (size_t)na * m, *row = turned + (size_t)round4(na) * m, *rowq = row + wide, *gram = rowq + wide;
+    double *P = work, *product = P + block, *turned = product + block, *dP = turned + block;
+    double *X = dP + block * nl, *Xnext = X + (size_t)size * sx, *dm = Xnext + (size_t)size * sx;
+    double *h = dm + (size_t)nl * stride, *delta = h + stride, *mean = delta + stride;
+    double *phi = mean + stride, *dphi = phi + stride, *column = dphi + stride;
+    double *next = column + stride, *entries = next + stride;
+    double *by_column = entries + (size_t)na * m, *gains = by_column + (size_t)narrow * m, *rows = gains + (size_t)NY * stride;
+    double *rowsq = rows + (size_t)NY * wide, *slope = rowsq + (size_t)NY * wide;
+    double *information = slope + wide, *gram = information + (size_t)nl * wide;
+    int place[MAX1(NZ * (NZ + NF))], first_of[NZ + 1], sensors_remember = 0;
+    scalar_t scalars[MAX1(NY)];
+    transition_t step_of = {na, size, first_of, place, entries, phi};
     double z[MAX1(NZ)], seen[MAX1(NZ)], y[MAX1(NY)], p[MAX1(NP)];
     SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
-    sparse_t hs;
     double sum_log = 0.0, sum_square = 0.0, product_s = 1.0, last_length = -1.0;
     active_width(c_disturbance + nq);
     column_of = columns;
@@ -145,7 +243,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         if (l_kind[l] == FORCE_VARIANCE) dP[block * l + (size_t)(na + l_index[l]) * (stride + 1)] = 1.0;
         if (l_kind[l] == COLOUR_VARIANCE) dP[block * l + (size_t)(m + l_index[l]) * (stride + 1)] = 1.0;
     }
-    if (level_out) memset(level_out, 0, sizeof(double) * (size_t)nl * (nl + 1));
+    for (int i = 0; i < na; ++i) sensors_remember |= uncertain[i] >= NX + NA;
     for (int k = 0; k < n; ++k) {
         const double *input = inputs + (size_t)k * NU;
         const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
@@ -157,81 +255,48 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             for (int j = 0; j < ACTIVE; ++j) s[i][j] = 0.0;
         for (int i = 0; i < na; ++i) s[uncertain[i]][i] = 1.0;
         sample_step(seen, s, input, p, times[k], since, y, sy, 1);
-        for (int i = 0; i < size; ++i) delta[i] = 0.0;
+        for (int i = 0; i < stride; ++i) delta[i] = 0.0;
+        int n_scalars = 0;
+        /* Covariance, mean and columns first: levels follow from what is kept of each scalar. */
         for (int i = 0; i < NY; ++i) {
             const double value = measured[(size_t)k * NY + i];
             const int missing = isnan(value);
+            scalar_t *one = scalars + n_scalars;
+            sparse_t *hs = &one->h;
+            double *g = gains + (size_t)n_scalars * stride, *row = rows + (size_t)n_scalars * wide;
             if (e_out) e_out[(size_t)k * NY + i] = NAN;
             if (missing && !s_out && !rows_out) continue;
             double e = missing ? 0.0 : value - y[i];
-            for (int j = 0; j < stride; ++j) h[j] = 0.0;
-            for (int j = 0; j < na; ++j) h[j] = sy[i][j];
-            for (int j = 0; j < nq; ++j) h[na + j] = sy[i][c_disturbance + j];
+            hs->n = 0;
+            for (int j = 0; j < na; ++j) keep_entry(hs, j, sy[i][j]);
+            for (int j = 0; j < nq; ++j) keep_entry(hs, na + j, sy[i][c_disturbance + j]);
             for (int j = 0; j < ncol; ++j)
                 if (c_output[j] == i) {
-                    h[m + j] = 1.0;
+                    keep_entry(hs, m + j, 1.0);
                     e -= mean[m + j];
                 }
-            hs.n = 0;
-            for (int r = 0; r < size; ++r)
-                if (h[r] != 0.0) {
-                    hs.index[hs.n] = r;
-                    hs.value[hs.n++] = h[r];
-                }
-            e -= dot_sparse(&hs, delta);
-            times_sparse(g, P, &hs, stride);
-            const double S = dot_sparse(&hs, g) + white[i];
+            e -= dot_sparse(hs, delta);
+            times_sparse(g, P, hs, stride);
+            const double S = dot_sparse(hs, g) + white[i];
             if (!(S > 0.0) || !isfinite(e)) return k;
-            const double inverse = 1.0 / S, root = sqrt(inverse);
+            const double inverse = 1.0 / S;
             for (int j = 0; j < wide; ++j) row[j] = 0.0;
             for (int j = 0; j < np; ++j) row[nx - np + j] = -sy[i][c_parameter + j];
-            for (int r = 0; r < hs.n; ++r) axpy(row, -hs.value[r], X + (size_t)hs.index[r] * sx, nx);
+            for (int r = 0; r < hs->n; ++r) axpy(row, -hs->value[r], X + (size_t)hs->index[r] * sx, nx);
             if (s_out) s_out[(size_t)k * NY + i] = S;
-            if (missing) {
-                if (rows_out) {
-                    double *target = rows_out + ((size_t)k * NY + i) * (nx + 2 * nl);
-                    for (int j = 0; j < nx; ++j) target[j] = root * row[j];
-                    for (int l = 0; l < nl; ++l)
-                        target[nx + l] = -root * dot_sparse(&hs, dm + (size_t)l * stride);
-                }
-                continue;
-            }
+            one->inverse = inverse;
+            one->output = i;
+            one->missing = missing;
+            one->g = g;
+            one->row = row + nx;
+            one->rowq = rowsq + (size_t)n_scalars * wide;
+            n_scalars += !missing || rows_out;
+            if (missing) continue;
             for (int r = 0; r < size; ++r) axpy(X + (size_t)r * sx, g[r] * inverse, row, nx);
-            for (int l = 0; l < nl; ++l) {
-                double *d = dP + block * l, *mu = dm + (size_t)l * stride, *v = dg + (size_t)l * stride;
-                times_sparse(v, d, &hs, stride);
-                double dS = dot_sparse(&hs, v);
-                if (l_kind[l] == WHITE_VARIANCE && l_index[l] == i) dS += 1.0;
-                const double de = -dot_sparse(&hs, mu), q = dS * inverse;
-                row[nx + l] = de;
-                rowq[l] = q;
-                for (int j = 0; j < size; ++j)
-                    mu[j] += ((v[j] - g[j] * q) * e + g[j] * de) * inverse;
-                for (int r = 0; r < size; ++r) {
-                    const double b = g[r] * inverse, a = v[r] * inverse - b * q;
-                    double *restrict line = d + (size_t)r * stride;
-                    for (int j = 0; j < stride; j += 4)
-                        *(four_t *)(line + j) -= a * *(four_t *)(g + j) + b * *(four_t *)(v + j);
-                }
-            }
             for (int r = 0; r < size; ++r) axpy(P + (size_t)r * stride, -g[r] * inverse, g, stride);
             axpy(delta, e * inverse, g, size);
-            row[nx + nl] = e;
-            for (int a = 0; a < width; ++a) row[a] *= root;
-            /* Lower triangle, whole vectors. */
-            for (int a = 0; a < width; ++a)
-                if (row[a] != 0.0) axpy(gram + (size_t)a * wide, row[a], row, (a + 4) & ~3);
-            if (rows_out) {
-                double *target = rows_out + ((size_t)k * NY + i) * (nx + 2 * nl);
-                memcpy(target, row, sizeof(double) * (nx + nl));
-                memcpy(target + nx + nl, rowq, sizeof(double) * nl);
-            }
+            one->e = e;
             const double square = e * e * inverse;
-            if (level_out)
-                for (int l = 0; l < nl; ++l) {
-                    level_out[l] += 0.5 * rowq[l] * (1.0 - square);
-                    for (int j = 0; j < nl; ++j) level_out[nl + (size_t)l * nl + j] += 0.5 * rowq[l] * rowq[j];
-                }
             /* One logarithm for many variances. */
             product_s *= S;
             if (product_s < 1e-200 || product_s > 1e200) {
@@ -240,6 +305,32 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             }
             sum_square += square;
             if (e_out) e_out[(size_t)k * NY + i] = e;
+        }
+        for (int l = 0; l < nl; ++l)
+            measure_level(dP + block * l, dm + (size_t)l * stride, l,
+                          l_kind[l] == WHITE_VARIANCE ? l_index[l] : -1, scalars, n_scalars, size,
+                          stride);
+        for (int o = 0; o < n_scalars; ++o) {
+            const scalar_t *one = scalars + o;
+            double *row = rows + (size_t)o * wide;
+            const double *rowq = one->rowq, root = sqrt(one->inverse);
+            for (int a = 0; a < nx + nl; ++a) row[a] *= root;
+            if (rows_out) {
+                double *target = rows_out + ((size_t)k * NY + one->output) * (nx + 2 * nl);
+                memcpy(target, row, sizeof(double) * (nx + nl));
+                if (!one->missing) memcpy(target + nx + nl, rowq, sizeof(double) * nl);
+            }
+            if (one->missing) continue;
+            const double square = one->e * one->e * one->inverse;
+            row[nx + nl] = root * one->e;
+            /* Lower triangle, whole vectors. */
+            for (int a = 0; a < width; ++a)
+                if (row[a] != 0.0) axpy(gram + (size_t)a * wide, row[a], row, (a + 4) & ~3);
+            if (level_out && nl > 0) {
+                axpy(slope, 0.5 * (1.0 - square), rowq, nl);
+                for (int l = 0; l < nl; ++l)
+                    axpy(information + (size_t)l * wide, 0.5 * rowq[l], rowq, (l + 4) & ~3);
+            }
         }
         for (int i = 0; i < na; ++i) z[uncertain[i]] += delta[i];
         for (int i = na; i < size; ++i) mean[i] += delta[i];
@@ -264,15 +355,27 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                 for (int j = 0; j < ACTIVE; ++j) s[i][j] = 0.0;
             for (int i = 0; i < na; ++i) s[uncertain[i]][i] = 1.0;
             /* Sensor memory moves on with what is known after the measurement. */
-            if (NS > 0 && step == 0) sample_step(z, s, input, p, times[k], since, y, sy, 1);
+            if (NS > 0 && step == 0) {
+                if (sensors_remember)
+                    sample_step(z, s, input, p, times[k], since, y, sy, 1);
+                else /* that of sensors without an error, which nothing reads */
+                    memcpy(z + NX + NA, seen + NX + NA, sizeof(double) * NS);
+            }
             advance_interval(z, s, inner_times, inner_inputs, p, h_max, 0, 1);
+            int count_entries = 0;
+            memset(by_column, 0, sizeof(double) * (size_t)narrow * m);
             for (int i = 0; i < na; ++i) {
                 const double *line = s[uncertain[i]];
-                memcpy(ag + (size_t)i * m, line, sizeof(double) * na);
-                memcpy(ag + (size_t)i * m + na, line + c_disturbance, sizeof(double) * nq);
+                first_of[i] = count_entries;
+                for (int l = 0; l < m; ++l) {
+                    const double v = l < na ? line[l] : line[c_disturbance + l - na];
+                    if (v == 0.0) continue;
+                    by_column[(size_t)l * narrow + i] = v;
+                    place[count_entries] = l;
+                    entries[count_entries++] = v;
+                }
             }
-            for (int i = 0; i < na; ++i)
-                for (int l = 0; l < m; ++l) turned[(size_t)l * round4(na) + i] = ag[(size_t)i * m + l];
+            first_of[na] = count_entries;
             const double length = inner_times[1] - inner_times[0];
             if (fabs(length - last_length) > 1e-12 * length) {
                 last_length = length;
@@ -282,28 +385,22 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                     dphi[i] = phi[i] * length / time;
                 }
             }
-            /* Columns; swap holds them meanwhile. */
-            for (int i = 0; i < na; ++i) {
-                const double *line = s[uncertain[i]];
-                double *value = swap + (size_t)i * sx;
-                for (int j = 0; j < sx; ++j) value[j] = 0.0;
-                for (int j = 0; j < np; ++j) value[nx - np + j] = line[c_parameter + j];
-                for (int l = 0; l < m; ++l) {
-                    const double v = ag[(size_t)i * m + l];
-                    if (v != 0.0) axpy(value, v, X + (size_t)l * sx, sx);
-                }
+            if (nx > 0) {
+                double *before = X;
+                move_rows(Xnext, &step_of, X, sx);
+                for (int i = 0; i < na; ++i)
+                    for (int j = 0; j < np; ++j)
+                        Xnext[(size_t)i * sx + nx - np + j] += s[uncertain[i]][c_parameter + j];
+                X = Xnext;
+                Xnext = before;
             }
-            memcpy(X, swap, sizeof(double) * (size_t)na * sx);
-            for (int i = na; i < size; ++i)
-                for (int j = 0; j < nx; ++j) X[(size_t)i * sx + j] *= phi[i];
             for (int l = 0; l < nl; ++l) {
-                double *mu = dm + (size_t)l * stride, *next = dnext + (size_t)l * stride;
-                for (int i = 0; i < stride; ++i) next[i] = 0.0;
-                for (int i = 0; i < m; ++i) axpy(next, mu[i], turned + (size_t)i * round4(na), na);
+                double *mu = dm + (size_t)l * stride;
+                for (int i = 0; i < na; ++i) next[i] = 0.0;
+                for (int i = 0; i < m; ++i) axpy(next, mu[i], by_column + (size_t)i * narrow, narrow);
                 for (int i = na; i < size; ++i) next[i] = phi[i] * mu[i];
                 double *d = dP + block * l;
-                sandwich(swap, d, ag, turned, phi, na, m, size, stride, product);
-                memcpy(d, swap, sizeof(double) * block);
+                sandwich(d, &step_of, product, turned, stride);
                 const int of_force = l_kind[l] == FORCE_VARIANCE || l_kind[l] == FORCE_TIME;
                 const int first = of_force ? na : m, count = of_force ? nq : ncol;
                 if (l_kind[l] == FORCE_TIME || l_kind[l] == COLOUR_TIME) {
@@ -314,8 +411,11 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                         const double variance = of_force ? q_variance[j - na] : c_variance[j - m];
                         next[j] += dphi[j] * mean[j];
                         /* Column j of F P, the covariance still being the one before the step. */
-                        for (int i = 0; i < na; ++i)
-                            column[i] = dot(ag + (size_t)i * m, P + (size_t)j * stride, m);
+                        for (int i = 0; i < na; ++i) {
+                            column[i] = 0.0;
+                            for (int r = first_of[i]; r < first_of[i + 1]; ++r)
+                                column[i] += entries[r] * P[(size_t)j * stride + place[r]];
+                        }
                         for (int i = na; i < size; ++i) column[i] = phi[i] * P[(size_t)i * stride + j];
                         for (int i = 0; i < size; ++i) {
                             d[(size_t)i * stride + j] += dphi[j] * column[i];
@@ -327,10 +427,9 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                     const int i = first + l_index[l];
                     d[(size_t)i * (stride + 1)] += 1.0 - phi[i] * phi[i];
                 }
-                memcpy(mu, next, sizeof(double) * stride);
+                memcpy(mu, next, sizeof(double) * size);
             }
-            sandwich(swap, P, ag, turned, phi, na, m, size, stride, product);
-            memcpy(P, swap, sizeof(double) * block);
+            sandwich(P, &step_of, product, turned, stride);
             for (int j = 0; j < nq; ++j)
                 P[(size_t)(na + j) * (stride + 1)] += q_variance[j] * (1.0 - phi[na + j] * phi[na + j]);
             for (int j = 0; j < ncol; ++j)
@@ -342,6 +441,13 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
     for (int a = 0; a < width; ++a)
         for (int b = 0; b <= a; ++b)
             gram_out[(size_t)a * width + b] = gram_out[(size_t)b * width + a] = gram[(size_t)a * wide + b];
+    if (level_out)
+        for (int l = 0; l < nl; ++l) {
+            level_out[l] = slope[l];
+            for (int j = 0; j <= l; ++j)
+                level_out[nl + (size_t)l * nl + j] = level_out[nl + (size_t)j * nl + l] =
+                    information[(size_t)l * wide + j];
+        }
     if (total) {
         total[0] = sum_log + log(product_s);
         total[1] = sum_square;

@@ -32,7 +32,7 @@ typedef double row_t[WIDTH] __attribute__((aligned(32)));
 
 /* Scratch rows: on the stack where they are small, since thread-local memory of a
  * shared library costs a call at every use. */
-#if NZ * NC <= 1024
+#if NZ * NC <= 4096
 #define SCRATCH
 #else
 #define SCRATCH static _Thread_local
@@ -51,6 +51,13 @@ static _Thread_local const int *column_of;
 #define active_width(n)
 #define PARAMETER(row, index, value) target[row][NZ + index] += value;
 #endif
+
+/* Zeros in the columns in use. */
+static inline void clear_rows(row_t *rows, int n)
+{
+    for (int i = 0; i < n; ++i)
+        for (int j = 0; j < ACTIVE; ++j) rows[i][j] = 0.0;
+}
 
 static inline void add_scaled(double *restrict target, double factor, const double *restrict source)
 {
@@ -86,8 +93,8 @@ static void actuate_stage(const double *memory, const double *input, const doubl
     double dda[MAX1(NNZ_DDA)], ddp[MAX1(NNZ_DDP)], daa[MAX1(NNZ_DAA)], dap[MAX1(NNZ_DAP)];
     double *res[8] = {d, memory_next, dda, ddp, daa, dap};
     actuate_jac(arg, res, iw, w, 0);
-    memset(sd, 0, sizeof(row_t) * ND);
-    memset(sa_next, 0, sizeof(row_t) * NA);
+    clear_rows(sd, ND);
+    clear_rows(sa_next, NA);
     { const row_t *source = s + NX; row_t *target = sd; const double *v = dda; UPDATE_DDA }
     { row_t *target = sd; const double *v = ddp; UPDATE_DDP }
     { const row_t *source = s + NX; row_t *target = sa_next; const double *v = daa; UPDATE_DAA }
@@ -110,7 +117,7 @@ static void rates_stage(const double *x, const double *d, const double *p, doubl
     double jxx[MAX1(NNZ_JXX)], jxd[MAX1(NNZ_JXD)], jxp[MAX1(NNZ_JXP)];
     double *res[8] = {k, jxx, jxd, jxp};
     rates_jac(arg, res, iw, w, 0);
-    memset(sk, 0, sizeof(row_t) * NX);
+    clear_rows(sk, NX);
     { const row_t *source = s; row_t *target = sk; const double *v = jxx; UPDATE_JXX }
     { const row_t *source = sd; row_t *target = sk; const double *v = jxd; UPDATE_JXD }
     { row_t *target = sk; const double *v = jxp; UPDATE_JXP }
@@ -188,7 +195,7 @@ static void implicit_stage(double *x, const double *base, const double *d, const
         /* The rows of an exact solution need its own Jacobian, hence one round more. */
         if (arrived) {
             if (!with_sensitivities) return;
-            memset(sx, 0, sizeof(row_t) * NX);
+            clear_rows(sx, NX);
             { const row_t *source = sd; row_t *target = sx; const double *v = jxd; UPDATE_JXD
               (void)source; (void)target; (void)v; }
             { row_t *target = sx; const double *v = jxp; UPDATE_JXP (void)target; (void)v; }
@@ -334,8 +341,8 @@ static ONCE void sample_step(double *z, row_t *s, const double *input, const dou
         observe_jac(arg, res, iw, w, 0);
         const row_t *sx = (const row_t *)s, *ss = (const row_t *)(s + NX + NA);
         const row_t *sdc = (const row_t *)sd;
-        memset(sy, 0, sizeof(row_t) * NY);
-        memset(snext, 0, sizeof(row_t) * NS);
+        clear_rows(sy, NY);
+        clear_rows(snext, NS);
         { const row_t *source = sx; row_t *target = sy; const double *v = jyx; UPDATE_JYX }
         { const row_t *source = sdc; row_t *target = sy; const double *v = jyd; UPDATE_JYD }
         { const row_t *source = ss; row_t *target = sy; const double *v = jys; UPDATE_JYS }
@@ -411,7 +418,7 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
         const int stop = segment + 1 < n_segments ? starts[segment + 1] : n;
         if (!carry) memcpy(z, nodes + (size_t)segment * NZ, sizeof(double) * NZ);
         if (with_sensitivities) {
-            memset(s, 0, sizeof(row_t) * NZ);
+            clear_rows(s, NZ);
             for (int i = 0; i < NZ; ++i) s[i][i] = 1.0;
         }
         for (int k = first; k < stop; ++k) {
@@ -479,7 +486,7 @@ int kernel_gather(int n, const double *times, const double *inputs, const double
         const int first = starts[segment];
         const int stop = segment + 1 < n_segments ? starts[segment + 1] : n;
         memcpy(z, nodes + (size_t)segment * NZ, sizeof(double) * NZ);
-        memset(s, 0, sizeof(row_t) * NZ);
+        clear_rows(s, NZ);
         for (int i = 0; i < NZ; ++i) s[i][i] = 1.0;
         memset(sum, 0, sizeof sum);
         for (int k = first; k < stop; ++k) {
