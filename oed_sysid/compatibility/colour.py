@@ -27,7 +27,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.linalg import solve_banded
 
 CORRELATIONS = (0.0, 0.3, 0.6, 0.8, 0.92)
 # One minus the moving-average coefficient.
@@ -79,7 +79,12 @@ def _filtered(columns: np.ndarray, correlation: float, average: float) -> np.nda
 
 def _recursion(steps: np.ndarray, correlation: float, average: float) -> np.ndarray:
     """Filter first differences, shape ``(n_blocks, n_columns)``."""
-    return lfilter([1.0, -correlation], [1.0, -average], steps, axis=0)
+    moved = steps.copy()
+    moved[1:] -= correlation * steps[:-1]
+    # y_k - average y_{k-1} = moved_k as a banded system: scipy.signal takes a second to import.
+    bands = np.ones((2, len(steps)))
+    bands[1] = -average
+    return solve_banded((1, 0), bands, moved)
 
 
 def estimate(

@@ -53,10 +53,11 @@ static inline void keep_entry(sparse_t *h, int index, double value)
     h->value[h->n++] = value;
 }
 
-/* The transition F = [A G; 0 phi] of a step: the entries of [A G] that are not zero, by rows. */
+/* The transition F = [A G; 0 phi] of a step: the entries of [A G] that are not zero, by rows;
+ * columns have rows more, of what is certain and only passes derivatives on. */
 typedef struct {
-    int na, size;
-    const int *first; /* na + 1 places in index and value */
+    int na, size, more;
+    const int *first; /* na + more + 1 places in index and value */
     const int *index;
     const double *value;
     const double *phi; /* of all size components, those from na on in use */
@@ -68,10 +69,11 @@ static inline __attribute__((always_inline)) void moved(double *restrict target,
                                                         const double *restrict source,
                                                         const int width)
 {
-    for (int i = 0; i < f->na; ++i) {
+    for (int l = 0; l < f->na + f->more; ++l) {
+        const int i = l < f->na ? l : f->size + l - f->na;
         four_t sum[width / 4];
         for (int j = 0; j < width / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
-        for (int r = f->first[i]; r < f->first[i + 1]; ++r) {
+        for (int r = f->first[l]; r < f->first[l + 1]; ++r) {
             const double value = f->value[r];
             const double *row = source + (size_t)f->index[r] * width;
             for (int j = 0; j < width / 4; ++j) sum[j] += value * *(const four_t *)(row + 4 * j);
@@ -141,6 +143,20 @@ static inline __attribute__((always_inline)) void level_measured(double *restric
     }
 }
 
+/* target <- sum of n rows by their weights. */
+static inline __attribute__((always_inline)) void combined(double *restrict target,
+                                                           const double *restrict weights,
+                                                           const double *restrict rows, int n,
+                                                           const int width)
+{
+    four_t sum[width / 4];
+    for (int j = 0; j < width / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
+    for (int i = 0; i < n; ++i)
+        for (int j = 0; j < width / 4; ++j)
+            sum[j] += weights[i] * *(const four_t *)(rows + (size_t)i * width + 4 * j);
+    for (int j = 0; j < width / 4; ++j) *(four_t *)(target + 4 * j) = sum[j];
+}
+
 /* The same with a width that the compiler knows, where it is a common one. */
 #define WIDTHS(width, CALL) \
     switch (width) { \
@@ -168,6 +184,13 @@ static ONCE void sandwich(double *matrix, const transition_t *f, double *product
 #undef CALL
 }
 
+static ONCE void combine(double *target, const double *weights, const double *rows, int n, int width)
+{
+#define CALL(w) combined(target, weights, rows, n, w)
+    WIDTHS(width, CALL)
+#undef CALL
+}
+
 static ONCE void measure_level(double *d, double *mu, int level, int white_of, scalar_t *scalars,
                                int n, int size, int stride)
 {
@@ -179,20 +202,21 @@ static ONCE void measure_level(double *d, double *mu, int level, int white_of, s
 enum { FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME };
 
 /* Doubles of scratch that kernel_filter needs. */
-size_t kernel_filter_work(int na, int nq, int ncol, int nx, int nl)
+size_t kernel_filter_work(int na, int more, int nq, int ncol, int nx, int nl)
 {
     const size_t n = na + nq + ncol, stride = round4((int)n), wide = round4(nx + nl + 1);
-    return n * stride * (3 + (size_t)nl) + 2 * n * round4(nx) + (size_t)nl * stride + 7 * stride +
-           (size_t)(na + round4(na)) * (na + nq) + NY * (stride + 2 * wide) + (nl + 1) * wide + wide * wide + 64;
+    return n * stride * (3 + (size_t)nl) + 2 * (n + more) * round4(nx) + (size_t)nl * stride + 7 * stride +
+           (size_t)(na + round4(na)) * (na + nq) + (size_t)(na + more) * (na + nq + more) + NY * (stride + 2 * wide) + (nl + 1) * wide + wide * wide + 64;
 }
 
 /* Filter one record.
  *
  * n, times, inputs, p0, h_max as of kernel_run; h_sub, longest step of the noise;
- * z0 (NZ); na, uncertain (na), positions of the uncertain components of the full state;
+ * z0 (NZ); uncertain (na + more), positions in the full state of na uncertain components, then of
+ * those without an error that only pass derivatives on;
  * nx columns of X of which the last np are parameters; in the rows of sensitivities those stand
  * from c_parameter, disturbances from c_disturbance; columns (NF) maps
- * each free parameter to its place in these rows or to -1; x0 (na x nx) start of X;
+ * each free parameter to its place in these rows or to -1; x0 (na + more x nx) start of X;
  * nq, q_index (nq) positions of the disturbances in p, q_variance, q_time (nq);
  * white (NY) variances; ncol, c_output (ncol), c_variance, c_time (ncol);
  * measured (n x NY), NaN where missing; nl, l_kind, l_index (nl), -1 for the time of all.
@@ -203,7 +227,7 @@ size_t kernel_filter_work(int na, int nq, int ncol, int nx, int nl)
  * Returns -1, or the first sample at which something is not finite or S is not positive.
  */
 int kernel_filter(int n, const double *times, const double *inputs, const double *p0, double h_max,
-                  double h_sub, const double *z0, int na, const int *uncertain, int nx, int np,
+                  double h_sub, const double *z0, int na, int more, const int *uncertain, int nx, int np,
                   int c_parameter, int c_disturbance, const int *columns, const double *x0, int nq, const int *q_index,
                   const double *q_variance, const double *q_time, const double *white, int ncol,
                   const int *c_output, const double *c_variance, const double *c_time,
@@ -215,28 +239,34 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
     const int width = nx + nl + 1, wide = round4(width), narrow = round4(na);
     const size_t block = (size_t)size * stride;
     double *P = work, *product = P + block, *turned = product + block, *dP = turned + block;
-    double *X = dP + block * nl, *Xnext = X + (size_t)size * sx, *dm = Xnext + (size_t)size * sx;
+    double *X = dP + block * nl, *Xnext = X + (size_t)(size + more) * sx;
+    double *dm = Xnext + (size_t)(size + more) * sx;
     double *h = dm + (size_t)nl * stride, *delta = h + stride, *mean = delta + stride;
     double *phi = mean + stride, *dphi = phi + stride, *column = dphi + stride;
     double *next = column + stride, *entries = next + stride;
-    double *by_column = entries + (size_t)na * m, *gains = by_column + (size_t)narrow * m, *rows = gains + (size_t)NY * stride;
+    double *by_column = entries + (size_t)na * m, *passed = by_column + (size_t)narrow * m;
+    double *gains = passed + (size_t)(na + more) * (m + more), *rows = gains + (size_t)NY * stride;
     double *rowsq = rows + (size_t)NY * wide, *slope = rowsq + (size_t)NY * wide;
     double *information = slope + wide, *gram = information + (size_t)nl * wide;
     int place[MAX1(NZ * (NZ + NF))], first_of[NZ + 1], sensors_remember = 0;
+    int passed_place[MAX1(NZ * (NZ + NF))], first_passed[NZ + 1];
+    const int c_passing = c_disturbance + nq;
     scalar_t scalars[MAX1(NY)];
-    transition_t step_of = {na, size, first_of, place, entries, phi};
+    const transition_t step_of = {na, size, 0, first_of, place, entries, phi};
+    const transition_t columns_of = {na, size, more, first_passed, passed_place, passed, phi};
     double z[MAX1(NZ)], seen[MAX1(NZ)], y[MAX1(NY)], p[MAX1(NP)];
     SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
     double sum_log = 0.0, sum_square = 0.0, product_s = 1.0, last_length = -1.0;
-    active_width(c_disturbance + nq);
+    active_width(c_passing + more);
     column_of = columns;
     memset(work, 0, sizeof(double) * (size_t)(gram - work));
     memset(gram, 0, sizeof(double) * (size_t)wide * wide);
     memcpy(z, z0, sizeof(double) * NZ);
     memcpy(p, p0, sizeof(double) * NP);
     for (int j = 0; j < nq; ++j) p[q_index[j]] = 0.0;
-    for (int i = 0; i < na; ++i)
-        for (int j = 0; j < nx; ++j) X[(size_t)i * sx + j] = x0[(size_t)i * nx + j];
+    for (int i = 0; i < na + more; ++i)
+        for (int j = 0; j < nx; ++j)
+            X[(size_t)(i < na ? i : size + i - na) * sx + j] = x0[(size_t)i * nx + j];
     for (int j = 0; j < nq; ++j) P[(size_t)(na + j) * (stride + 1)] = q_variance[j];
     for (int j = 0; j < ncol; ++j) P[(size_t)(m + j) * (stride + 1)] = c_variance[j];
     for (int l = 0; l < nl; ++l) {
@@ -254,6 +284,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         for (int i = 0; i < NZ; ++i)
             for (int j = 0; j < ACTIVE; ++j) s[i][j] = 0.0;
         for (int i = 0; i < na; ++i) s[uncertain[i]][i] = 1.0;
+        for (int i = 0; i < more; ++i) s[uncertain[na + i]][c_passing + i] = 1.0;
         sample_step(seen, s, input, p, times[k], since, y, sy, 1);
         for (int i = 0; i < stride; ++i) delta[i] = 0.0;
         int n_scalars = 0;
@@ -283,6 +314,9 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             for (int j = 0; j < wide; ++j) row[j] = 0.0;
             for (int j = 0; j < np; ++j) row[nx - np + j] = -sy[i][c_parameter + j];
             for (int r = 0; r < hs->n; ++r) axpy(row, -hs->value[r], X + (size_t)hs->index[r] * sx, nx);
+            for (int j = 0; j < more; ++j)
+                if (sy[i][c_passing + j] != 0.0)
+                    axpy(row, -sy[i][c_passing + j], X + (size_t)(size + j) * sx, nx);
             if (s_out) s_out[(size_t)k * NY + i] = S;
             one->inverse = inverse;
             one->output = i;
@@ -354,6 +388,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             for (int i = 0; i < NZ; ++i)
                 for (int j = 0; j < ACTIVE; ++j) s[i][j] = 0.0;
             for (int i = 0; i < na; ++i) s[uncertain[i]][i] = 1.0;
+            for (int i = 0; i < more; ++i) s[uncertain[na + i]][c_passing + i] = 1.0;
             /* Sensor memory moves on with what is known after the measurement. */
             if (NS > 0 && step == 0) {
                 if (sensors_remember)
@@ -387,17 +422,31 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             }
             if (nx > 0) {
                 double *before = X;
-                move_rows(Xnext, &step_of, X, sx);
-                for (int i = 0; i < na; ++i)
+                int n_passed = 0;
+                for (int i = 0; i < na + more; ++i) {
+                    const double *line = s[uncertain[i]];
+                    first_passed[i] = n_passed;
+                    for (int l = 0; l < m + more; ++l) {
+                        const double v = l < na  ? line[l]
+                                         : l < m ? line[c_disturbance + l - na]
+                                                 : line[c_passing + l - m];
+                        if (v == 0.0) continue;
+                        passed_place[n_passed] = l < m ? l : size + l - m;
+                        passed[n_passed++] = v;
+                    }
+                }
+                first_passed[na + more] = n_passed;
+                move_rows(Xnext, &columns_of, X, sx);
+                for (int i = 0; i < na + more; ++i)
                     for (int j = 0; j < np; ++j)
-                        Xnext[(size_t)i * sx + nx - np + j] += s[uncertain[i]][c_parameter + j];
+                        Xnext[(size_t)(i < na ? i : size + i - na) * sx + nx - np + j] +=
+                            s[uncertain[i]][c_parameter + j];
                 X = Xnext;
                 Xnext = before;
             }
             for (int l = 0; l < nl; ++l) {
                 double *mu = dm + (size_t)l * stride;
-                for (int i = 0; i < na; ++i) next[i] = 0.0;
-                for (int i = 0; i < m; ++i) axpy(next, mu[i], by_column + (size_t)i * narrow, narrow);
+                combine(next, mu, by_column, m, narrow);
                 for (int i = na; i < size; ++i) next[i] = phi[i] * mu[i];
                 double *d = dP + block * l;
                 sandwich(d, &step_of, product, turned, stride);

@@ -180,6 +180,7 @@ class FilterKernel:
         names: Sequence[str] = (),
         own_columns: bool = True,
         active: Sequence[int] | np.ndarray | None = None,
+        passing: Sequence[int] | np.ndarray = (),
         levels: Sequence[tuple[int, int]] = (),
         rows: bool = False,
         longest_step: float | None = None,
@@ -203,6 +204,8 @@ class FilterKernel:
             Whether the own start states have columns, which come first.
         active : sequence of int, optional
             Components of the full state that are uncertain; all by default.
+        passing : sequence of int
+            Components besides these that are certain, and only pass derivatives on.
         levels : sequence of (kind, index)
             Levels with tangents, as numbered by ``LEVEL_KINDS``; index -1 is the time of all.
         rows : bool
@@ -219,6 +222,8 @@ class FilterKernel:
         chosen = [self._free[name] for name in names]
         random = [self._free[name] for name in noise.disturbances]
         kept = np.arange(self.n_full) if active is None else np.asarray(active, dtype=int)
+        kept = np.concatenate([kept, np.asarray(passing, dtype=int)])
+        n_active = len(kept) - len(passing)
         n_own = self.n_own if own_columns else 0
         first = np.hstack(
             [dz0[kept][:, :n_own], dz0[kept][:, [self.n_own + index for index in chosen]]]
@@ -237,7 +242,7 @@ class FilterKernel:
             )  # fmt: skip
             return found.done(failed)
         columns = np.full(max(plain.n_free, 1), -1, dtype=np.intc)
-        parameter, disturbance = len(kept), len(kept) + len(chosen)
+        parameter, disturbance = n_active, n_active + len(chosen)
         columns[chosen] = parameter + np.arange(len(chosen))
         columns[random] = disturbance + np.arange(len(random))
         kept = np.ascontiguousarray(kept, dtype=np.intc)
@@ -252,12 +257,12 @@ class FilterKernel:
         x0, q_variance, q_time, white, c_variance, c_time = arrays
         work = np.empty(
             self._library.kernel_filter_work(
-                len(kept), len(random), len(coloured), first.shape[1], len(levels)
+                n_active, len(passing), len(random), len(coloured), first.shape[1], len(levels)
             )
         )
         failed = self._library.kernel_filter(
             n, _at(times), _at(inputs), _at(values), ctypes.c_double(self.model.step),
-            ctypes.c_double(longest_step), _at(z0), len(kept), _at(kept), first.shape[1],
+            ctypes.c_double(longest_step), _at(z0), n_active, len(passing), _at(kept), first.shape[1],
             len(chosen), parameter, disturbance, _at(columns), _at(x0), len(random),
             _at(positions), _at(q_variance), _at(q_time), _at(white), len(coloured),
             _at(coloured), _at(c_variance), _at(c_time), _at(measured), len(levels), _at(kinds),

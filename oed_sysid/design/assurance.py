@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.caution import Guards
@@ -62,7 +62,7 @@ class Assurance:
         """Lower end of the probability's one-sided 95 per cent interval (Clopper, Pearson)."""
         if self.n_kept == 0:
             return 0.0
-        return float(beta.ppf(1 - _CONFIDENCE, self.n_kept, self.n_checked - self.n_kept + 1))
+        return float(betaincinv(self.n_kept, self.n_checked - self.n_kept + 1, 1 - _CONFIDENCE))
 
     @property
     def drawn(self) -> str:

@@ -64,8 +64,9 @@ WORDS = {
 # ratio within which the best is settled.
 LEVELS = (0.03, 0.12, 0.5, 2.0, 8.0)
 SETTLED = 1.15
-# At the edge of the levels tried, so small a gain is not followed.
-FLAT = 0.2
+# At the edge of the levels tried, so small a gain is not followed; nor is the level of a place
+# that explains less than this share of what another does.
+FLAT, FAINT = 0.2, 0.1
 # Levels tried beyond the first ones, at most.
 MOST_ROUNDS = 6
 # Relinearisations of the most likely places.
@@ -414,7 +415,12 @@ def evidence(
         for solutions in _at_levels(grounds, quiet, records, np.outer(units, LEVELS))
     ]
     for _ in range(MOST_ROUNDS):
-        trials = {i: x for i, x in enumerate(map(_next_level, tables)) if x is not None}
+        gains = [base - table[_best(table)].objective for table in tables]
+        trials = {
+            i: x
+            for i, x in enumerate(map(_next_level, tables))
+            if x is not None and not gains[i] < FAINT * max(gains)
+        }
         if not trials:
             break
         wanted = [records[i] for i in trials]

@@ -19,6 +19,8 @@ N_REFITS = 7
 # Of these, how many again with the noise levels free, and which share of the best gain
 # makes one worth it.
 N_FULL, SHARE = 4, 0.1
+# Share of the gain that a claim needs below which free noise levels will not reach it either.
+HOPELESS = 0.3
 # A rival whose refit is this close, in twice the log-likelihood, cannot be told apart.
 GROUP_WIDTH = 6.0
 # Correlation of two signatures, free parameters projected out, above which they are one.
@@ -212,10 +214,12 @@ def rank(
     quick = [r for r in (refit(study, fit, score) for score in chosen) if r is not None]
     quick.sort(key=lambda r: -r.evidence)
     best = quick[0].gain if quick else 0.0
-    refits = [
-        deepen(study, fit, r) if n < N_FULL and r.gain > SHARE * best else r
-        for n, r in enumerate(quick)
-    ]
+
+    def worth(position: int, r: Refit) -> bool:
+        needed = threshold(len(scored), r.score.freedom, share)
+        return position < N_FULL and r.gain > SHARE * best and r.gain > HOPELESS * needed
+
+    refits = [deepen(study, fit, r) if worth(n, r) else r for n, r in enumerate(quick)]
     refits.sort(key=lambda r: -r.evidence)
     return Ranking(tuple(scored), tuple(refits), residual, share)
 

@@ -134,7 +134,7 @@ class Study:
         effects, skipped = fitting_candidates(model, candidates)
         wide = disturbed_model(model + effects, setting.disturbances)
         kernel = filter_kernel(wide)
-        found = MultipleShooting(max_iterations=40, coloured="never", disturbances="none")
+        found = MultipleShooting(max_iterations=15, coloured="never", disturbances="none")
         plain = found.fit(model, train)
         starts = [_nominal_start(model, train, white)]
         if np.isfinite(plain.cost):
@@ -398,19 +398,21 @@ def _best_test(
     starts: Sequence[Start],
     kernel: FilterKernel,
 ) -> ScoreTest:
-    """Levels to begin with: from the start that explains the records better."""
+    """Levels to begin with: from the last start, the fitted one, where the model runs there."""
     tests = []
     problem: SimulationError | None = None
-    for start in starts:
+    for start in reversed(starts):
         at = model.with_values(dict(start.values))
         try:
             tests.append(score_test(at, train, setting, start.initial, start.local, kernel))
         except SimulationError as error:
             problem = error
+        if tests and np.isfinite(tests[-1].gain):
+            return tests[-1]
     if not tests:
         assert problem is not None
         raise problem
-    return min(tests, key=lambda test: test.gain)
+    return tests[0]
 
 
 def _scaled(matrix: np.ndarray, scale: np.ndarray) -> np.ndarray:

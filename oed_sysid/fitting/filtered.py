@@ -28,7 +28,7 @@ from oed_sysid.effects import Effect
 from oed_sysid.fitting.shooting import Point
 from oed_sysid.fitting.unknowns import KnownStarts, Layout, Limits
 from oed_sysid.model import Model
-from oed_sysid.noise.disturbances import Place, disturbance
+from oed_sysid.noise.disturbances import DISTURBANCE, Place, disturbance
 from oed_sysid.noise.levels import Levels
 from oed_sysid.noise.model import NoiseModel
 
@@ -94,7 +94,13 @@ class Filtered:
             self._base[positions[name]] = value
         self._free = np.array([positions[name] for name in model.free_names], dtype=int)
         self.own = active_components(wide, model)
-        self.active = active_components(wide, model, passing=True)
+        self.active, self.passing = self.own, np.zeros(0, dtype=int)
+        if self.own is not None:
+            both = active_components(wide, model, passing=True)
+            if any(name.startswith(f"{DISTURBANCE}actuator_") for name in levels.disturbances):
+                self.active = both  # what an uncertain command is remembered as is uncertain
+            elif both is not None:
+                self.passing = np.setdiff1d(both, self.own)
         self._columns = tuple(self.layout.record_columns(i) for i in range(len(self.records)))
 
     # -- points --------------------------------------------------------------------
@@ -221,6 +227,7 @@ class Filtered:
                 names=names,
                 own_columns=columns,
                 active=self.active,
+                passing=self.passing,
                 levels=self.levels.entries if columns else (),
                 rows=rows,
             )
@@ -314,6 +321,7 @@ class Filtered:
                 noise,
                 own_columns=False,
                 active=self.active,
+                passing=self.passing,
             )
 
         found: dict[int, dict[int, FilterPass]] = {}

@@ -27,6 +27,9 @@ NEARLY_CLOSED, ROUNDING_SHARE, ROUNDING_COST = 1e-6, 1e-8, 1e-3
 FROZEN_TOLERANCE, SLACK, POLISH_STEPS, SETTLED, STALLED_NEAR = 1e-3, 0.1, 4, 0.02, 0.1
 # Where the frozen gradient promises what no step keeps, few trials show it.
 MOST_DAMPING, FEW_LENGTHS = 10.0, 3
+# Steps at frozen gain after which one looks back, and the fall of the cost over these that is too
+# small to go on for, least and in tolerances: its gradient then leads to and fro.
+LOOK_BACK, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
 
 Evaluate = Callable[[Any, Point], Any]
 
@@ -135,6 +138,15 @@ class FilteredSolution:
         return 2.0 * self.cost
 
     @property
+    def promise(self) -> float:
+        """Fall of the cost that the last equations promise."""
+        limits, unknowns = self.problem.limits, self.point.unknowns
+        right = self.right + limits.prior_weight * (limits.prior_mean - unknowns)
+        matrix = self.matrix + np.diag(limits.prior_weight)
+        step = bounded_step(matrix, right, limits.lower - unknowns, limits.upper - unknowns, 0.0)
+        return float(right @ step - 0.5 * step @ matrix @ step)
+
+    @property
     def noise(self) -> NoiseModel:
         """Noise model at the end."""
         return self.problem.noise(self.point.unknowns)
@@ -201,14 +213,22 @@ def solve_filtered(
     search = _Search(problem, begin, Whitened.at, Differentiated.at if polish else Whitened.at)
     search.slack, search.most_damping, search.lengths = SLACK, MOST_DAMPING, FEW_LENGTHS
     reason, iteration = "iterations", 0
+    best, costs = begin, [begin.cost]
+    fall = max(LEAST_FALL, FALL_TOLERANCES * tolerance)
     try:
         for iteration in range(1, max_iterations + 1):
             outcome = search.advance(tolerance)
             if outcome:
                 reason = outcome
                 break
+            best = min(best, search.now, key=lambda point: point.cost)
+            costs.append(best.cost)
             if callback is not None:
                 callback(Progress(iteration, search.now.cost, 0.0, search.decrease))
+            if costs[-1 - LOOK_BACK :][0] - best.cost < fall and iteration >= LOOK_BACK:
+                reason = "converged"
+                break
+        search.now = best
         if polish and search.confirm():
             search.slack = 0.0
             for _ in range(polish):

@@ -56,8 +56,8 @@ LEAST_START = 1.0
 # Factors on these levels of which the likeliest is begun at: where a model hardly damps what
 # disturbs it, records tell of levels far below those that act.
 LADDER = (1.0, 10.0, 1e2, 1e3, 1e4, 1e5)
-# Iterations after which several starts are compared.
-FIRST_LOOK = 12
+# Iterations after which a further start is given up unless it promises to overtake.
+FIRST_LOOK = 6
 # Samples from the start of each record that give the sizes of disturbances where the model on
 # its own leaves the numbers later.
 HEADS = (100, 30, 10)
@@ -357,7 +357,7 @@ def fit_disturbed(
         ),
     )
     nowhere = np.zeros(len(setting.white), dtype=bool)
-    tried: list[FilteredSolution] = []
+    begun = []
     for start in starts:
         levels = setting.levels(dataset, begin, unit, nowhere)
         problem = Filtered(
@@ -367,25 +367,26 @@ def fit_disturbed(
             kernel=kernel,
             known_starts=setting.known_starts,
         )
-        point = _likeliest_level(problem, start, setting, begin)
+        begun.append((problem, *_likeliest_level(problem, start, setting, begin)))
+    best: FilteredSolution | None = None
+    for problem, point, _ in sorted(begun, key=lambda one: one[2]):
         found = solve_filtered(
             problem,
             point,
-            max_iterations=max_iterations if len(starts) == 1 else FIRST_LOOK,
-            tolerance=FROZEN_TOLERANCE if len(starts) == 1 else 0.05,
+            max_iterations=max_iterations if best is None else FIRST_LOOK,
             polish=0,
             callback=progress,
         )
-        if found is not None:
-            tried.append(found)
-    if not tried:
+        if found is None or best is None:
+            best = best or found
+            continue
+        if found.cost - found.promise < best.cost and found.reason != "converged":
+            found = solve_filtered(
+                problem, found.point, max_iterations=max_iterations, polish=0, callback=progress
+            )
+        best = found if found is not None and found.cost < best.cost else best
+    if best is None:
         return None
-    best = min(tried, key=lambda found: found.cost)
-    if len(starts) > 1:
-        again = solve_filtered(
-            best.problem, best.point, max_iterations=max_iterations, polish=0, callback=progress
-        )
-        best = again if again is not None and again.cost < best.cost else best
     best = with_colour(best, setting, max_iterations=max_iterations)
     best = with_input_noise(best, setting)
     best = with_own_times(best, setting)
@@ -395,8 +396,10 @@ def fit_disturbed(
     return best
 
 
-def _likeliest_level(problem: Filtered, start: Start, setting: Setting, begin: NoiseModel) -> Point:
-    """Point at the start's values and the likeliest of a ladder of levels of all forces."""
+def _likeliest_level(
+    problem: Filtered, start: Start, setting: Setting, begin: NoiseModel
+) -> tuple[Point, float]:
+    """Point at the start's values and the likeliest of a ladder of levels; its objective."""
     free = np.array([place not in setting.known for place in begin.places], dtype=bool)
     points = [
         problem.point(
@@ -406,7 +409,9 @@ def _likeliest_level(problem: Filtered, start: Start, setting: Setting, begin: N
         )
         for factor in LADDER
     ]
-    return min(points, key=lambda point: problem.objective(point.unknowns))
+    objectives = [problem.objective(point.unknowns) for point in points]
+    best = int(np.argmin(objectives))
+    return points[best], objectives[best]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from joblib import Parallel, delayed
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DesignError
@@ -60,7 +60,7 @@ class Confirmation:
     def interval(self) -> tuple[float, float]:
         """Range in which 99 % of the ratios fall if the bound is exact."""
         n = self.n_runs - self.n_failed
-        low, high = chi2.ppf([0.005, 0.995], n) / n
+        low, high = chdtri(n, [0.995, 0.005]) / n
         return float(np.sqrt(low)), float(np.sqrt(high))
 
     @property
@@ -68,7 +68,7 @@ class Confirmation:
         """Whether all ratios lie in the interval, widened for looking at several."""
         n = self.n_runs - self.n_failed
         tail = 0.005 / max(len(self.names), 1)
-        low, high = np.sqrt(chi2.ppf([tail, 1 - tail], n) / n)
+        low, high = np.sqrt(chdtri(n, [1 - tail, tail]) / n)
         return bool(np.all((self.ratios > low) & (self.ratios < high)))
 
     def report(self) -> str:
