@@ -452,14 +452,13 @@ def _runaway(fit: Fit) -> tuple[Concern, ...]:
             return (_ran_away(name, value, abs(value) / (scale or 1.0), parameter.unit),)
     spread = signal_spread(fit.dataset)
     highest = np.nanmax(np.abs(np.vstack([r.outputs for r in fit.dataset])), axis=0, initial=0.0)
+    # An unstable vehicle leaves every scale on its own; what counts is the filter's error.
+    parts = fit.predictions if fit.innovations is None else fit.innovations
+    tops = np.max([np.max(np.abs(np.nan_to_num(p)), axis=0, initial=0.0) for p in parts], axis=0)
     for column, output in enumerate(fit.model.outputs):
         scale = float(max(highest[column], spread[column], fit.sigma[column]))
-        # An unstable vehicle leaves every scale on its own; what counts is the filter's error.
-        for part in fit.predictions if fit.innovations is None else fit.innovations:
-            with np.errstate(invalid="ignore"):
-                top = float(np.max(np.abs(np.nan_to_num(part[:, column])), initial=0.0))
-            if top > RUNAWAY * scale:
-                return (_ran_away(output.name, top, top / scale, output.unit),)
+        if tops[column] > RUNAWAY * scale:
+            return (_ran_away(output.name, tops[column], tops[column] / scale, output.unit),)
     return ()
 
 
@@ -546,29 +545,28 @@ def _degenerate(fit: Fit) -> tuple[Concern, ...]:
     """Outputs that a constant would explain as well."""
     if fit.innovations is not None or not _has_numbers(fit):
         return ()
-    noise: np.ndarray | None = None
+    count, own, moved, left = np.zeros((4, len(fit.model.outputs)))
+    for record, part in zip(fit.dataset, fit.predictions, strict=True):
+        seen = np.isfinite(record.outputs)
+        n = seen.sum(axis=0)
+        count += n
+        signal, model = (np.where(seen, values, 0.0) for values in (record.outputs, part))
+        left += ((signal - model) ** 2).sum(axis=0)
+        for values, total in ((signal, own), (model, moved)):
+            total += ((values - values.sum(axis=0) / np.maximum(n, 1)) ** 2 * seen).sum(axis=0)
+    suspects = np.flatnonzero((count >= 10) & (left >= BARELY * own))
+    if not len(suspects):
+        return ()
+    noise, _ = white_levels(fit.dataset)
+    noise = np.where(fit.sigma_estimated, noise, np.minimum(noise, fit.sigma))
     found = []
-    for column, output in enumerate(fit.model.outputs):
-        own = moved = left = 0.0
-        count = 0
-        for record, part in zip(fit.dataset, fit.predictions, strict=True):
-            seen = np.isfinite(record.outputs[:, column])
-            if not seen.any():
-                continue
-            signal = record.outputs[seen, column]
-            own += float(np.sum((signal - signal.mean()) ** 2))
-            moved += float(np.sum((part[seen, column] - part[seen, column].mean()) ** 2))
-            left += float(np.sum((signal - part[seen, column]) ** 2))
-            count += len(signal)
-        if count < 10 or left < BARELY * own:
+    for column in suspects:
+        output = fit.model.outputs[column]
+        if own[column] <= (MOVES * noise[column]) ** 2 * count[column]:
             continue
-        if noise is None:  # rarely needed, and not for nothing
-            noise, _ = white_levels(fit.dataset)
-            noise = np.where(fit.sigma_estimated, noise, np.minimum(noise, fit.sigma))
-        if own <= (MOVES * noise[column]) ** 2 * count:
-            continue
-        size = float(np.sqrt(left / own))
-        how = "the model stands still" if moved < STILL**2 * own else "the model moves otherwise"
+        size = float(np.sqrt(left[column] / own[column]))
+        still = moved[column] < STILL**2 * own[column]
+        how = "the model stands still" if still else "the model moves otherwise"
         found.append(
             Concern(
                 "degenerate",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -149,23 +150,23 @@ class Model:
             found |= {function.name: function for function in owner.functions}
         return found
 
-    @property
+    @cached_property
     def all_parameters(self) -> tuple[Parameter, ...]:
         """Shared parameters first, then those of each effect in order."""
         own = [parameter for effect in self.effects for parameter in effect.parameters]
         return (*self.parameters, *own)
 
-    @property
+    @cached_property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of all parameters, in order."""
         return tuple(parameter.name for parameter in self.all_parameters)
 
-    @property
+    @cached_property
     def free_parameters(self) -> tuple[Parameter, ...]:
         """Parameters that an estimator may change, in order."""
         return tuple(parameter for parameter in self.all_parameters if not parameter.fixed)
 
-    @property
+    @cached_property
     def free_names(self) -> tuple[str, ...]:
         """Names of the free parameters, in order."""
         return tuple(parameter.name for parameter in self.free_parameters)
