@@ -262,8 +262,8 @@ class FilterKernel:
         )
         failed = self._library.kernel_filter(
             n, _at(times), _at(inputs), _at(values), ctypes.c_double(self.model.step),
-            ctypes.c_double(longest_step), _at(z0), n_active, len(passing), _at(kept), first.shape[1],
-            len(chosen), parameter, disturbance, _at(columns), _at(x0), len(random),
+            ctypes.c_double(longest_step), _at(z0), n_active, len(passing), _at(kept),
+            first.shape[1], len(chosen), parameter, disturbance, _at(columns), _at(x0), len(random),
             _at(positions), _at(q_variance), _at(q_time), _at(white), len(coloured),
             _at(coloured), _at(c_variance), _at(c_time), _at(measured), len(levels), _at(kinds),
             _at(indices), _at(found.gram), _at(found.level), _at(found.e), _at(found.s),

@@ -27,7 +27,6 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.gauss_newton import (
-    FROZEN_TOLERANCE,
     FilteredSolution,
     Progress,
     solve_filtered,
