@@ -14,10 +14,8 @@
 
 static inline int round4(int n) { return (n + 3) & ~3; }
 
-/* Four numbers at a time; every array below is padded to whole vectors. */
-typedef double four_t __attribute__((vector_size(32), aligned(8)));
-
-/* target += factor * source, over n numbers rounded up to whole vectors. */
+/* target += factor * source, over n numbers rounded up to whole vectors, to which every array below
+ * is padded. */
 static inline void axpy(double *restrict target, double factor, const double *restrict source, int n)
 {
     for (int j = 0; j < n; j += 4) *(four_t *)(target + j) += factor * *(const four_t *)(source + j);

@@ -52,16 +52,33 @@ static _Thread_local const int *column_of;
 #define PARAMETER(row, index, value) target[row][NZ + index] += value;
 #endif
 
+/* Four numbers at a time: the columns in use are whole vectors. */
+typedef double four_t __attribute__((vector_size(32), aligned(8)));
+
 /* Zeros in the columns in use. */
 static inline void clear_rows(row_t *rows, int n)
 {
+    const int width = ACTIVE;
     for (int i = 0; i < n; ++i)
-        for (int j = 0; j < ACTIVE; ++j) rows[i][j] = 0.0;
+        for (int j = 0; j < width; j += 4) *(four_t *)(rows[i] + j) = (four_t){0.0, 0.0, 0.0, 0.0};
+}
+
+/* target <- base + factor rate, in the columns in use. */
+static inline void step_rows(row_t *restrict target, const row_t *base, double factor,
+                             const row_t *rate, int n)
+{
+    const int width = ACTIVE;
+    for (int i = 0; i < n; ++i)
+        for (int j = 0; j < width; j += 4)
+            *(four_t *)(target[i] + j) =
+                *(const four_t *)(base[i] + j) + factor * *(const four_t *)(rate[i] + j);
 }
 
 static inline void add_scaled(double *restrict target, double factor, const double *restrict source)
 {
-    for (int j = 0; j < ACTIVE; ++j) target[j] += factor * source[j];
+    const int width = ACTIVE;
+    for (int j = 0; j < width; j += 4)
+        *(four_t *)(target + j) += factor * *(const four_t *)(source + j);
 }
 
 /* Rows without their padding. */
@@ -292,28 +309,27 @@ static ONCE void advance_step(double *z, row_t *s, const double *start, const do
     }
     rates_stage(z, first, p, t, k1, (const row_t *)s, sfirst, k1s, with_sensitivities);
     for (int i = 0; i < NX; ++i) x[i] = z[i] + 0.5 * h * k1[i];
-    if (with_sensitivities)
-        for (int i = 0; i < NX; ++i)
-            for (int j = 0; j < ACTIVE; ++j) stage[i][j] = s[i][j] + 0.5 * h * k1s[i][j];
+    if (with_sensitivities) step_rows(stage, (const row_t *)s, 0.5 * h, (const row_t *)k1s, NX);
     rates_stage(x, middle, p, t + 0.5 * h, k2, (const row_t *)stage, smiddle, k2s,
                 with_sensitivities);
     for (int i = 0; i < NX; ++i) x[i] = z[i] + 0.5 * h * k2[i];
-    if (with_sensitivities)
-        for (int i = 0; i < NX; ++i)
-            for (int j = 0; j < ACTIVE; ++j) stage[i][j] = s[i][j] + 0.5 * h * k2s[i][j];
+    if (with_sensitivities) step_rows(stage, (const row_t *)s, 0.5 * h, (const row_t *)k2s, NX);
     rates_stage(x, middle, p, t + 0.5 * h, k3, (const row_t *)stage, smiddle, k3s,
                 with_sensitivities);
     for (int i = 0; i < NX; ++i) x[i] = z[i] + h * k3[i];
-    if (with_sensitivities)
-        for (int i = 0; i < NX; ++i)
-            for (int j = 0; j < ACTIVE; ++j) stage[i][j] = s[i][j] + h * k3s[i][j];
+    if (with_sensitivities) step_rows(stage, (const row_t *)s, h, (const row_t *)k3s, NX);
     rates_stage(x, last, p, t + h, k4, (const row_t *)stage, slast, k4s, with_sensitivities);
     for (int i = 0; i < NX; ++i) z[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
     for (int i = 0; i < NA; ++i) z[NX + i] = memory[i];
     if (with_sensitivities) {
+        const int width = ACTIVE;
         for (int i = 0; i < NX; ++i)
-            for (int j = 0; j < ACTIVE; ++j)
-                s[i][j] += h / 6.0 * (k1s[i][j] + 2.0 * (k2s[i][j] + k3s[i][j]) + k4s[i][j]);
+            for (int j = 0; j < width; j += 4)
+                *(four_t *)(s[i] + j) +=
+                    h / 6.0 *
+                    (*(four_t *)(k1s[i] + j) +
+                     2.0 * (*(four_t *)(k2s[i] + j) + *(four_t *)(k3s[i] + j)) +
+                     *(four_t *)(k4s[i] + j));
         memcpy(s + NX, sa, sizeof(row_t) * NA);
     }
 }
