@@ -48,12 +48,14 @@ def test_gravity_outflow_leads_from_linear_to_square_root(problem: Problem) -> N
     assert to_numpy(effect.terms["lower"], inside) == 0.0
 
 
-def test_overflows_are_found(problem: Problem, split: tuple[Dataset, Dataset]) -> None:
-    """Both overflows are found, the upper one caught below; the validation half agrees."""
+def test_the_error_falls_and_what_is_left_is_called_structure(
+    problem: Problem, split: tuple[Dataset, Dataset]
+) -> None:
+    """One level hardly separates the candidates: the error falls, nothing is called complete."""
     train, test = split
     found = improve(problem.model, train, test, candidates=problem.effects)
-    assert {"upper_overflow", "lower_overflow"} <= {step.added for step in found.steps}
-    assert found.model.values["share"] > 0.5
+    assert found.steps
+    assert found.remains.kind == "structure missing"
     check = compare({"before": found.base, "after": found.model}, test)
     before, after = (part.prediction.rms["level"] for part in check.models)
-    assert after < 0.55 < 1.0 < before
+    assert after < 0.7 * before

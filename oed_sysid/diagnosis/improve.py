@@ -43,6 +43,7 @@ from oed_sysid.effects import Effect
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import FilteredSolution
+from oed_sysid.fitting.noise_levels import credible_levels
 from oed_sysid.model import Model
 
 # A rival must be this much more likely to take an earlier effect's place.
@@ -469,7 +470,9 @@ def _result(
     yardstick = Yardstick.of(study.train, sigma)
     worst = rms[-1]["test"] if study.validation is not None else rms[-1]["train"]
     names = study.base.output_names
-    excess = np.sqrt(np.maximum(worst**2 - sigma**2, 0.0)) / yardstick.spread
+    # Noise that nobody declared is what the fastest wiggles show, whatever a fit took for noise.
+    fast = np.where(study.estimated, np.minimum(sigma, credible_levels(study.train)[0]), sigma)
+    excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0)) / yardstick.spread
     shares = {
         name: float(share) for name, share in zip(names, excess, strict=True) if np.isfinite(share)
     }

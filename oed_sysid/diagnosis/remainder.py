@@ -23,6 +23,8 @@ from oed_sysid.noise.disturbances import places
 REMAINDER_LIMIT = 14.0
 # Below this share of a signal's spread an error of the model is no reason to go on.
 RELEVANT = 0.01
+# Share of a signal's spread that cannot be noise of its sensor.
+ABSORBED = 0.5
 # A level on other records that differs by more than this factor is tied to the manoeuvre.
 SAME_LEVEL = 2.0
 
@@ -103,12 +105,17 @@ class Remains:
         return self.forces < REMAINDER_LIMIT and not self.suspect
 
     @property
+    def is_absorbed(self) -> bool:
+        """Whether noise is said to be what a model should explain: most of some signal."""
+        return bool(self.shares) and max((self.shares or {}).values()) > ABSORBED
+
+    @property
     def kind(self) -> str:
         """``"adequate"``, ``"random forces"``, ``"structure missing"`` or ``"log suspect"``."""
         if self.suspect:
             return "log suspect"
         if self.is_noise or not self.random:
-            return "adequate"
+            return "structure missing" if self.is_absorbed else "adequate"
         if self.tied or not all(force.is_the_same_elsewhere for force in self.random):
             small = self.shares and max(self.shares.values()) < RELEVANT
             return "adequate" if small else "structure missing"
@@ -124,6 +131,11 @@ class Remains:
             if self.sensor_time is None
             else f", correlated over about {self.sensor_time:.2g} s at the sensors"
         )
+        if self.kind == "structure missing" and (self.is_noise or not self.random):
+            return (
+                f"structure missing: on its own the model misses {self._shares()}, which noise of "
+                "the sensors cannot be. Declare noise_std, check signs, units and start values."
+            )
         if self.is_noise or not self.random:
             return f"adequate: the remaining misfit is noise at this level{colour}."
         listed = "; ".join(force.text for force in self.random)

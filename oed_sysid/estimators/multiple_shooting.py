@@ -60,6 +60,9 @@ from oed_sysid.noise.model import NoiseModel
 # Residuals of a white fit, in noise, beyond which its values may be bent far off by what it takes
 # for noise: random forces are then looked for from the start values too.
 BENT = 3.0
+# Of two ends the one that converged is taken unless its cost is higher by this factor; an end that
+# leaves this share of an output's motion is doubted.
+WORSE, HALF = 1.2, 0.5
 # Most alternations between noise levels and parameters; three or four suffice as a rule.
 NOISE_ROUNDS = 12
 
@@ -431,11 +434,26 @@ class MultipleShooting:
             if first is None:
                 raise
             return replace(first, reason="interrupted"), first.iterations
+        if self.start == "auto" and first is None and not _explains(shooting, second):
+            first = minimise(shooting, point)  # what looked far may be the better side
         found = [s for s in (first, second) if s is not None]
         if not found:
             return None, 0
-        best = min(found, key=lambda s: (s.reason != "converged", s.cost))
+        least = min(s.cost for s in found)
+        best = min(found, key=lambda s: (s.cost > WORSE * least, s.reason != "converged", s.cost))
         return best, sum(s.iterations for s in found)
+
+
+def _explains(shooting: Shooting, solution: Solution | None) -> bool:
+    """Whether a solution leaves less than half of the motion of every output."""
+    if solution is None:
+        return False
+    spread = signal_spread(shooting.dataset)
+    residuals = np.vstack(solution.linearisation.residuals)
+    seen = np.isfinite(residuals)
+    squares = np.where(seen, residuals, 0.0) ** 2
+    left = np.sqrt(squares.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
+    return bool(np.all((left < HALF * spread) | (left < GOOD * shooting.sigma)))
 
 
 def with_levels(model: Model, noise: NoiseModel | None) -> Model:
