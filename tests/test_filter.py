@@ -111,6 +111,43 @@ def test_compiled_filter_is_the_interpreted_one(
     assert_same(run(kernel), run(interpreted(kernel)))
 
 
+@pytest.mark.parametrize("longest_step", [None, 0.06], ids=["samples", "sub-steps"])
+def test_replay_repeats_the_filter_and_shows_what_a_value_changes(
+    longest_step: float | None,
+) -> None:
+    """At the values of the pass the same innovations; at others the columns at frozen gain."""
+    kernel = filter_kernel(disturbed_model(AUV, AUV_FORCES))
+    times, inputs, measured = auv_record()
+    values = kernel.model.value_vector
+    own = np.array([1.5, 0.02, 0.0, 0.05, 2.0])
+    step = 1e-5
+    moved = values.copy()
+    moved[kernel.model.parameter_names.index("X_uu")] += step
+    slopes = []
+    for filter_ in (kernel, interpreted(kernel)):
+        found = filter_.filter(
+            times, inputs, values, own, measured, AUV_NOISE, names=("X_uu",), own_columns=False,
+            rows=True, gains=True, longest_step=longest_step,
+        )  # fmt: skip
+        assert found.gains is not None
+        assert found.rows is not None
+        same, other = (
+            filter_.replay(
+                times, inputs, at, own, measured, AUV_NOISE, found.gains, longest_step=longest_step
+            )
+            for at in (values, moved)
+        )
+        assert same[1]
+        assert other[1]
+        np.testing.assert_allclose(same[0], found.innovations, rtol=1e-9, atol=1e-12)
+        seen = np.isfinite(found.innovations)
+        slopes.append(((other[0] - same[0])[seen], found))
+        expected = found.rows[seen][:, 0] * np.sqrt(found.variances[seen]) * step
+        # The gain itself moves with the path, which the replay leaves out as the columns do.
+        np.testing.assert_allclose(slopes[-1][0], expected, atol=2e-3 * np.abs(expected).max())
+    np.testing.assert_allclose(slopes[0][0], slopes[1][0], atol=1e-5 * np.abs(slopes[0][0]).max())
+
+
 def ship_run(
     kernel: FilterKernel, model: Model, names: tuple[str, ...], noise: Disturbed
 ) -> FilterPass:

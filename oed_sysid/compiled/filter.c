@@ -221,7 +221,8 @@ size_t kernel_filter_work(int na, int more, int nq, int ncol, int nx, int nl)
  * Results, each but gram may be NULL: gram ((nx + nl + 1)^2) the sum of [de e]'[de e]/S; level
  * (nl + nl^2) half gradient sum q(1 - e^2/S)/2 and sum q q'/2 of the levels, q = d log S;
  * e, s (n x NY) innovations, NaN where missing, and their variances; rows (n x NY x (nx + 2 nl)) of
- * de/sqrt(S), then q of the levels, missing samples included; path (n x (NZ + nq + ncol)) filtered means; total (2) sums of log S and e^2/S.
+ * de/sqrt(S), then q of the levels, missing samples included; path (n x (NZ + nq + ncol)) filtered means; gains (n x NY x 2 size) h, then g/S,
+ * zero where missing; total (2) sums of log S and e^2/S.
  * Returns -1, or the first sample at which something is not finite or S is not positive.
  */
 int kernel_filter(int n, const double *times, const double *inputs, const double *p0, double h_max,
@@ -231,7 +232,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                   const int *c_output, const double *c_variance, const double *c_time,
                   const double *measured, int nl, const int *l_kind, const int *l_index,
                   double *gram_out, double *level_out, double *e_out, double *s_out,
-                  double *rows_out, double *path_out, double *total, double *work)
+                  double *rows_out, double *path_out, double *gains_out, double *total, double *work)
 {
     const int m = na + nq, size = m + ncol, stride = round4(size), sx = round4(nx);
     const int width = nx + nl + 1, wide = round4(width), narrow = round4(na);
@@ -337,6 +338,11 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             }
             sum_square += square;
             if (e_out) e_out[(size_t)k * NY + i] = e;
+            if (gains_out) {
+                double *kept = gains_out + ((size_t)k * NY + i) * 2 * size;
+                for (int r = 0; r < hs->n; ++r) kept[hs->index[r]] = hs->value[r];
+                for (int j = 0; j < size; ++j) kept[size + j] = g[j] * inverse;
+            }
         }
         for (int l = 0; l < nl; ++l)
             measure_level(dP + block * l, dm + (size_t)l * stride, l,
@@ -498,6 +504,69 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
     if (total) {
         total[0] = sum_log + log(product_s);
         total[1] = sum_square;
+    }
+    return -1;
+}
+
+/* Innovations e (n x NY) of other values at gains that a pass of kernel_filter has kept.
+ *
+ * No derivative is needed: a fraction of the cost. Arguments as there; gains as kept, for the
+ * same uncertain components, disturbances and colours.
+ */
+int kernel_replay(int n, const double *times, const double *inputs, const double *p0, double h_max,
+                  double h_sub, const double *z0, int na, const int *uncertain, int nq,
+                  const int *q_index, const double *q_time, int ncol, const int *c_output,
+                  const double *c_time, const double *measured, const double *gains, double *e_out,
+                  double *mean, double *delta)
+{
+    const int m = na + nq, size = m + ncol;
+    double z[MAX1(NZ)], seen[MAX1(NZ)], y[MAX1(NY)], p[MAX1(NP)];
+    memcpy(z, z0, sizeof(double) * NZ);
+    memcpy(p, p0, sizeof(double) * NP);
+    for (int i = 0; i < size; ++i) mean[i] = 0.0;
+    for (int j = 0; j < nq; ++j) p[q_index[j]] = 0.0;
+    for (int k = 0; k < n; ++k) {
+        const double *input = inputs + (size_t)k * NU;
+        const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
+        double check = 0.0;
+        for (int i = 0; i < NZ; ++i) check += z[i];
+        if (!isfinite(check)) return k;
+        memcpy(seen, z, sizeof z);
+        sample_step(seen, NULL, input, p, times[k], since, y, NULL, 0);
+        for (int i = 0; i < size; ++i) delta[i] = 0.0;
+        for (int i = 0; i < NY; ++i) {
+            const double value = measured[(size_t)k * NY + i];
+            const double *h = gains + ((size_t)k * NY + i) * 2 * size, *gain = h + size;
+            e_out[(size_t)k * NY + i] = NAN;
+            if (isnan(value)) continue;
+            double e = value - y[i];
+            for (int j = 0; j < ncol; ++j)
+                if (c_output[j] == i) e -= mean[m + j];
+            for (int j = 0; j < size; ++j) e -= h[j] * delta[j];
+            if (!isfinite(e)) return k;
+            for (int j = 0; j < size; ++j) delta[j] += gain[j] * e;
+            e_out[(size_t)k * NY + i] = e;
+        }
+        for (int i = 0; i < na; ++i) z[uncertain[i]] += delta[i];
+        for (int i = na; i < size; ++i) mean[i] += delta[i];
+        if (k + 1 >= n) break;
+        const double interval = times[k + 1] - times[k];
+        int steps = (int)ceil(interval / h_sub - 1e-6);
+        if (steps < 1) steps = 1;
+        for (int step = 0; step < steps; ++step) {
+            const double from = (double)step / steps, to = (double)(step + 1) / steps;
+            double inner_times[2] = {times[k] + from * interval, times[k] + to * interval};
+            double inner_inputs[2 * MAX1(NU)];
+            inputs_between(input, input + NU, from, inner_inputs);
+            inputs_between(input, input + NU, step + 1 == steps ? 1.0 : to, inner_inputs + NU);
+            for (int j = 0; j < nq; ++j) p[q_index[j]] = mean[na + j];
+            if (NS > 0 && step == 0) sample_step(z, NULL, input, p, times[k], since, y, NULL, 0);
+            advance_interval(z, NULL, inner_times, inner_inputs, p, h_max, 0, 0);
+            const double length = inner_times[1] - inner_times[0];
+            for (int j = 0; j < nq; ++j) mean[na + j] *= exp(-length / q_time[j]);
+            for (int j = 0; j < ncol; ++j) mean[m + j] *= exp(-length / c_time[j]);
+        }
+        for (int j = 0; j < nq; ++j) p[q_index[j]] = mean[na + j];
     }
     return -1;
 }

@@ -78,6 +78,8 @@ class FilterPass:
         ``de / sqrt(S)``, also where nothing was measured, then ``q`` of the levels.
     path : ndarray (n_times, n_full + n_disturbances + n_coloured)
         Filtered means.
+    gains : ndarray (n_times, n_outputs, 2, n_active + n_disturbances + n_coloured) or None
+        Derivatives of each output, and the gain of its innovation; zero where missing.
     failed_at : int
         First sample that is not finite, or -1.
     """
@@ -91,6 +93,7 @@ class FilterPass:
     variances: np.ndarray
     rows: np.ndarray | None
     path: np.ndarray
+    gains: np.ndarray | None
     failed_at: int
 
     @property
@@ -183,6 +186,7 @@ class FilterKernel:
         passing: Sequence[int] | np.ndarray = (),
         levels: Sequence[tuple[int, int]] = (),
         rows: bool = False,
+        gains: bool = False,
         longest_step: float | None = None,
     ) -> FilterPass:
         """Filter one record.
@@ -210,6 +214,8 @@ class FilterKernel:
             Levels with tangents, as numbered by ``LEVEL_KINDS``; index -1 is the time of all.
         rows : bool
             Whether to return the derivatives of every innovation.
+        gains : bool
+            Whether to return gains, for :meth:`replay`.
         longest_step : float, optional
             Longest time over which disturbances are held, s; the median sample time by default.
         """
@@ -234,11 +240,13 @@ class FilterKernel:
         indices = np.array([index for _, index in levels], dtype=np.intc)
         width = first.shape[1] + len(levels)
         size = self.n_full + len(random) + len(noise.coloured)
+        inner = n_active + len(random) + len(noise.coloured)
         found = _Results.empty(n, plain.n_outputs, width, len(levels), size, rows)
+        found.gains = np.zeros((n, plain.n_outputs, 2, inner)) if gains else None
         if self._library is None:
             failed = _filter_numpy(
                 self.model, times, inputs, values, z0, first, kept, chosen, random, measured,
-                noise, list(zip(kinds, indices, strict=True)), longest_step, found,
+                noise, list(zip(kinds, indices, strict=True)), longest_step, n_active, found,
             )  # fmt: skip
             return found.done(failed)
         columns = np.full(max(plain.n_free, 1), -1, dtype=np.intc)
@@ -267,12 +275,75 @@ class FilterKernel:
             _at(positions), _at(q_variance), _at(q_time), _at(white), len(coloured),
             _at(coloured), _at(c_variance), _at(c_time), _at(measured), len(levels), _at(kinds),
             _at(indices), _at(found.gram), _at(found.level), _at(found.e), _at(found.s),
-            _at(found.rows), _at(found.path), _at(found.total), _at(work),
+            _at(found.rows), _at(found.path), _at(found.gains), _at(found.total), _at(work),
         )  # fmt: skip
         return found.done(failed)
 
+    def replay(
+        self,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        values: np.ndarray,
+        own: np.ndarray,
+        measured: np.ndarray,
+        noise: Disturbed,
+        gains: np.ndarray,
+        *,
+        active: Sequence[int] | np.ndarray | None = None,
+        longest_step: float | None = None,
+    ) -> tuple[np.ndarray, bool]:
+        """Innovations of other values at the gains of an earlier pass.
 
-@dataclass(frozen=True, eq=False)
+        What a change of the model does to the innovations at frozen gain, without derivatives
+        and hence at a fraction of the cost of a pass.
+
+        Parameters
+        ----------
+        times, inputs, values, own, measured, noise, active, longest_step
+            As of :meth:`filter`.
+        gains : ndarray (n_times, n_outputs, 2, n_active + n_disturbances + n_coloured)
+            As a pass with the same active components, disturbances and colours has kept them.
+
+        Returns
+        -------
+        innovations : ndarray (n_times, n_outputs)
+            NaN where nothing was measured.
+        ok : bool
+            Whether everything stayed finite.
+        """
+        times = np.ascontiguousarray(times, dtype=float)
+        n, plain = len(times), self.plain
+        inputs = np.ascontiguousarray(inputs, dtype=float).reshape(n, plain.n_inputs)
+        values = np.ascontiguousarray(values, dtype=float)
+        measured = np.ascontiguousarray(measured, dtype=float)
+        z0, _ = self.start(own, inputs[0], values, times[0])
+        kept = np.arange(self.n_full) if active is None else np.asarray(active, dtype=int)
+        if longest_step is None:
+            longest_step = float(np.median(np.diff(times))) if n > 1 else 1.0
+        innovations = np.full((n, plain.n_outputs), np.nan)
+        if self._library is None:
+            failed = _replay_numpy(
+                self.model, times, inputs, values, z0, kept, measured, noise, gains, longest_step,
+                innovations,
+            )  # fmt: skip
+            return innovations, failed < 0
+        kept = np.ascontiguousarray(kept, dtype=np.intc)
+        positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
+        coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
+        q_time = np.ascontiguousarray(np.maximum(noise.time, 1e-9), dtype=float)
+        c_time = np.ascontiguousarray(np.maximum(noise.colour_time, 1e-9), dtype=float)
+        gains = np.ascontiguousarray(gains, dtype=float)
+        mean, delta = np.empty((2, gains.shape[-1]))
+        failed = self._library.kernel_replay(
+            n, _at(times), _at(inputs), _at(values), ctypes.c_double(self.model.step),
+            ctypes.c_double(longest_step), _at(z0), len(kept), _at(kept), len(positions),
+            _at(positions), _at(q_time), len(coloured), _at(coloured), _at(c_time),
+            _at(measured), _at(gains), _at(innovations), _at(mean), _at(delta),
+        )  # fmt: skip
+        return innovations, failed < 0
+
+
+@dataclass(eq=False)
 class _Results:
     """Arrays that a pass fills."""
 
@@ -283,6 +354,7 @@ class _Results:
     rows: np.ndarray | None
     path: np.ndarray
     total: np.ndarray
+    gains: np.ndarray | None = None
 
     @classmethod
     def empty(
@@ -310,6 +382,7 @@ class _Results:
             self.s,
             self.rows,
             self.path,
+            self.gains,
             failed,
         )
 
@@ -328,6 +401,7 @@ def _filter_numpy(
     noise: Disturbed,
     levels: Sequence[tuple[int, int]],
     longest_step: float,
+    n_active: int,
     found: _Results,
 ) -> int:
     """The pass of ``filter.c`` on CasADi's interpreter, for machines without a compiler."""
@@ -395,6 +469,9 @@ def _filter_numpy(
                 d_p[level] -= (cross + cross.T - q[level] * np.outer(g, g)) / s
             p -= np.outer(g, g) / s
             delta += g * e / s
+            if found.gains is not None:
+                inside = [*range(n_active), *range(na, size)]
+                found.gains[k, i] = h[inside], g[inside] / s
             gram += np.outer(row, row) / s
             slope += 0.5 * q * (1 - e**2 / s)
             information += 0.5 * np.outer(q, q)
@@ -452,6 +529,64 @@ def _filter_numpy(
     found.gram[:] = gram
     found.level[:nl], found.level[nl:] = slope, information.ravel()
     found.total[:] = total
+    return -1
+
+
+def _replay_numpy(
+    model: Model,
+    times: np.ndarray,
+    inputs: np.ndarray,
+    values: np.ndarray,
+    z0: np.ndarray,
+    kept: np.ndarray,
+    measured: np.ndarray,
+    noise: Disturbed,
+    gains: np.ndarray,
+    longest_step: float,
+    innovations: np.ndarray,
+) -> int:
+    """The pass of ``kernel_replay`` on CasADi's interpreter."""
+    code = interpreted(model)
+    position = [model.parameter_names.index(name) for name in noise.disturbances]
+    na, m = len(kept), len(kept) + len(position)
+    linear = np.array(code.graph.linear_inputs, dtype=float)
+    taus = np.maximum(np.concatenate([noise.time, noise.colour_time]), 1e-9)
+    z, values, mean = z0.copy(), values.copy(), np.zeros(gains.shape[-1])
+    for k in range(len(times)):
+        since = times[k] - times[k - 1] if k else (times[1] - times[0] if len(times) > 1 else 1.0)
+        values[position] = mean[na:m]
+        if not np.isfinite(z).all():
+            return k
+        y = np.array(code._sample(z, inputs[k], values, times[k], since)[0]).ravel()
+        delta = np.zeros(len(mean))
+        for i in np.flatnonzero(np.isfinite(measured[k])):
+            h, gain = gains[k, i]
+            e = measured[k, i] - y[i] - h @ delta - (noise.coloured == i) @ mean[m:]
+            if not np.isfinite(e):
+                return k
+            delta += gain * e
+            innovations[k, i] = e
+        z[kept] += delta[:na]
+        mean[na:] += delta[na:]
+        if k + 1 == len(times):
+            break
+        interval = times[k + 1] - times[k]
+        steps = max(1, int(np.ceil(interval / longest_step - 1e-6)))
+        move = linear * (inputs[k + 1] - inputs[k])
+        for step in range(steps):
+            values[position] = mean[na:m]
+            if step == 0:
+                z = np.array(code._sample(z, inputs[k], values, times[k], since)[1]).ravel()
+            inner = max(1, int(np.ceil(interval / steps / model.step - 1e-9)))
+            for j in range(inner):
+                a, b = (step + j / inner) / steps, (step + (j + 1) / inner) / steps
+                z = np.array(
+                    code._advance(
+                        z, inputs[k] + a * move, inputs[k] + b * move, values,
+                        times[k] + a * interval, interval / steps / inner,
+                    )[0]
+                ).ravel()  # fmt: skip
+            mean[na:] *= np.exp(-interval / steps / taus)
     return -1
 
 

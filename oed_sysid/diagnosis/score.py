@@ -17,6 +17,7 @@ from itertools import product
 
 import numpy as np
 
+from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.filtered import Filtered
@@ -82,13 +83,14 @@ class _Variant:
 class _Rows:
     """Innovations of all records in units of their standard deviation, with derivatives.
 
-    ``seen`` and ``roots`` (standard deviations) are per record; ``known`` are columns of the
-    unknowns of the fit, ``extra`` those of candidates, by name.
+    ``seen``, ``roots`` (standard deviations) and ``passes`` are per record; ``known`` are columns
+    of the unknowns of the fit, ``extra`` those of candidates, by name.
     """
 
     seen: list[np.ndarray]
     roots: list[np.ndarray]
     innovations: list[np.ndarray]
+    passes: list[FilterPass]
     residual: np.ndarray
     known: np.ndarray
     extra: dict[str, np.ndarray]
@@ -155,7 +157,7 @@ def _rows(fit: FilteredSolution, smooth: Sequence[str], local: set[str]) -> _Row
     layout = problem.layout
     names = (*layout.free_names, *smooth)
     width = layout.n_own + len(layout.free_names)
-    found = problem.passes(unknowns, rows=True, names=names)
+    found = problem.passes(unknowns, rows=True, gains=True, names=names)
     n_records = len(found)
     n_known = layout.levels.start
     seen = [np.isfinite(part.innovations) for part in found]
@@ -182,7 +184,8 @@ def _rows(fit: FilteredSolution, smooth: Sequence[str], local: set[str]) -> _Row
         known[begin + position, column] = np.sqrt(priors[column])
         away = problem.limits.prior_mean[column] - unknowns[column]
         residual[begin + position] = np.sqrt(priors[column]) * away
-    return _Rows(seen, roots, [part.innovations for part in found], residual, known, extra)
+    innovations = [part.innovations for part in found]
+    return _Rows(seen, roots, innovations, found, residual, known, extra)
 
 
 def _score(
@@ -286,12 +289,10 @@ def _secant(
         )
         local = [dict(own) for own in fit.local]
         point = trial.point(fit.initial, local)
-        found = trial.passes(point.unknowns, columns=False)
-        if not all(part.ok for part in found):
+        found = problem.replayed(trial, point.unknowns, rows.passes)
+        if found is None:
             return None
-        moved = [
-            still - part.innovations for still, part in zip(rows.innovations, found, strict=True)
-        ]
+        moved = [still - part for still, part in zip(rows.innovations, found, strict=True)]
         column = rows.spread(moved) / sum(sizes.values())
         columns.append(np.concatenate([column, np.zeros(len(rows.residual) - len(column))]))
     return np.array(columns).T

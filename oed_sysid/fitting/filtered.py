@@ -192,6 +192,7 @@ class Filtered:
         *,
         columns: bool = True,
         rows: bool = False,
+        gains: bool = False,
         names: Sequence[str] | None = None,
         measured: Sequence[np.ndarray] | None = None,
     ) -> list[FilterPass]:
@@ -204,6 +205,8 @@ class Filtered:
             Whether derivatives are wanted.
         rows : bool
             Whether these of every innovation.
+        gains : bool
+            Whether gains are kept, for :meth:`replayed`.
         names : sequence of str, optional
             Columns of parameters; by default all free ones.
         measured : sequence of ndarray, optional
@@ -230,9 +233,51 @@ class Filtered:
                 passing=self.passing,
                 levels=self.levels.entries if columns else (),
                 rows=rows,
+                gains=gains,
             )
 
         return both_cores(one, range(len(self.records)))
+
+    def replayed(
+        self,
+        wide: Filtered,
+        unknowns: np.ndarray,
+        found: Sequence[FilterPass],
+    ) -> list[np.ndarray] | None:
+        """Innovations of a larger model at the gains of passes of this one.
+
+        Parameters
+        ----------
+        wide : Filtered
+            Problem of the larger model, of the same kernel and noise.
+        unknowns : ndarray (n_unknowns,)
+            Of that problem.
+        found : sequence of FilterPass
+            Passes of this one that kept their gains.
+
+        Returns
+        -------
+        list of ndarray (n_times, n_outputs) or None
+            Per record; None where the larger model leaves the numbers.
+        """
+        noise = wide.levels.disturbed(wide.noise(unknowns))
+
+        def one(index: int) -> tuple[np.ndarray, bool]:
+            record, part = self.records[index], found[index]
+            assert part.gains is not None
+            return wide.kernel.replay(
+                record.times,
+                record.inputs,
+                wide.values(unknowns, index),
+                wide.initial_state(unknowns, index),
+                record.outputs,
+                noise,
+                part.gains,
+                active=self.active,
+            )
+
+        results = both_cores(one, range(len(self.records)))
+        return [part for part, _ in results] if all(ok for _, ok in results) else None
 
     def objective(self, unknowns: np.ndarray) -> float:
         """Minus twice the log-likelihood with priors, up to a constant."""
