@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,15 @@ import pytest
 from scipy import stats
 from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 
-from oed_sysid import load_problem, read_csv
+from oed_sysid import Dataset, load_problem, read_csv
 from oed_sysid.diagnosis.improve import improve
 from oed_sysid.diagnosis.improvement import Improvement
 from oed_sysid.diagnosis.rank import rank, threshold
 from oed_sysid.diagnosis.score import scores
 from oed_sysid.diagnosis.study import Study
+from oed_sysid.effects.actuators import backlash
 from oed_sysid.errors import DataError
+from oed_sysid.fitting.input_noise import sigma_filter
 
 AUV_DATA = Path(__file__).resolve().parent.parent / "problems" / "remus_diving_plane" / "data"
 
@@ -190,3 +193,29 @@ def test_improvement_tells_its_story(auv: Improvement) -> None:
     text = auv.report()
     assert "heave_crossflow_drag" in text
     assert "noise" in text.splitlines()[-1] or "Verdict" in text
+
+
+def test_what_smooths_the_noise_of_a_logged_command_is_not_claimed() -> None:
+    """A play or a power of a noisy command that is held fits better, and is not there."""
+    for seed in (3, 4):
+        rng = np.random.default_rng(seed)
+        noisy = []
+        for number in (0, 1):
+            records = []
+            for record in dataset(10 * seed + number):
+                logged = record.inputs + 0.01 * rng.standard_normal(record.inputs.shape)
+                records.append(replace(record, inputs=logged))
+            noisy.append(Dataset(tuple(records)))
+        found = improve(SHIP, *noisy, candidates=[CUBIC, backlash("rudder_backlash", "delta")])
+        assert not found.steps
+
+
+def test_a_sigma_filter_keeps_jumps_and_takes_noise() -> None:
+    """Held commands come back within a few hundredths of the noise away from their level."""
+    rng = np.random.default_rng(0)
+    held = np.repeat([0.0, 0.5, -0.5, 0.5], 60)
+    left = sigma_filter(held + 0.01 * rng.standard_normal(len(held)), 0.01) - held
+    assert np.std(left) < 0.003
+    assert np.abs(left).max() < 0.01
+    slope = np.linspace(0.0, 1.0, 400)
+    assert np.abs(sigma_filter(slope, 0.01) - slope)[100:-100].max() < 1e-3

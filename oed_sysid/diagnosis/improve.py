@@ -44,6 +44,7 @@ from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import FilteredSolution
 from oed_sysid.fitting.noise_levels import credible_levels
+from oed_sysid.language.expressions import names
 from oed_sysid.model import Model
 
 # A rival must be this much more likely to take an earlier effect's place.
@@ -80,6 +81,7 @@ class _State:
     fit: FilteredSolution
     path: tuple[FilteredSolution, ...]
     replaced: tuple[str, ...] = ()
+    dismissed: tuple[str, ...] = ()
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -186,6 +188,8 @@ def _search(
         tell(f"ranking candidates, round {len(state.added) + 1}")
         ranking = rank(state.study, state.fit, state.left, share=state.share)
         first = first or ranking
+        ranking, told = _without_smoothers(state, ranking)
+        state = replace(state, dismissed=tuple(dict.fromkeys((*state.dismissed, *told))))
         chosen, validation_gain, refused = _choose(state, ranking)
         rejected += refused
         if chosen is None:
@@ -213,6 +217,57 @@ def _choose(state: _State, ranking: Ranking) -> tuple[Refit | None, float, list[
             return refit, gain, refused
         refused.append(refit.name)
     return None, np.nan, refused
+
+
+def _without_smoothers(state: _State, ranking: Ranking) -> tuple[Ranking, tuple[str, ...]]:
+    """The ranking without refits that only smooth the noise of a logged input, and why."""
+    study, kept, told = state.study, [], []
+    for position, refit in enumerate(ranking.refits):
+        needed = ranking.needed(refit)
+        asked = position < ASKED and refit.gain >= needed
+        if asked and not _persists(study, state.fit, refit.fit, needed):
+            told.append(_dismissal(study, refit.name))
+        else:
+            kept.append(refit)
+    return replace(ranking, refits=tuple(kept)), tuple(told)
+
+
+def _persists(
+    study: Study, before: FilteredSolution, after: FilteredSolution, needed: float
+) -> bool:
+    """Whether a gain is left once the noise of logged inputs is smoothed.
+
+    The vehicle answers to the true input. What flattens the answer to a noisy log (a play, a lag)
+    is likelier, whether or not it is there.
+    """
+    if study.smoothed is None:
+        return True
+    other = replace(study, train=study.smoothed)
+    first, second = (
+        other.estimate(other.effects_of(fit), fit.values, fit, max_iterations=12)
+        for fit in (before, after)
+    )
+    if first is None or second is None:
+        return True
+    return first.objective - second.objective >= needed
+
+
+def _in_noisy_input(study: Study, term: Effect) -> bool:
+    """Whether a proposed term holds an input whose log is noisy.
+
+    Where commands are held at few levels, a power of one does nothing that the other coefficients
+    cannot do, except to the noise.
+    """
+    noisy = set(study.noisy_inputs)
+    noisy |= {signal for signal, text in study.base.actuator_signals.items() if names(text) & noisy}
+    return any(names(text) & noisy for text in term.terms.values())
+
+
+def _dismissal(study: Study, name: str) -> str:
+    return (
+        f"{name} may explain no more than the noise of the logged {', '.join(study.noisy_inputs)}: "
+        "no claim is made."
+    )
 
 
 def _difference(before: float, after: float) -> float:
@@ -367,6 +422,10 @@ def _with_term(
     worth = gained + PLACE_MARGIN * fewer > PLACE_MARGIN if replaced else gained > proposals.needed
     if not worth:
         return state, None, tied
+    term = option.added[-1].effect
+    if _in_noisy_input(study, term) or not _persists(option.study, state.fit, found, PLACE_MARGIN):
+        told = _dismissal(study, term.name)
+        return replace(state, dismissed=(*state.dismissed, told)), None, ()
     validation_gain = np.nan
     if study.validation is not None:
         validation_gain = _difference(study.validate(state.fit), option.study.validate(found))
@@ -496,7 +555,7 @@ def _result(
             name for name in dict.fromkeys(rejected) if name not in {step.added for step in steps}
         ),
         proposed=() if term is None else (term.to_dict(),),
-        notes=tuple(notes),
+        notes=(*notes, *state.dismissed),
         log=log,
         skipped=study.skipped,
     )

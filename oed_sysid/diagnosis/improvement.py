@@ -187,7 +187,7 @@ class Improvement:
     model : Model
         The improved model at its estimates.
     base : Model
-        The believed model at its estimates.
+        The nominal model at its estimates.
     steps : tuple of Step
     ranking : Ranking
         Of the first round.
@@ -195,7 +195,7 @@ class Improvement:
     base_error, final_error : dict
         ``train`` and ``test`` errors in units of the noise.
     location : Located
-        Where the believed model fails: stage, equation or sensor, and when.
+        Where the nominal model fails: stage, equation or sensor, and when.
     remains : Remains
         What is left unexplained after the last step.
     base_rms : dict
@@ -256,7 +256,7 @@ class Improvement:
             self.steps,
             self.ranking,
             self.parameters,
-            explained=self.explained,
+            explained=self.remains.kind in ("adequate", "random forces"),
             commanded=bool(self.base.inputs),
         )
 
@@ -276,7 +276,7 @@ class Improvement:
         Parameters
         ----------
         count : int
-            Steps kept, 0 for the believed model; negative numbers count from the
+            Steps kept, 0 for the nominal model; negative numbers count from the
             end, so that ``at_step(-1)`` undoes the last one.
 
         Returns
@@ -456,7 +456,7 @@ def advice(
     parameters : sequence of mapping
         ``name``, ``value``, ``std_error`` and ``unit`` of every estimate.
     explained : bool
-        Whether what remains is noise.
+        Whether what remains is noise, or random forces that the standard errors hold.
     commanded : bool
         Whether the model has inputs, so that a manoeuvre can be designed.
     """

@@ -20,7 +20,7 @@ with the information :math:`\Lambda` of the training and :math:`H_v` of the vali
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
@@ -33,6 +33,7 @@ from oed_sysid.estimators.multiple_shooting import MultipleShooting
 from oed_sysid.fitting.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import FilteredSolution, solve_filtered
+from oed_sysid.fitting.input_noise import noisy_inputs, smoothed
 from oed_sysid.fitting.noise_levels import credible_levels, given_levels
 from oed_sysid.fitting.random_forces import (
     ScoreTest,
@@ -77,8 +78,10 @@ class Study:
         Of the nominal model with all candidates and all disturbances.
     estimated : ndarray of bool (n_outputs,)
         Outputs whose noise nobody declared.
-    plain : Fit or None
-        The nominal model fitted as if its residuals were sensor noise; None where that fails.
+    noisy_inputs : mapping of str to float
+        Level of the white noise that the log of an input shows.
+    smoothed : Dataset or None
+        The training records with these smoothed; None without any.
     """
 
     base: Model
@@ -90,7 +93,8 @@ class Study:
     unit: NoiseModel
     kernel: FilterKernel
     estimated: np.ndarray
-    plain: Fit | None = None
+    noisy_inputs: Mapping[str, float] = field(default_factory=dict)
+    smoothed: Dataset | None = None
 
     @classmethod
     def begin(
@@ -140,6 +144,7 @@ class Study:
         if np.isfinite(plain.cost):
             starts.append(Start(plain.model.values, plain.initial_states, plain.local_values))
         test = _best_test(model, train, setting, starts, kernel)
+        noisy = noisy_inputs(train)
         study = cls(
             base=model,
             candidates=effects,
@@ -150,7 +155,8 @@ class Study:
             unit=test.unit,
             kernel=kernel,
             estimated=~np.isfinite(levels),
-            plain=plain if np.isfinite(plain.cost) else None,
+            noisy_inputs=noisy,
+            smoothed=smoothed(train, noisy) if noisy else None,
         )
         best = fit_disturbed(model, train, setting, starts, test, kernel=kernel, polish=0)
         if best is None:

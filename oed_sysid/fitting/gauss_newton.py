@@ -213,7 +213,8 @@ def solve_filtered(
     search = _Search(problem, begin, Whitened.at, Differentiated.at if polish else Whitened.at)
     search.slack, search.most_damping, search.lengths = SLACK, MOST_DAMPING, FEW_LENGTHS
     reason, iteration = "iterations", 0
-    best, costs = begin, [begin.cost]
+    best: Iterate = begin
+    costs = [begin.cost]
     fall = max(LEAST_FALL, FALL_TOLERANCES * tolerance)
     try:
         for iteration in range(1, max_iterations + 1):

@@ -41,6 +41,7 @@ from oed_sysid.fitting.delays import (
     estimate_delays,
     values_of,
 )
+from oed_sysid.fitting.input_noise import fast_level, noisy_inputs
 from oed_sysid.fitting.noise_levels import signal_spread, white_levels
 from oed_sysid.fitting.spikes import spike_masks
 
@@ -70,8 +71,6 @@ FEW = 3.0
 ABSORBED = 1.5
 # Chance of a correlation over records; the fewest records for one.
 FOLLOWS_CHANCE, FOLLOWS_RECORDS = 0.05, 4
-# White noise of a logged input, as a share of its spread: above, it is an excitation.
-INPUT_SHARE = (1e-5, 0.3)
 # Effect on the outputs of noise in a logged input, in noise levels.
 INPUT_EFFECT = 0.1
 # Kinds that make a fit not converged, worst first.
@@ -205,7 +204,7 @@ def level_concerns(fit: Fit) -> tuple[Concern, ...]:
             continue
         share = max(1.0 - fit.n_unknowns / total, 0.1)
         whole = float(np.sqrt(np.mean(kept**2) / share))
-        fast = _fast_level(parts)
+        fast = fast_level(parts)
         if not fast > 0.0:
             continue
         factor, error = whole, np.sqrt(0.5 / n)
@@ -240,13 +239,6 @@ def _declared(fit: Fit) -> np.ndarray:
     if fit.innovations is None:
         return np.where(fit.sigma_estimated, given, fit.sigma)
     return given
-
-
-def _fast_level(parts: Sequence[np.ndarray]) -> float:
-    """Level of white noise with third differences as large as these; NaN without any."""
-    pooled = [np.diff(part[np.isfinite(part)], 3) ** 2 for part in parts]
-    differences = np.concatenate(pooled)
-    return float(np.sqrt(np.median(differences) / 0.4549 / 20.0)) if len(differences) else np.nan
 
 
 def colour_concerns(fit: Fit) -> tuple[Concern, ...]:
@@ -391,13 +383,11 @@ def input_concerns(fit: Fit) -> tuple[Concern, ...]:
     """
     found = []
     runner = kernel(fit.model)
+    levels = noisy_inputs(fit.dataset)
     for column, channel in enumerate(fit.model.inputs):
-        series = [record.inputs[:, column] for record in fit.dataset]
-        level = _fast_level(series)
-        spread = float(np.std(np.concatenate(series)))
-        low, high = INPUT_SHARE
-        if not (spread > 0 and low * spread < level < high * spread) or not _is_noise(series):
+        if channel.name not in levels:
             continue
+        level = levels[channel.name]
         rng = np.random.default_rng(0)
         change, count = 0.0, 0
         for index, record in enumerate(fit.dataset):
@@ -426,15 +416,6 @@ def input_concerns(fit: Fit) -> tuple[Concern, ...]:
             )
         )
     return tuple(found)
-
-
-def _is_noise(series: Sequence[np.ndarray]) -> bool:
-    """Whether the level of differences no longer falls from the third to the fourth order."""
-    fourth = np.concatenate([np.diff(values, 4) ** 2 for values in series])
-    third = _fast_level(series)
-    if not len(fourth) or not third > 0:
-        return False
-    return bool(np.sqrt(np.median(fourth) / 0.4549 / 70.0) > 0.85 * third)
 
 
 # -- the trajectory ------------------------------------------------------------------
