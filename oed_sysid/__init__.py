@@ -32,6 +32,9 @@ _HOME = {
     "Record": "data.dataset",
     "read_csv": "data.dataset",
     "write_csv": "data.dataset",
+    "import_log": "logs",
+    "open_log": "logs",
+    "read_mapping": "logs",
     "Experiment": "experiment",
     "Limits": "experiment",
     "PRBS": "manoeuvres",
@@ -132,6 +135,7 @@ if TYPE_CHECKING:
     from oed_sysid.experiment import Experiment, Limits
     from oed_sysid.fitting.fit import Fit
     from oed_sysid.language.callables import Function
+    from oed_sysid.logs import import_log, open_log, read_mapping
     from oed_sysid.manoeuvres import (
         PRBS,
         Chirp,

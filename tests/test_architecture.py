@@ -23,6 +23,7 @@ LAYERS = (
     "channels",
     "parameters",
     "data",
+    "logs",
     "effects",
     "model",
     "bodies",
