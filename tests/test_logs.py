@@ -8,6 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from log_writers import (
+    Voyage,
+    write_bag,
+    write_dataflash,
+    write_mcap,
+    write_nmea,
+    write_ulog,
+)
 
 from oed_sysid import Channels, Dataset, Input, Output, new_problem, read_csv
 from oed_sysid.cli import main
@@ -17,14 +25,6 @@ from oed_sysid.logs.cuts import CommandCuts, Cut
 from oed_sysid.logs.derived import euler_angles, local_position
 from oed_sysid.logs.log import assemble
 from oed_sysid.logs.mapping import parse
-from tests.log_writers import (
-    Voyage,
-    write_bag,
-    write_dataflash,
-    write_mcap,
-    write_nmea,
-    write_ulog,
-)
 
 VOYAGE = Voyage.short()
 CHANNELS = Channels(

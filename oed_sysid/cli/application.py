@@ -11,6 +11,7 @@ from oed_sysid.cli import (
     commands_benchmark,
     commands_check,
     commands_data,
+    commands_export,
     commands_fit,
     commands_improve,
     commands_logs,
@@ -63,6 +64,7 @@ for module in (
     commands_plan,
     commands_fit,
     commands_improve,
+    commands_export,
     commands_app,
 ):
     for command in module.COMMANDS:
