@@ -23,6 +23,8 @@ _HOME = {
     "InputNoise": "effects",
     "RandomForce": "effects",
     "SensorDrift": "effects",
+    "UnknownForce": "effects",
+    "UnknownInput": "effects",
     "NoiseModel": "noise.model",
     "Channels": "channels",
     "Input": "channels",
@@ -129,6 +131,8 @@ if TYPE_CHECKING:
         RandomForce,
         Sensor,
         SensorDrift,
+        UnknownForce,
+        UnknownInput,
     )
     from oed_sysid.errors import OedSysidError
     from oed_sysid.estimators import MultipleShooting
