@@ -100,7 +100,8 @@ def write_dataflash(path: Path, topics: Topics, units: Mapping[str, str]) -> Pat
         form(130, "MULT", "Qbd", "TimeUS,Id,Mult"),
         form(131, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds"),
     ]
-    for key, label in (("s", "s"), ("d", "deg"), ("E", "rad/s"), ("Y", "us"), ("h", "degheading")):
+    labels = {"s": "s", "d": "deg", "E": "rad/s", "Y": "us", "h": "degheading"}
+    for key, label in (labels | {"n": "m/s", "q": "rpm"}).items():
         parts.append(message(129, struct.pack("<Qb", 0, ord(key)) + text(label, 64)))
     for key, factor in (("-", 0.0), ("0", 1.0), ("F", 1e-6)):
         parts.append(message(130, struct.pack("<Qbd", 0, ord(key), factor)))

@@ -15,7 +15,7 @@ from oed_sysid.simulate import simulate_inputs
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(
     path
-    for pattern in ("*.md", "docs/*.md", "problems/**/*.md", "oed_sysid/*.md")
+    for pattern in ("*.md", "docs/*.md", "docs/walks/*.md", "problems/**/*.md", "oed_sysid/*.md")
     for path in ROOT.glob(pattern)
 )
 

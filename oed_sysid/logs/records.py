@@ -56,6 +56,7 @@ class _Signal:
     name: str
     times: np.ndarray
     values: np.ndarray
+    wrap: bool = False
 
     @property
     def step(self) -> float:
@@ -178,12 +179,6 @@ def _signal(log: Log, source: Source, channel: Input | Output, notes: list[str])
         )
     readings = source.factor * (series.values - source.trim)
     values = source.sign * to_si(readings, unit)[0]
-    if source.wrap:
-        whole = unwrapped(values)
-        turns = int(np.sum(np.abs(np.diff((whole - values)[np.isfinite(values)])) > 1.0))
-        if turns:
-            notes.append(f"{channel.name} was unwrapped: {turns} full turns added.")
-        values = whole
     if source.delay:
         notes.append(f"{channel.name} was moved {source.delay:g} s towards the beginning.")
     present = np.isfinite(values)
@@ -197,7 +192,7 @@ def _signal(log: Log, source: Source, channel: Input | Output, notes: list[str])
     if not present.any():
         raise DataError(f"{source.field!r} of {log.path.name} holds no number.")
     times, values = series.times[present] - source.delay, values[present]
-    return _Signal(channel.name, times, values)
+    return _Signal(channel.name, times, values, source.wrap)
 
 
 def _check_unit(where: str, unit: str, needed: str) -> None:
@@ -294,7 +289,7 @@ def _record(
         notes.append(
             f"{cut.name}: {lost} samples away from those of {mapping.clock!r} were left out."
         )
-    columns = [_at(inputs[one.name], rows, one, cut, notes) for one in channels.inputs]
+    columns = [_at(inputs[one.name], rows, one, cut, tolerance, notes) for one in channels.inputs]
     empty = tuple(
         name
         for name, column in zip(channels.output_names, table, strict=True)
@@ -327,6 +322,13 @@ def _piece(signal: _Signal, cut: Cut, log: Log, notes: list[str]) -> _Signal:
     if again.any():
         notes.append(f"{signal.name}: {int(again.sum())} repeated times; the first sample is kept.")
         times, values = times[~again], values[~again]
+    if signal.wrap:
+        # Within a manoeuvre: what was turned between two of them does not matter.
+        whole = unwrapped(values)
+        turns = int(np.sum(np.abs(np.diff(whole - values)) > 1.0))
+        if turns:
+            notes.append(f"{cut.name}: {signal.name} was unwrapped: {turns} full turns added.")
+        values = whole
     return _Signal(signal.name, times, values)
 
 
@@ -381,13 +383,10 @@ def _with_switches(
         changes = changes[(changes > rows[0]) & (changes < rows[-1])]
         if not changes.size:
             continue
-        index, distance = _nearest(changes, rows)
-        # A change just after a row would wait for the next one; one just before does not matter.
-        late = (distance > tolerance) | (rows[index] < changes)
-        if late.sum() <= RARE * rows.size:
-            new = np.unique(changes[distance > tolerance])
-            rows = np.sort(np.concatenate([rows, new]))
-            # Rows that a change follows closely are not moved: half the tolerance at most.
+        _, distance = _nearest(changes, rows)
+        away = np.unique(changes[distance > tolerance])
+        if away.size <= RARE * rows.size:
+            rows = np.sort(np.concatenate([rows, away]))
         else:
             step = float(np.median(np.diff(rows)))
             notes.append(
@@ -421,7 +420,12 @@ def _nearest(times: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _at(
-    signal: _Signal, rows: np.ndarray, channel: Input, cut: Cut, notes: list[str]
+    signal: _Signal,
+    rows: np.ndarray,
+    channel: Input,
+    cut: Cut,
+    tolerance: float,
+    notes: list[str],
 ) -> np.ndarray:
     """An input at every row: held, or interpolated and said so."""
     order = np.argsort(signal.times, kind="stable")
@@ -437,5 +441,6 @@ def _at(
     if channel.interpolation == "linear":
         notes.append(f"{channel.name} is interpolated linearly at the rows of the outputs.")
         return np.interp(rows, times, values)
-    held = np.searchsorted(times, rows + 1e-9, side="right") - 1
+    # A command within the tolerance of a row is one of that moment.
+    held = np.searchsorted(times, rows + tolerance + 1e-9, side="right") - 1
     return values[np.maximum(held, 0)]

@@ -21,28 +21,32 @@ class _Topics:
     """Numbers of messages by topic, gathered one message at a time."""
 
     def __init__(self) -> None:
-        self.received: dict[str, list[float]] = {}
-        self.stamped: dict[str, list[float]] = {}
+        self.received: dict[str, list[int]] = {}
+        self.stamped: dict[str, list[int]] = {}
         self.rows: dict[str, list[dict[str, float]]] = {}
 
-    def add(self, topic: str, received: float, message: Any) -> None:
+    def add(self, topic: str, received: int, message: Any) -> None:
+        """Take one message; times in whole nanoseconds, as floats they would be rounded."""
         numbers = dict(_flat(message, ""))
         seconds = numbers.pop("header.stamp.sec", numbers.pop("header.stamp.secs", 0.0))
         rest = numbers.pop("header.stamp.nanosec", numbers.pop("header.stamp.nsecs", 0.0))
         numbers.pop("header.seq", None)
         name = topic.strip("/").replace("/", "_") or "topic"
         self.received.setdefault(name, []).append(received)
-        self.stamped.setdefault(name, []).append(seconds + 1e-9 * rest)
+        self.stamped.setdefault(name, []).append(int(seconds) * 10**9 + int(rest))
         self.rows.setdefault(name, []).append(numbers)
 
     def log(self, path: Path, kind: str, notes: list[str]) -> Log:
         topics = {}
+        first = min((min(times) for times in self.received.values()), default=0)
         for name, rows in self.rows.items():
             fields = dict.fromkeys(key for row in rows for key in row)
-            received, stamped = np.array(self.received[name]), np.array(self.stamped[name])
+            known = min(self.stamped[name]) > 0
+            received = np.array([time - first for time in self.received[name]]) * 1e-9
+            stamped = np.array([time - first for time in self.stamped[name]]) * 1e-9
             # A sensor's own clock is better than the recorder's, if it counts the same time.
-            own = stamped.min() > 0.0 and np.abs(stamped - received).max() < 60.0
-            if stamped.min() > 0.0 and not own:
+            own = known and np.abs(stamped - received).max() < 60.0
+            if known and not own:
                 notes.append(f"{name}: header stamps are of another clock; times of arrival used.")
             values = {key: np.array([row.get(key, np.nan) for row in rows]) for key in fields}
             if values:
@@ -95,7 +99,7 @@ def read_bag(path: Path) -> Log:
                 except Exception as error:  # an unknown type, or a torn message
                     skipped[connection.topic] = str(error) or type(error).__name__
                     continue
-                topics.add(connection.topic, nanoseconds * 1e-9, message)
+                topics.add(connection.topic, nanoseconds, message)
     except Exception as error:  # whatever a damaged bag makes of the library
         if not topics.rows:
             fix = "ros2 bag reindex" if path.is_dir() else "rosbag reindex"
@@ -140,7 +144,7 @@ def read_mcap(path: Path) -> Log:
                 except Exception as error:  # a torn message
                     skipped[channel.topic] = str(error)[:80] or type(error).__name__
                     continue
-                topics.add(channel.topic, message.log_time * 1e-9, content)
+                topics.add(channel.topic, message.log_time, content)
     except Exception as error:  # whatever a damaged file makes of the library
         if not topics.rows:
             raise DataError(
