@@ -290,6 +290,13 @@ def test_frames_become_records_and_return() -> None:
     with pytest.warns(UserWarning, match="1970"):
         again = Dataset.from_dataframe(dated, CHANNELS)
     np.testing.assert_allclose(again[0].times, t - t[0], atol=1e-6)
+    zoned = dated.tz_localize("UTC").tz_convert("Europe/Berlin")
+    zoned["r [deg/s]"] = zoned["r [deg/s]"].astype("Float64")
+    zoned.iloc[3, 2] = pandas.NA
+    with pytest.warns(UserWarning, match="t = 0 is 2026-01-01T00:00:00"):
+        once_more = Dataset.from_dataframe(zoned, CHANNELS)[0]
+    assert np.isnan(once_more.output("r")[3])
+    np.testing.assert_allclose(once_more.times, again[0].times, atol=1e-6)
 
 
 def test_xarray_brings_its_units() -> None:

@@ -98,7 +98,7 @@ def test_walk(
             for line in block.splitlines():
                 assert main(shlex.split(line)[1:]) == DONE, line
                 commands += 1
-    assert commands >= 6
+    assert commands >= 5
     better = Fit.load("better.json")
     assert TEMPLATES[kind]["hidden"] in better.model.effect_names
     page = (WALKS / f"{kind}.md").read_text(encoding="utf-8")

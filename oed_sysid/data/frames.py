@@ -41,8 +41,8 @@ def columns_of(table: Any) -> dict[str, np.ndarray]:
     if hasattr(table, "data_vars") and hasattr(table, "coords"):
         columns = dict(_variables(table))
     elif hasattr(table, "columns") and hasattr(table, "index"):
-        columns = {str(name): plain(np.asarray(table[name].to_numpy())) for name in table.columns}
-        index = np.asarray(table.index.to_numpy())
+        columns = {str(name): plain(_array(table[name])) for name in table.columns}
+        index = _array(table.index)
         if not any(_is_time(name) for name in columns):
             named = str(table.index.name or "")
             if index.dtype.kind == "m":
@@ -105,6 +105,17 @@ def _variables(table: Any) -> Iterator[tuple[str, np.ndarray]]:
         if unit and parse_header(header)[1] is None:
             header = f"{name} [{unit}]"
         yield header, plain(values)
+
+
+def _array(column: Any) -> np.ndarray:
+    """Values of a column or an index: without time zone (UTC), missing numbers as NaN."""
+    if getattr(column.dtype, "tz", None) is not None:
+        column = column.tz_convert(None) if hasattr(column, "tz_convert") else column
+        column = column.dt.tz_convert(None) if getattr(column.dtype, "tz", None) else column
+    values = np.asarray(column.to_numpy())
+    if values.dtype.kind == "O" and getattr(column.dtype, "kind", "O") in "fiub":
+        return np.asarray(column.to_numpy(dtype=float, na_value=np.nan))
+    return values
 
 
 def plain(values: np.ndarray) -> np.ndarray:
