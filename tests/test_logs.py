@@ -539,7 +539,11 @@ def test_records_of_a_problem_are_checked(
     assert main(["import", log, "--map", "bad.toml", "--out", "bad", "--json", "bad.json"]) == 1
     findings = json.loads(Path("bad.json").read_text())["check"]
     assert "psi" in json.dumps(findings)
-    capsys.readouterr()
+    assert main(["import", log, "--problem", "boat", "--draft", "draft.toml"]) == 0
+    assert read_mapping("draft.toml").outputs["psi"].field == "vehicle_attitude.yaw"
+    assert main(["import", log, "--draft", "draft.toml"]) == 2
+    assert main(["import", log, "--map", "good.toml", "--out", "good.csv"]) == 2
+    assert "Give a folder" in capsys.readouterr().err
 
 
 def test_draft_maps_what_has_a_name(tmp_path: Path) -> None:

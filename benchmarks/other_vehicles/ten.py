@@ -3,8 +3,8 @@
     OMP_NUM_THREADS=1 python -m benchmarks.other_vehicles.ten
 
 Taken are the first cases of the benchmark (:mod:`.cases`) in white noise with one hidden effect
-each, no effect twice, that are detectable: the expected gain of the truth, by the simulator's own Kalman
-filter and without the package, is large enough (:mod:`.judge`). What the improvement makes of them
+each, no effect twice, that are detectable: the expected gain of the truth, by the simulator's own
+Kalman filter and without the package, is large enough (:mod:`.judge`). What the improvement makes of them
 plays no part in the choice. The target is nine of ten found and nothing claimed where nothing is
 hidden. Finished cases are kept in the benchmark's store and never computed again.
 """
