@@ -325,7 +325,7 @@ def test_control_without_a_trim_says_what_to_give(tmp_path: Path) -> None:
         (Output("w", "m/s"),),
         {"w": "9.81 + w**2 + T"},
     )
-    with pytest.raises(ModelError, match="--at NAME=VALUE"):
+    with pytest.raises(ModelError, match="Inputs that are not given are zero"):
         export(falling, "control", tmp_path)
 
 

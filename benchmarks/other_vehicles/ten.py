@@ -4,9 +4,9 @@
 
 Taken are the first cases of the benchmark (:mod:`.cases`) in white noise with one hidden effect
 each, no effect twice, that are detectable: the expected gain of the truth, by the simulator's own
-Kalman filter and without the package, is large enough (:mod:`.judge`). What the improvement makes of them
-plays no part in the choice. The target is nine of ten found and nothing claimed where nothing is
-hidden. Finished cases are kept in the benchmark's store and never computed again.
+Kalman filter and without the package, is large enough (:mod:`.judge`). What the improvement makes
+of them plays no part in the choice. The target is nine of ten found and nothing claimed where
+nothing is hidden. Finished cases are kept in the benchmark's store and never computed again.
 """
 
 from __future__ import annotations
