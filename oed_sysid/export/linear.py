@@ -157,8 +157,8 @@ def _linear(
         system = linearise(model, point)
     except SimulationError as error:
         raise ModelError(
-            f"There is no trim to linearise about. {error} Inputs that are not given are zero: give "
-            "them, or states to be held, with --at NAME=VALUE or trim={...}."
+            f"There is no trim to linearise about. {error} Inputs that are not given are zero: "
+            "give them, or states to be held, with --at NAME=VALUE or trim={...}."
         ) from None
     return (system.A, system.B, system.C, system.D), point
 

@@ -403,11 +403,11 @@ def _placed(piece: _Signal, rows: np.ndarray) -> tuple[np.ndarray, float]:
         return column, 0.0
     index, distance = _nearest(piece.times, rows)
     half = 0.5 * piece.step if np.isfinite(piece.step) else np.inf
-    # Of several samples at one row the nearest is taken.
-    for k in np.argsort(-distance, kind="stable"):
-        if distance[k] <= half:
-            column[index[k]] = piece.values[k]
-    used = distance[distance <= half]
+    # Of several samples at one row the nearest is taken: it is written last.
+    order = np.argsort(-distance, kind="stable")
+    order = order[distance[order] <= half]
+    column[index[order]] = piece.values[order]
+    used = distance[order]
     return column, float(used.max()) if used.size else 0.0
 
 
