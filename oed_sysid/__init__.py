@@ -23,6 +23,8 @@ _HOME = {
     "InputNoise": "effects",
     "RandomForce": "effects",
     "SensorDrift": "effects",
+    "UnknownForce": "effects",
+    "UnknownInput": "effects",
     "NoiseModel": "noise.model",
     "Channels": "channels",
     "Input": "channels",
@@ -32,6 +34,9 @@ _HOME = {
     "Record": "data.dataset",
     "read_csv": "data.dataset",
     "write_csv": "data.dataset",
+    "import_log": "logs",
+    "open_log": "logs",
+    "read_mapping": "logs",
     "Experiment": "experiment",
     "Limits": "experiment",
     "PRBS": "manoeuvres",
@@ -126,12 +131,15 @@ if TYPE_CHECKING:
         RandomForce,
         Sensor,
         SensorDrift,
+        UnknownForce,
+        UnknownInput,
     )
     from oed_sysid.errors import OedSysidError
     from oed_sysid.estimators import MultipleShooting
     from oed_sysid.experiment import Experiment, Limits
     from oed_sysid.fitting.fit import Fit
     from oed_sysid.language.callables import Function
+    from oed_sysid.logs import import_log, open_log, read_mapping
     from oed_sysid.manoeuvres import (
         PRBS,
         Chirp,

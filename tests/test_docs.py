@@ -15,7 +15,7 @@ from oed_sysid.simulate import simulate_inputs
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(
     path
-    for pattern in ("*.md", "docs/*.md", "problems/**/*.md", "oed_sysid/*.md")
+    for pattern in ("*.md", "docs/*.md", "docs/walks/*.md", "problems/**/*.md", "oed_sysid/*.md")
     for path in ROOT.glob(pattern)
 )
 
@@ -143,6 +143,26 @@ def test_own_vehicle_page_runs(capsys) -> None:
     assert names["problem"].experiments
     exec(second, names)
     assert "blade(u_r, T, E_blade)" in capsys.readouterr().out
+
+
+def test_export_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    """The code of the page on exports writes a module and draws a band of it."""
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    for code in blocks(ROOT / "docs" / "export.md", "python"):
+        exec(code, names)
+    assert "REMUS_six_degrees_of_freedom.py" in capsys.readouterr().out
+    assert names["many"].shape == (40, 10, 50)
+
+
+def test_logs_page_maps_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mapping of the page is understood, key by key."""
+    from oed_sysid.logs.mapping import parse
+
+    (text,) = blocks(ROOT / "docs" / "logs.md", "toml")
+    mapping = parse(text)
+    assert (mapping.problem, mapping.by_commands.threshold) == ("my_boat", 0.05)
+    assert mapping.outputs["psi"].delay == 0.08
 
 
 def test_language_of_the_page_is_that_of_the_package() -> None:

@@ -29,6 +29,16 @@ def fit() -> Fit:
     return MultipleShooting(noise=NOISE).fit(model, data)
 
 
+def test_frame_holds_what_the_table_says(fit: Fit) -> None:
+    """Values, errors and intervals of the frame are those of the fit."""
+    frame = fit.to_dataframe()
+    assert list(frame.index) == list(fit.names)
+    for name in fit.names:
+        assert frame.loc[name, "value"] == fit.values[name]
+        assert (frame.loc[name, "low"], frame.loc[name, "high"]) == fit.interval(name)
+        assert frame.loc[name, "unit"] == fit.model.parameter(name).unit
+
+
 def test_likelihood_and_criteria(fit: Fit) -> None:
     """Log-likelihood, AIC and BIC agree with densities added up one by one."""
     total = 0.0

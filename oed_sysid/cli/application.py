@@ -11,8 +11,10 @@ from oed_sysid.cli import (
     commands_benchmark,
     commands_check,
     commands_data,
+    commands_export,
     commands_fit,
     commands_improve,
+    commands_logs,
     commands_plan,
 )
 
@@ -57,12 +59,15 @@ def _settings(
 
 for module in (
     commands_data,
+    commands_logs,
     commands_check,
     commands_plan,
     commands_fit,
     commands_improve,
+    commands_export,
     commands_app,
 ):
     for command in module.COMMANDS:
-        app.command(no_args_is_help=command.__name__ not in ("problems", "app"))(command)
+        name = command.__name__.rstrip("_")  # import is a word of Python
+        app.command(name, no_args_is_help=name not in ("problems", "app"))(command)
 app.add_typer(commands_benchmark.app)

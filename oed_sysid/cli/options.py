@@ -18,6 +18,7 @@ SEVERAL = (
         "--discriminate",
         "--limit",
         "--avoid",
+        "--at",
     ),
     *("--problems", "--estimators", "--noise", "--sampling"),
 )

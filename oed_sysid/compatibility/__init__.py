@@ -26,7 +26,7 @@ The equations come from the model's own text, or follow from standard names of s
 (:mod:`~oed_sysid.compatibility.relations`).
 """
 
-from oed_sysid.compatibility.check import check, quick_check
+from oed_sysid.compatibility.check import check, quick_check, signal_check
 from oed_sysid.compatibility.copies import corrected_copies
 from oed_sysid.compatibility.result import Balance, Correction, Finding, LogCheck
 
@@ -38,4 +38,5 @@ __all__ = [
     "check",
     "corrected_copies",
     "quick_check",
+    "signal_check",
 ]

@@ -143,6 +143,27 @@ def quick_check(dataset: Dataset, model: Model) -> LogCheck:
     )
 
 
+def signal_check(dataset: Dataset) -> LogCheck:
+    """Screens of single signals only, for records of which no problem says what they are.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The records.
+
+    Returns
+    -------
+    LogCheck
+        As :func:`quick_check`, without any equation between signals.
+    """
+    began = perf_counter()
+    traces = [Trace.of(record, {}) for record in dataset]
+    faults = [fault for trace in traces for fault in screen(trace)]
+    findings = _ordered(screen_findings(dataset, traces, faults))
+    open_points = ("signals against each other: name the problem whose channels these are",)
+    return LogCheck(tuple(findings), dataset.names, (), (), open_points, perf_counter() - began)
+
+
 def _screened(
     dataset: Dataset, model: Model, *, spare: bool
 ) -> tuple[list[Trace], tuple[Relation, ...], list[Finding]]:

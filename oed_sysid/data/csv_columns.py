@@ -271,6 +271,8 @@ class Columns:
                 f"it is in degrees, write the header as '{name} [deg]'."
             )
         limit = SUSPICIOUS_SIZE.get(si_unit)
+        if si_unit == "rad/s" and isinstance(channel, Input):
+            limit = None  # a propeller turns as fast as it likes
         if limit is not None and np.any(np.abs(values) > limit):
             self.suspicions.append(
                 f"{where} reaches {np.nanmax(np.abs(values)):.3g} {si_unit}, which no vehicle "

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from oed_sysid.errors import DataError
 
-_EXPORT = "Open it there and save it as CSV (comma separated, UTF-8)"
+_EXPORT = "Open it there and save it as CSV (comma separated, UTF-8), or use oed-sysid import"
 # How files that are often taken for tables begin, what they are, and what to do.
 _KINDS: tuple[tuple[bytes, str, str], ...] = (
     (b"PK\x03\x04", "an Excel workbook, or another ZIP archive", _EXPORT),
@@ -25,12 +25,18 @@ _KINDS: tuple[tuple[bytes, str, str], ...] = (
     (b"\x89PNG", "a picture", "Give the numbers that it was drawn from"),
     (b"\xff\xd8\xff", "a picture", "Give the numbers that it was drawn from"),
     (b"\x89HDF", "an HDF5 or MATLAB 7.3 file", "Export the table as CSV"),
-    (b"MATLAB 5.0", "a MATLAB file", "Export the table with writetable(T, 'file.csv')"),
+    (
+        b"MATLAB 5.0",
+        "a MATLAB file",
+        "Export the table with writetable(T, 'file.csv'), or use oed-sysid import",
+    ),
     (b"\x93NUMPY", "a NumPy array", "Make a Record of it, or write it as CSV with headers"),
-    (b"PAR1", "a Parquet file", "Export the table as CSV"),
+    (b"PAR1", "a Parquet file", "Use oed-sysid import, or export the table as CSV"),
     (b"SQLite format 3", "an SQLite database", "Export the table as CSV"),
-    (b"#ROSBAG", "a ROS bag", "Export its topics as CSV"),
-    (b"ULog\x01", "a PX4 log (ULog)", "Export its topics as CSV, with ulog2csv"),
+    (b"#ROSBAG", "a ROS bag", "Use oed-sysid import"),
+    (b"ULog\x01", "a PX4 log (ULog)", "Use oed-sysid import"),
+    (b"\xa3\x95\x80", "an ArduPilot log (DataFlash)", "Use oed-sysid import"),
+    (b"\x89MCAP0", "an MCAP file", "Use oed-sysid import"),
     (b"\x80\x04\x95", "a Python pickle", "Write the table as CSV"),
 )
 _MARKS = (

@@ -12,12 +12,14 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from oed_sysid.channels import Channels, Input, Output
 from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.csv_table import read_table, write_table
+from oed_sysid.data.frames import RECORD, frame, tables_of
 from oed_sysid.data.record import Record, closest
 from oed_sysid.errors import DataError
 from oed_sysid.language.units import parse_header
@@ -134,6 +136,112 @@ class Dataset:
         train = tuple(r for i, r in enumerate(self.records) if i not in chosen)
         return Dataset(train), Dataset(tuple(self.records[i] for i in sorted(chosen)))
 
+    @classmethod
+    def from_dataframe(
+        cls,
+        table: Any,
+        channels: Channels,
+        *,
+        name: str = "record",
+        time: str | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Dataset:
+        """Read records from a pandas data frame.
+
+        Columns are found and converted as :func:`read_csv` does. The time is a column, or the
+        index if that holds dates or is called ``t`` or ``time``. A column ``record`` tells
+        several records apart.
+
+        Parameters
+        ----------
+        table : pandas.DataFrame
+            One row per sample.
+        channels : Channels
+            What to look for.
+        name : str
+            Name of the record, where there is one.
+        time : str, optional
+            Header of the time column.
+        units : mapping of str to str, optional
+            Units of columns without one in the header.
+
+        Raises
+        ------
+        DataError
+            If the frame cannot be used; the message names row and column.
+
+        Examples
+        --------
+        >>> import pandas
+        >>> from oed_sysid.channels import Channels, Output
+        >>> channels = Channels((), (Output("r", "rad/s"),))
+        >>> frame = pandas.DataFrame({"t [s]": np.arange(6.0), "r [deg/s]": np.full(6, 90.0)})
+        >>> dataset = Dataset.from_dataframe(frame, channels, name="turn")
+        >>> print(dataset.names, dataset["turn"].output("r")[0].round(6))
+        ('turn',) 1.570796
+        >>> list(dataset.to_dataframe().columns)
+        ['record', 't [s]', 'r [rad/s]']
+        """
+        if not isinstance(channels, Channels):
+            raise DataError(
+                f"channels is a {type(channels).__name__}, expected problem.channels or "
+                "model.channels."
+            )
+        records = []
+        for part, found in tables_of(table, name):
+            columns = Columns(found, units or {})
+            records.append(_read_record(columns, part, channels, time))
+            for suspicion in (*columns.suspicions, *records[-1].notes):
+                warnings.warn(suspicion, UserWarning, stacklevel=2)
+        return cls(tuple(records))
+
+    @classmethod
+    def from_xarray(
+        cls,
+        table: Any,
+        channels: Channels,
+        *,
+        name: str = "record",
+        time: str | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Dataset:
+        """Read records from an xarray data set of variables over time.
+
+        Units come from the attribute ``units`` of each variable; everything else is as in
+        :meth:`from_dataframe`.
+
+        Parameters
+        ----------
+        table : xarray.Dataset
+            Variables with one dimension, the time.
+        channels : Channels
+            What to look for.
+        name : str
+            Name of the record, where there is one.
+        time : str, optional
+            Name of the time coordinate.
+        units : mapping of str to str, optional
+            Units of variables without one.
+        """
+        return cls.from_dataframe(table, channels, name=name, time=time, units=units)
+
+    def to_dataframe(self) -> Any:
+        """All records as one pandas data frame: ``record``, ``t [s]``, then one column per channel.
+
+        Headers carry SI units, so that :meth:`from_dataframe` returns the same numbers.
+
+        Raises
+        ------
+        DataError
+            If pandas is not installed.
+        """
+        headers, _ = _columns_of(self.records[0])
+        parts = [_columns_of(record)[1] for record in self.records]
+        labels = [[record.name] * record.n_samples for record in self.records]
+        stacked = np.vstack(parts)
+        columns: dict[str, Any] = {RECORD: [one for part in labels for one in part]}
+        return frame(columns | dict(zip(headers, stacked.T, strict=True)))
+
 
 def read_csv(
     paths: str | Path | Iterable[str | Path],
@@ -225,14 +333,26 @@ def write_csv(record: Record, path: str | Path) -> None:
     path : str or Path
         The file, overwritten if it exists.
     """
-    columns = {"t [s]": record.times}
+    headers, values = _columns_of(record)
+    first = 1 + len(record.channels.inputs)
+    written = list(range(first)) + [
+        first + index
+        for index, name in enumerate(record.channels.output_names)
+        if name not in record.missing_outputs
+    ]
+    write_table(Path(path), [headers[i] for i in written], values[:, written])
+
+
+def _columns_of(record: Record) -> tuple[list[str], np.ndarray]:
+    """Headers with SI units and the columns below them, signs as in the log."""
+    headers, columns = ["t [s]"], [record.times]
     channels: list[Input | Output] = [*record.channels.inputs, *record.channels.outputs]
     signals = np.hstack([record.inputs, record.outputs]).T
     for channel, signal in zip(channels, signals, strict=True):
-        if isinstance(channel, Input) or channel.name not in record.missing_outputs:
-            title = parse_header(channel.column)[0] if channel.column else channel.name
-            columns[f"{title} [{channel.unit or '-'}]"] = channel.sign * signal
-    write_table(Path(path), list(columns), np.column_stack(list(columns.values())))
+        title = parse_header(channel.column)[0] if channel.column else channel.name
+        headers.append(f"{title} [{channel.unit or '-'}]")
+        columns.append(channel.sign * signal)
+    return headers, np.column_stack(columns)
 
 
 def _files(paths: str | Path | Iterable[str | Path]) -> list[Path]:

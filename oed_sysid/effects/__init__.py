@@ -88,6 +88,7 @@ from oed_sysid.effects.steering import (
     speed_loss_in_turn,
 )
 from oed_sysid.effects.table_files import table_from_csv
+from oed_sysid.effects.unknown import UnknownForce, UnknownInput
 from oed_sysid.effects.vocabulary import (
     diving_plane_effects,
     roll_effects,
@@ -155,6 +156,8 @@ __all__ = [
     "saturation",
     "InputNoise",
     "RandomForce",
+    "UnknownForce",
+    "UnknownInput",
     "SensorDrift",
     "sensor_bias",
     "sensor_scale",

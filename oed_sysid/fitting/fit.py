@@ -13,6 +13,7 @@ from scipy.special import ndtri
 
 from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.frames import frame
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.effects.base import RandomProcess
 from oed_sysid.fitting.archive import encode
@@ -261,6 +262,31 @@ class Fit:
             )
             for name, tests in self.whiteness().items()
         }
+
+    def to_dataframe(self) -> Any:
+        """Estimates as a pandas data frame, one row per parameter.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index: the names. Columns ``value``, ``std_error``, ``low`` and ``high`` (95 %
+            interval), ``unit``.
+
+        Raises
+        ------
+        DataError
+            If pandas is not installed.
+        """
+        limits = np.array([self.interval(name) for name in self.names]).reshape(-1, 2)
+        columns: dict[str, Any] = {
+            "parameter": list(self.names),
+            "value": self.estimates,
+            "std_error": list(self.std_errors.values()),
+            "low": limits[:, 0],
+            "high": limits[:, 1],
+            "unit": [self.model.parameter(name).unit for name in self.names],
+        }
+        return frame(columns).set_index("parameter")
 
     def predict(self, dataset: Dataset, *, initial: Initial = "fit") -> Prediction:
         """Predict other records; see :func:`oed_sysid.fitting.prediction.predict`.

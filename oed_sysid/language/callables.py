@@ -73,7 +73,8 @@ _OPERATIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "or": (ca.OP_OR, ca.logic_or),
     "if": (ca.OP_IF_ELSE_ZERO, lambda c, a: ca.if_else(c, a, 0)),
 }
-_WORDS = {code: word for word, (code, _) in _OPERATIONS.items()}
+# Words by CasADi's code, for whoever writes a function in another language.
+OPERATION_WORDS = {code: word for word, (code, _) in _OPERATIONS.items()}
 
 
 @dataclass(frozen=True)
@@ -182,8 +183,8 @@ def _recorded(name: str, symbols: list[ca.SX], result: ca.SX) -> str:
             steps.append(f"{outputs[0]}=input {inputs[0]}")
         elif code == ca.OP_OUTPUT:
             steps.append(f"result {inputs[0]}")
-        elif code in _WORDS:
-            steps.append(f"{outputs[0]}={_WORDS[code]} {' '.join(map(str, inputs))}")
+        elif code in OPERATION_WORDS:
+            steps.append(f"{outputs[0]}={OPERATION_WORDS[code]} {' '.join(map(str, inputs))}")
         else:
             raise ModelError(
                 f"Function {name!r} uses CasADi's operation {code}, which a model cannot store. "

@@ -1,0 +1,67 @@
+"""The command that hands a model on: export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from oed_sysid.cli.terminal import note, say
+from oed_sysid.errors import DataError
+
+
+def export(
+    fit: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FIT",
+            help="What `fit --save FIT` or `improve --save FIT` kept.",
+            show_default=False,
+        ),
+    ],
+    kind: Annotated[
+        str,
+        typer.Option(
+            "--as",
+            metavar="KIND",
+            help="c, python, casadi, fmu, matlab, control or sympy.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option("--out", metavar="PATH", help="Folder, or the file where there is one."),
+    ] = Path("model"),
+    at: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--at",
+            metavar="NAME=VALUE...",
+            help="With --as control: inputs and states of the trim, SI.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Write a fitted model for another program, with the covariance of its parameters.
+
+    [bold]Example[/bold]: oed-sysid export better.json --as c --out my_auv_c
+    """
+    from oed_sysid.export import export as write
+    from oed_sysid.fitting.fit import Fit
+
+    trim = {}
+    for text in at or ():
+        name, _, value = text.partition("=")
+        try:
+            trim[name.strip()] = float(value)
+        except ValueError:
+            raise DataError(f"--at {text!r} is no NAME=VALUE. Write --at u=1.5, say.") from None
+    result = Fit.load(fit)
+    for file in write(result, kind, out, trim=trim or None):
+        say(str(file))
+    if not result.status.ok:
+        note(f"The fit ended as {result.status}")
+
+
+COMMANDS = (export,)

@@ -1,0 +1,155 @@
+"""The command that reads vehicles' own logs: import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from oed_sysid.cli.options import JsonFile, Variant
+from oed_sysid.cli.terminal import note, progress, say, store
+from oed_sysid.errors import DataError
+
+if TYPE_CHECKING:
+    from oed_sysid.logs import Imported, Log, LogMapping
+    from oed_sysid.problem import Problem
+
+
+def import_(
+    log: Annotated[
+        Path,
+        typer.Argument(
+            metavar="LOG",
+            help="ULog, DataFlash .bin, ROS bag, MCAP, NMEA 0183, .mat, Excel, Parquet or CSV.",
+            show_default=False,
+        ),
+    ],
+    listing: Annotated[
+        bool, typer.Option("--list", help="Show every field with rate, span, unit and range.")
+    ] = False,
+    find: Annotated[
+        str, typer.Option("--find", metavar="TEXT", help="With --list: fields that hold TEXT.")
+    ] = "",
+    mapping: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="TOML",
+            help="Which field is which channel, and where to cut; the same file serves the next "
+            "log.",
+            show_default=False,
+        ),
+    ] = None,
+    draft: Annotated[
+        Path | None,
+        typer.Option(
+            "--draft",
+            metavar="TOML",
+            help="With --problem: write a first mapping from names and units, to be corrected.",
+            show_default=False,
+        ),
+    ] = None,
+    problem: Annotated[
+        str | None,
+        typer.Option(
+            "--problem",
+            metavar="PROBLEM",
+            help="Whose channels these are; by default what the mapping says.",
+            show_default=False,
+        ),
+    ] = None,
+    model: Variant = None,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Where the records go, as CSV.")
+    ] = Path("data"),
+    json_file: JsonFile = None,
+) -> None:
+    """Make records of a vehicle's own log: list its fields, map them to channels, cut, check.
+
+    Ends with exit code 1 when the log is suspect; the records are written all the same.
+
+    [bold]Example[/bold]: oed-sysid import flight.ulg --list
+
+    [bold]Example[/bold]: oed-sysid import flight.ulg --map my_auv.toml --out my_auv/data
+    """
+    from oed_sysid.logs import draft as guess
+    from oed_sysid.logs import open_log
+    from oed_sysid.logs.mapping import read_mapping
+    from oed_sysid.problem import load_problem
+
+    chosen = read_mapping(mapping) if mapping is not None else None
+    with progress(f"Reading {log.name}"):
+        found = open_log(log)
+    if listing or (mapping is None and draft is None):
+        say(found.describe(find))
+        keys = ("field", "samples", "rate", "span", "unit", "range")
+        rows = [dict(zip(keys, row, strict=True)) for row in found.rows(find)]
+        store({"log": str(log), "kind": found.kind, "fields": rows}, json_file)
+        return
+    named = problem or (chosen.problem if chosen else "")
+    if draft is not None:
+        if not named:
+            raise DataError("--draft needs --problem: whose channels are wanted?")
+        wanted = load_problem(_place(named, None), variant=model).channels
+        made = guess(found, wanted, problem=named)
+        if made is None:
+            raise DataError(
+                f"No field of {log.name} has the name of an output: "
+                f"{', '.join(wanted.output_names)}. Write the mapping by hand; see --list."
+            )
+        made.write(draft)
+        note(f"Written: {draft}. Read it: names are guesses, missing inputs are zero.")
+        return
+    assert chosen is not None
+    target = load_problem(_place(named, mapping), variant=model) if named else None
+    result, files = _written(found, chosen, target, out)
+    for line in result.notes:
+        note(line)
+    for file, record in zip(files, result.dataset, strict=True):
+        rate = record.n_samples / max(record.duration, 1e-9)
+        say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
+    from oed_sysid.compatibility import quick_check, signal_check
+
+    dataset = result.dataset
+    checked = signal_check(dataset) if target is None else quick_check(dataset, target.model)
+    say(checked.report())
+    store(
+        {"log": str(log), "files": [str(file) for file in files], "notes": list(result.notes)}
+        | {"check": checked.to_dict()},
+        json_file,
+        records=[dataset],
+    )
+    if checked.suspect:
+        raise typer.Exit(1)
+
+
+def _place(named: str, mapping: Path | None) -> str:
+    """A problem's folder as seen from here, or from beside the mapping file."""
+    beside = mapping.parent / named if mapping is not None else None
+    if not Path(named).is_dir() and beside is not None and beside.is_dir():
+        return str(beside)
+    return named
+
+
+def _written(
+    log: Log, mapping: LogMapping, problem: Problem | None, out: Path
+) -> tuple[Imported, list[Path]]:
+    """Write a CSV file for every record."""
+    from oed_sysid.data.dataset import write_csv
+    from oed_sysid.logs import import_log
+
+    channels = problem.channels if problem is not None else None
+    result = import_log(log, mapping, channels)
+    if out.suffix.lower() == ".csv":
+        raise DataError(f"{out} is a file. Give a folder to --out: every cut becomes a file in it.")
+    files = [out / f"{record.name.replace('/', '_')}.csv" for record in result.dataset]
+    if log.path.resolve() in {file.resolve() for file in files}:
+        raise DataError(f"The records would overwrite {log.path}. Give another folder to --out.")
+    out.mkdir(parents=True, exist_ok=True)
+    for record, file in zip(result.dataset, files, strict=True):
+        write_csv(record, file)
+    return result, files
+
+
+COMMANDS = (import_,)

@@ -1,0 +1,156 @@
+"""Columns of data frames (pandas) and data sets (xarray), as tables of numbers.
+
+Nothing here imports either library: a frame that comes in has been made by it already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.data.csv_columns import TIME_NAMES
+from oed_sysid.data.csv_table import Table
+from oed_sysid.errors import DataError
+from oed_sysid.language.units import parse_header
+
+RECORD = "record"
+
+
+def columns_of(table: Any) -> dict[str, np.ndarray]:
+    """Columns of a frame or data set; times that are its index become a column ``t [s]``.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame or xarray.Dataset
+        One row per sample; units in the headers, or in xarray's attribute ``units``.
+
+    Returns
+    -------
+    dict of str to numpy.ndarray
+        Header with unit to values ``(n_rows,)``; numbers as float with NaN where missing, dates
+        as seconds since 1970, texts as objects.
+
+    Raises
+    ------
+    DataError
+        If it is neither, or a variable has more than one dimension.
+    """
+    if hasattr(table, "data_vars") and hasattr(table, "coords"):
+        columns = dict(_variables(table))
+    elif hasattr(table, "columns") and hasattr(table, "index"):
+        columns = {str(name): plain(_array(table[name])) for name in table.columns}
+        index = _array(table.index)
+        if not any(_is_time(name) for name in columns):
+            named = str(table.index.name or "")
+            if index.dtype.kind == "m":
+                columns = {"t [s]": index / np.timedelta64(1, "s"), **columns}
+            elif index.dtype.kind == "M" or (named and _is_time(named)):
+                header = named if named and parse_header(named)[1] else "t [s]"
+                columns = {header: plain(index), **columns}
+    else:
+        raise DataError(
+            f"A {type(table).__name__} is no data frame. Give a pandas.DataFrame or an "
+            "xarray.Dataset."
+        )
+    return columns
+
+
+def tables_of(table: Any, name: str) -> Iterator[tuple[str, Table]]:
+    """Yield name and table of every record of a frame; a column ``record`` tells them apart.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame or xarray.Dataset
+        The frame.
+    name : str
+        Name of the record where no column tells.
+    """
+    columns = columns_of(table)
+    labels = columns.pop(RECORD, None)
+    if not columns:
+        raise DataError(f"The frame {name!r} has no columns.")
+    parts: dict[str, np.ndarray] = {name: np.arange(len(next(iter(columns.values()))))}
+    if labels is not None:
+        texts = np.array([str(label) for label in labels])
+        parts = {text: np.flatnonzero(texts == text) for text in dict.fromkeys(texts)}
+    for part, rows in parts.items():
+        values, faults = [], {}
+        for index, (header, column) in enumerate(columns.items()):
+            if column.dtype.kind == "O":
+                faults[index] = f"Column {header!r} of {part!r} holds {column[rows[0]]!r:.40}."
+                values.append(np.full(rows.size, np.nan))
+            else:
+                values.append(column[rows])
+        stacked = np.column_stack(values)
+        yield part, Table(Path(part), tuple(columns), stacked, rows + 1, {}, faults)
+
+
+def _variables(table: Any) -> Iterator[tuple[str, np.ndarray]]:
+    for name in [*table.coords, *table.data_vars]:
+        variable = table[name]
+        if variable.ndim != 1:
+            raise DataError(
+                f"Variable {name!r} has dimensions {tuple(variable.dims)}. Expected one, the time: "
+                "choose a slice with .sel() or .isel(), or stack the others into columns."
+            )
+        values = np.asarray(variable.to_numpy())
+        unit = variable.attrs.get("units")
+        if values.dtype.kind == "m":
+            yield "t [s]" if _is_time(str(name)) else f"{name} [s]", values / np.timedelta64(1, "s")
+            continue
+        header = str(name)
+        if unit and parse_header(header)[1] is None:
+            header = f"{name} [{unit}]"
+        yield header, plain(values)
+
+
+def _array(column: Any) -> np.ndarray:
+    """Values of a column or an index: without time zone (UTC), missing numbers as NaN."""
+    if getattr(column.dtype, "tz", None) is not None:
+        column = column.tz_convert(None) if hasattr(column, "tz_convert") else column
+        column = column.dt.tz_convert(None) if getattr(column.dtype, "tz", None) else column
+    values = np.asarray(column.to_numpy())
+    if values.dtype.kind == "O" and getattr(column.dtype, "kind", "O") in "fiub":
+        return np.asarray(column.to_numpy(dtype=float, na_value=np.nan))
+    return values
+
+
+def plain(values: np.ndarray) -> np.ndarray:
+    """Numbers as float, dates as seconds since 1970, anything else as objects.
+
+    >>> plain(np.array([1, 2])), plain(np.array(["2020-01-01"], dtype="datetime64[s]"))
+    (array([1., 2.]), array([1.5778368e+09]))
+    """
+    if values.dtype.kind == "M":
+        whole = values.astype("datetime64[ns]").astype(np.int64)
+        return np.where(np.isnat(values), np.nan, whole * 1e-9)
+    if values.dtype.kind in "fiub":
+        return values.astype(float)
+    try:
+        return np.array([np.nan if value is None else float(value) for value in values])
+    except (TypeError, ValueError):
+        return values.astype(object)
+
+
+def _is_time(header: str) -> bool:
+    return header.lower() in TIME_NAMES or parse_header(header)[0].lower() in TIME_NAMES
+
+
+def frame(columns: Mapping[str, np.ndarray]) -> Any:
+    """Make a pandas data frame of columns.
+
+    Raises
+    ------
+    DataError
+        If pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise DataError(
+            'A data frame needs pandas, which is not installed. Run  pip install "oed_sysid[logs]".'
+        ) from None
+    return pandas.DataFrame(dict(columns))

@@ -1,0 +1,197 @@
+"""A Functional Mock-up Unit (FMI 2.0, co-simulation): the C code with the standard's functions.
+
+The unit is compiled for this machine where a C compiler is found; its sources are always inside,
+so that any importer that compiles can use it elsewhere. Between two communication points inputs
+are held; a communication step equal to the sample time repeats the package's simulation of held
+inputs. ``resources/model.json`` has the covariance of the parameters.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import warnings
+import zipfile
+from datetime import UTC, datetime
+from pathlib import Path
+from xml.etree import ElementTree
+
+from oed_sysid import __version__
+from oed_sysid.errors import FileError
+from oed_sysid.export.c_code import header, source, template
+from oed_sysid.export.program import Program
+from oed_sysid.files import whole_file
+
+_PLATFORMS = {
+    ("linux", "x86_64"): ("linux64", ".so"),
+    ("linux", "aarch64"): ("aarch64-linux", ".so"),
+    ("darwin", "x86_64"): ("darwin64", ".dylib"),
+    ("darwin", "arm64"): ("darwin64", ".dylib"),
+    ("win32", "AMD64"): ("win64", ".dll"),
+}
+
+
+def write_fmu(program: Program, path: Path) -> tuple[Path, ...]:
+    """Write a unit.
+
+    Parameters
+    ----------
+    program : Program
+        The model.
+    path : Path
+        ``name.fmu``, or a folder for ``NAME.fmu``.
+
+    Returns
+    -------
+    tuple of Path
+        The file.
+
+    Raises
+    ------
+    FileError
+        If the C compiler refuses the code.
+    """
+    name = program.identifier
+    file = path if path.suffix == ".fmu" else path / f"{name}.fmu"
+    code = source(program)
+    guid = hashlib.sha256((code + header(program)).encode()).hexdigest()[:32]
+    texts = {
+        f"{name}.h": header(program),
+        f"{name}.c": code,
+        f"{name}_fmu.c": template("fmu.c").substitute(
+            origin=program.origin.replace("*/", "* /"), name=name, upper=name.upper(), guid=guid
+        ),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        for title, text in texts.items():
+            (place / title).write_text(text, encoding="utf-8")
+        library = _compiled(place, name)
+        with whole_file(file) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as unit:
+            unit.writestr("modelDescription.xml", description(program, guid))
+            for title, text in texts.items():
+                unit.writestr(f"sources/{title}", text)
+            unit.writestr("resources/model.json", json.dumps(program.describe(), indent=2))
+            if library is not None:
+                unit.write(library, f"binaries/{library.parent.name}/{library.name}")
+    return (file,)
+
+
+def _compiled(place: Path, name: str) -> Path | None:
+    """The library for this machine; None without a compiler."""
+    known = _PLATFORMS.get((sys.platform, platform.machine()))
+    compiler = next((one for one in ("cc", "gcc", "clang") if shutil.which(one)), None)
+    if known is None or compiler is None:
+        warnings.warn(
+            "The FMU holds sources only, because no C compiler was found for this machine. "
+            "Importers that compile (FMPy: fmpy compile) can use it.",
+            stacklevel=4,
+        )
+        return None
+    folder, ending = known
+    target = place / folder / f"{name}{ending}"
+    target.parent.mkdir()
+    sources = [str(place / f"{name}.c"), str(place / f"{name}_fmu.c")]
+    command = [compiler, "-O2", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden", *sources]
+    done = subprocess.run([*command, "-lm", "-o", str(target)], capture_output=True, check=False)
+    if done.returncode:
+        last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
+        raise FileError(f"{compiler} refuses the code of the FMU: {' '.join(last)}")
+    return target
+
+
+def description(program: Program, guid: str) -> str:
+    """Text of ``modelDescription.xml``.
+
+    Parameters
+    ----------
+    program : Program
+        The model.
+    guid : str
+        Digest of the code, which the library compares.
+    """
+    model = program.model
+    root = ElementTree.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=model.name,
+        guid=f"{{{guid}}}",
+        description=program.origin,
+        generationTool=f"oed_sysid {__version__}",
+        generationDateAndTime=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        variableNamingConvention="flat",
+        numberOfEventIndicators="0",
+    )
+    unit = ElementTree.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=program.identifier,
+        canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+    )
+    files = ElementTree.SubElement(unit, "SourceFiles")
+    for title in (f"{program.identifier}.c", f"{program.identifier}_fmu.c"):
+        ElementTree.SubElement(files, "File", name=title)
+    stated = sorted(
+        {one.unit for one in model.inputs}
+        | {one.unit for one in model.outputs}
+        | {model.parameter(name).unit for name in model.parameter_names}
+    )
+    units = ElementTree.SubElement(root, "UnitDefinitions")
+    for text in (one for one in stated if one):
+        ElementTree.SubElement(units, "Unit", name=text)
+    if not len(units):
+        root.remove(units)
+    variables = ElementTree.SubElement(root, "ModelVariables")
+    used: set[str] = set()
+    outputs = []
+
+    def add(name: str, unit_text: str, start: float | None, attributes: dict[str, str]) -> None:
+        while name in used:
+            name += "_"
+        used.add(name)
+        reference = len(variables)
+        one = ElementTree.SubElement(
+            variables,
+            "ScalarVariable",
+            {"name": name, "valueReference": str(reference), **attributes},
+        )
+        real = ElementTree.SubElement(one, "Real")
+        if unit_text:
+            real.set("unit", unit_text)
+        if start is not None:
+            real.set("start", repr(float(start)))
+        if attributes["causality"] == "output":
+            outputs.append(reference + 1)
+
+    for channel in model.inputs:
+        held = "continuous" if channel.interpolation == "linear" else "discrete"
+        add(channel.name, channel.unit, 0.0, {"causality": "input", "variability": held})
+    moving = {"variability": "continuous", "initial": "calculated"}
+    for output in model.outputs:
+        both = output.name in program.state_names  # the state and its measurement
+        name = f"{output.name}_measured" if both else output.name
+        add(name, output.unit, None, {"causality": "output", **moving})
+    exact = {"causality": "parameter", "initial": "exact"}
+    for name, value in zip(model.parameter_names, model.value_vector, strict=True):
+        unit_text = model.parameter(name).unit
+        add(name, unit_text, float(value), {"variability": "tunable", **exact})
+    for name in program.state_names[: program.n_own]:
+        words = {"description": f"{name} at the start"}
+        add(f"{name}_start", "", 0.0, {"variability": "fixed", **exact, **words})
+    for name in program.state_names:
+        add(name, "", None, {"causality": "local", **moving})
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for kind in ("Outputs", "InitialUnknowns"):
+        listed = ElementTree.SubElement(structure, kind)
+        for index in outputs:
+            ElementTree.SubElement(listed, "Unknown", index=str(index))
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + text + "\n"

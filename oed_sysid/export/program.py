@@ -1,0 +1,326 @@
+r"""A model as a program: its functions as lists of elementary operations, and everything around.
+
+The functions are those of :mod:`oed_sysid.compiled.graph`,
+
+=========  ==========================  ==================================
+function   arguments                   results
+=========  ==========================  ==================================
+actuate    memory, inputs, p, t, h     signals, next memory
+rates      states, signals, p, t       rates of the states
+observe    states, signals, memory,    outputs, next memory
+           p, t, h
+start      own states, inputs, p, t    full state z
+slopes     states, signals, p, t       derivatives of the rates by the
+                                       states (implicit models only)
+=========  ==========================  ==================================
+
+and what a language adds is the loop around them: a step of the Runge-Kutta method, steps no longer
+than ``step`` between two samples, measurements at the samples.
+"""
+
+from __future__ import annotations
+
+import keyword
+import re
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from oed_sysid import __version__
+from oed_sysid.compiled.graph import build
+from oed_sysid.errors import ModelError
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.language.callables import OPERATION_WORDS
+from oed_sysid.model import Model
+from oed_sysid.simulate.trajectory import simulate_inputs
+
+# Samples of the trajectory that a self-test repeats.
+MOST_TESTED = 400
+
+
+@dataclass(frozen=True)
+class Operation:
+    """One elementary operation on numbered scalars.
+
+    Parameters
+    ----------
+    word : str
+        ``"const"``, ``"input"``, ``"output"``, or a word such as ``"add"``.
+    target : tuple of int
+        Number of the result; of an output, which result and which element.
+    operands : tuple of int
+        Numbers of the operands; of an input, which argument and which element.
+    value : float
+        Of a constant.
+    """
+
+    word: str
+    target: tuple[int, ...]
+    operands: tuple[int, ...]
+    value: float = 0.0
+
+
+@dataclass(frozen=True)
+class Routine:
+    """One function of a model.
+
+    Parameters
+    ----------
+    name : str
+        ``actuate``, ``rates``, ``observe``, ``start`` or ``slopes``.
+    arguments, results : tuple of (str, int)
+        Names and lengths, in order.
+    operations : tuple of Operation
+        Straight-line code.
+    n_work : int
+        Scalars that are needed.
+    """
+
+    name: str
+    arguments: tuple[tuple[str, int], ...]
+    results: tuple[tuple[str, int], ...]
+    operations: tuple[Operation, ...] = field(repr=False)
+    n_work: int
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Everything that a model needs to run elsewhere.
+
+    Attributes
+    ----------
+    model : Model
+        At its estimated values.
+    identifier : str
+        Its name as an identifier.
+    routines : tuple of Routine
+        Its functions.
+    state_names : tuple of str
+        The model's own states, then those of effects.
+    n_own, n_actuator, n_sensor : int
+        Own states, and memory of actuators and sensors.
+    free : tuple of str
+        Estimated parameters that all records share.
+    covariance : ndarray (n_free, n_free)
+        Theirs; empty for a model without a fit.
+    """
+
+    model: Model
+    identifier: str
+    routines: tuple[Routine, ...]
+    state_names: tuple[str, ...]
+    n_own: int
+    n_actuator: int
+    n_sensor: int
+    free: tuple[str, ...]
+    covariance: np.ndarray
+    fit: Fit | None = None
+
+    def routine(self, name: str) -> Routine:
+        """Return one of the functions."""
+        return next(one for one in self.routines if one.name == name)
+
+    @property
+    def n_full(self) -> int:
+        """Length of the full state."""
+        return len(self.state_names) + self.n_actuator + self.n_sensor
+
+    @property
+    def n_signals(self) -> int:
+        """Number of signals behind the actuators."""
+        return self.routine("actuate").results[0][1]
+
+    @property
+    def implicit(self) -> bool:
+        """Whether the integration step is implicit."""
+        return self.model.integrator != "explicit"
+
+    @property
+    def linear_inputs(self) -> tuple[bool, ...]:
+        """For each input, whether it is interpolated linearly between samples."""
+        return tuple(one.interpolation == "linear" for one in self.model.inputs)
+
+    @property
+    def origin(self) -> str:
+        """Words for the head of a file: what the model is and where it comes from."""
+        if self.fit is None:
+            return f"{self.model.name}, written by oed_sysid {__version__}"
+        return (
+            f"{self.model.name}, written by oed_sysid {__version__}; fitted to "
+            f"{', '.join(self.fit.dataset.names)} ({self.fit.estimator})"
+        )
+
+    def describe(self) -> dict[str, object]:
+        """Names, units, values and covariance as plain data, for a file beside the code."""
+        model = self.model
+        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        std = dict(zip(self.free, errors.tolist(), strict=True))
+        return {
+            "model": model.name,
+            "made_by": self.origin,
+            "step": model.step,
+            "integrator": model.integrator,
+            "states": list(self.state_names),
+            "inputs": [
+                {"name": one.name, "unit": one.unit, "interpolation": one.interpolation}
+                for one in model.inputs
+            ],
+            "outputs": [{"name": one.name, "unit": one.unit} for one in model.outputs],
+            "parameters": [
+                {
+                    "name": name,
+                    "value": float(value),
+                    "unit": model.parameter(name).unit,
+                    "std_error": std.get(name),
+                }
+                for name, value in zip(model.parameter_names, model.value_vector, strict=True)
+            ],
+            "estimated": list(self.free),
+            "covariance": self.covariance.tolist(),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Example:
+    """A trajectory of the package that an exported model has to repeat.
+
+    Attributes
+    ----------
+    times, inputs, own, parameters, outputs : ndarray
+        As the exported simulation takes and gives them.
+    """
+
+    times: np.ndarray
+    inputs: np.ndarray
+    own: np.ndarray
+    parameters: np.ndarray
+    outputs: np.ndarray
+
+
+def program_of(source: Fit | Model) -> Program:
+    """Turn a fit or a model into a program.
+
+    Parameters
+    ----------
+    source : Fit or Model
+        What is exported; a fit brings its covariance.
+
+    Returns
+    -------
+    Program
+
+    Raises
+    ------
+    ModelError
+        If it is neither.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> program = program_of(load_problem("nomoto_sparse_heading").model)
+    >>> [routine.name for routine in program.routines], program.n_full
+    (['actuate', 'rates', 'observe', 'start'], 2)
+    """
+    fit = source if isinstance(source, Fit) else None
+    model = fit.model if fit is not None else source
+    if not isinstance(model, Model):
+        raise ModelError(f"A {type(source).__name__} cannot be exported. Give a Fit or a Model.")
+    graph = build(model)
+    functions = [graph.actuate, graph.rates, graph.observe, graph.start]
+    if model.integrator != "explicit":
+        functions.append(_slopes(graph.rates))
+    shared = [] if fit is None else [n for n in fit.names if not model.parameter(n).per_record]
+    rows = [] if fit is None else [fit.names.index(name) for name in shared]
+    covariance = np.zeros((0, 0)) if fit is None else fit.covariance[np.ix_(rows, rows)]
+    return Program(
+        model,
+        identifier(model.name),
+        tuple(_routine(function) for function in functions),
+        graph.state_names,
+        graph.n_own,
+        graph.n_actuator_memory,
+        graph.n_sensor_memory,
+        tuple(shared),
+        covariance,
+        fit,
+    )
+
+
+def identifier(name: str) -> str:
+    """Name as an identifier of C, Python and MATLAB.
+
+    >>> identifier("REMUS 100 (6-DOF)")
+    'REMUS_100_6_DOF'
+    """
+    text = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "model"
+    text = text if text[0].isalpha() else f"model_{text}"
+    return f"{text}_" if keyword.iskeyword(text) else text[:48]
+
+
+_ARGUMENTS = {
+    "actuate": (("memory", "u", "p", "t", "h"), ("d", "next")),
+    "rates": (("x", "d", "p", "t"), ("dx",)),
+    "slopes": (("x", "d", "p", "t"), ("jac",)),
+    "observe": (("x", "d", "memory", "p", "t", "h"), ("y", "next")),
+    "start": (("own", "u", "p", "t"), ("z",)),
+}
+
+
+def _routine(function: ca.Function) -> Routine:
+    """Operations of a CasADi function of dense arguments."""
+    name = function.name()
+    arguments, results = _ARGUMENTS[name]
+    flat = function.expand() if not function.is_a("SXFunction") else function
+    operations = []
+    for k in range(flat.n_instructions()):
+        code = flat.instruction_id(k)
+        inputs, outputs = flat.instruction_input(k), flat.instruction_output(k)
+        if code == ca.OP_CONST:
+            operations.append(
+                Operation("const", tuple(outputs), (), float(flat.instruction_constant(k)))
+            )
+            continue
+        word = {ca.OP_INPUT: "input", ca.OP_OUTPUT: "output"}.get(code, OPERATION_WORDS.get(code))
+        if word is None:
+            raise ModelError(f"The model uses CasADi's operation {code}, which is not exported.")
+        operations.append(Operation(word, tuple(outputs), tuple(inputs)))
+    return Routine(
+        name,
+        tuple((text, flat.nnz_in(i)) for i, text in enumerate(arguments)),
+        tuple((text, flat.nnz_out(i)) for i, text in enumerate(results)),
+        tuple(operations),
+        flat.sz_w(),
+    )
+
+
+def _slopes(rates: ca.Function) -> ca.Function:
+    """Dense derivatives of the rates by the states, row by row."""
+    symbols = [ca.SX.sym(rates.name_in(i), rates.sparsity_in(i)) for i in range(rates.n_in())]
+    jacobian = ca.densify(ca.jacobian(rates.call(symbols)[0], symbols[0]))
+    return ca.Function("slopes", symbols, [ca.vec(jacobian.T)], {"cse": True})
+
+
+def example(program: Program) -> Example:
+    """A trajectory of the package: the first record of the fit, or steps of every input.
+
+    Parameters
+    ----------
+    program : Program
+        Whose trajectory.
+    """
+    model, fit = program.model, program.fit
+    if fit is not None:
+        record = fit.dataset[0]
+        keep = slice(0, MOST_TESTED)
+        times, inputs = np.array(record.times[keep]), np.array(record.inputs[keep])
+        own = np.array(fit.initial_states[0][: program.n_own])
+        model = model.with_values(dict(fit.local_values[0])) if fit.local_values[0] else model
+    else:
+        times = np.arange(60) * 2.5 * model.step
+        phases = 2 * np.pi * np.outer(times / (20 * model.step), 1 + np.arange(len(model.inputs)))
+        inputs = 0.1 * np.sign(np.sin(phases + 0.3))
+        own = np.array([0.01 * state.scale for state in model.states])
+    run = simulate_inputs(model, times, inputs=inputs, initial=own, throw=False)
+    good = len(times) if run.ok else run.failed_at
+    return Example(times[:good], inputs[:good], own, model.value_vector, run.outputs[:good])

@@ -1,0 +1,235 @@
+"""SymPy expressions in a Python module; the equations as LaTeX, with letters and with numbers."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from oed_sysid.export.dialects import IN_SYMPY
+from oed_sysid.export.program import Program, Routine
+from oed_sysid.files import write_text
+from oed_sysid.language import notation
+from oed_sysid.language.expressions import to_latex
+
+_MODULE = Template('''"""$origin.
+
+Exact equations as SymPy expressions: RATES of STATES for SIGNALS (what the actuators make of the
+inputs), READINGS of the sensors. `[rate.subs(VALUES) for rate in RATES]` has numbers. Needs SymPy.
+"""
+
+import sympy as sp
+
+t, h = sp.symbols("t h", real=True)
+STATES = $states
+INPUTS = $inputs
+SIGNALS = $signals
+PARAMETERS = $parameters
+OUTPUT_NAMES = $outputs
+ACTUATOR_MEMORY = $memory_a
+SENSOR_MEMORY = $memory_s
+VALUES = dict(zip(PARAMETERS, $values))
+ESTIMATED = $estimated
+COVARIANCE = $covariance  # of the estimated ones
+
+
+$functions
+
+
+RATES = rates(STATES, SIGNALS, PARAMETERS, t)
+READINGS, _ = observe(STATES, SIGNALS, SENSOR_MEMORY, PARAMETERS, t, h)
+
+if __name__ == "__main__":
+    for state, rate in zip(STATES, RATES):
+        print(f"{state}' = {rate}")
+''')
+
+_PAGE = Template(r"""% $origin.
+\documentclass{article}
+\usepackage{amsmath,booktabs,longtable}
+\allowdisplaybreaks
+\begin{document}
+\section*{$title}
+\subsection*{Equations}
+\begin{align*}
+$letters
+\end{align*}
+\subsection*{With numbers}
+\begin{align*}
+$numbers
+\end{align*}
+\subsection*{Parameters}
+\begin{longtable}{lrrl}
+\toprule
+parameter & value & 95\,\% interval & unit \\
+\midrule
+$rows
+\bottomrule
+\end{longtable}
+\end{document}
+""")
+# Digits of numbers in equations.
+_DIGITS = 4
+
+
+def write_sympy(program: Program, path: Path) -> tuple[Path, ...]:
+    """Write ``NAME_sympy.py`` and ``NAME.tex``.
+
+    Parameters
+    ----------
+    program : Program
+        The model.
+    path : Path
+        Folder, or ``name.py`` (``name.tex`` is written beside it).
+
+    Returns
+    -------
+    tuple of Path
+        The files.
+    """
+    module = path if path.suffix == ".py" else path / f"{program.identifier}_sympy.py"
+    page = path.with_suffix(".tex") if path.suffix == ".py" else path / f"{program.identifier}.tex"
+    write_text(module, module_text(program))
+    write_text(page, latex_text(program))
+    return module, page
+
+
+def module_text(program: Program) -> str:
+    """Text of the module."""
+    model = program.model
+
+    def symbols(names: tuple[str, ...]) -> str:
+        inside = ", ".join(f'sp.Symbol("{name}", real=True)' for name in names)
+        return f"({inside},)" if names else "()"
+
+    used = {"t", "h", *program.state_names, *model.parameter_names}
+    signals = tuple(
+        name if name not in used else f"{name}_signal" for name in model.actuator_signals
+    )
+    return _MODULE.substitute(
+        origin=program.origin.replace('"""', "'''").replace("\\", "/"),
+        states=symbols(program.state_names),
+        inputs=symbols(model.input_names),
+        signals=symbols(signals),
+        parameters=symbols(model.parameter_names),
+        outputs=model.output_names,
+        memory_a=symbols(tuple(f"actuator_memory_{i}" for i in range(program.n_actuator))),
+        memory_s=symbols(tuple(f"sensor_memory_{i}" for i in range(program.n_sensor))),
+        values=[float(value) for value in model.value_vector],
+        estimated=program.free,
+        covariance=program.covariance.tolist(),
+        functions="\n\n\n".join(_function(one) for one in program.routines),
+    )
+
+
+def _function(routine: Routine) -> str:
+    names = ", ".join(name for name, _ in routine.arguments)
+    lines = [f"def {routine.name}({names}):"]
+    lines += [f"    {name} = [sp.S(0)] * {length}" for name, length in routine.results]
+    lines += [f"    {line}" for line in IN_SYMPY.lines(routine)]
+    return "\n".join([*lines, f"    return {', '.join(name for name, _ in routine.results)}"])
+
+
+def latex_text(program: Program) -> str:
+    """The equations and a table of values as a LaTeX document."""
+    model = program.model
+    values = dict(zip(model.parameter_names, map(float, model.value_vector), strict=True))
+    errors = np.sqrt(np.maximum(np.diag(program.covariance), 0.0))
+    std = dict(zip(program.free, errors.tolist(), strict=True))
+    rows = []
+    for name, value in values.items():
+        interval = ""
+        if program.fit is not None and name in std:
+            low, high = program.fit.interval(name)
+            interval = f"${low:.4g}$ to ${high:.4g}$"
+        unit = model.parameter(name).unit.replace("%", r"\%").replace("^", r"\^{}")
+        rows.append(rf"${_name(name)}$ & ${value:.5g}$ & {interval} & {unit} \\")
+    return _PAGE.substitute(
+        origin=program.origin.replace("\n", " "),
+        title=model.name.replace("_", r"\_").replace("&", r"\&"),
+        letters=" \\\\\n".join(_equations(program, {})),
+        numbers=" \\\\\n".join(_equations(program, values)),
+        rows="\n".join(rows),
+    )
+
+
+def _name(name: str) -> str:
+    return notation.latex(name) if notation.is_derivative(name) else to_latex(name)
+
+
+def _equations(program: Program, values: Mapping[str, float]) -> Iterator[str]:
+    """Every equation of the model, in the order of the chain from command to sensor."""
+    model = program.model
+
+    def write(text: str) -> str:
+        return to_latex(_with_numbers(text, values))
+
+    def line(left: str, text: str) -> str:
+        return f"{left} &= {write(text)}"
+
+    for signal, text in model.actuator_signals.items():
+        if text != signal:
+            yield line(to_latex(signal), text)
+    for stage in ("actuator", "environment"):
+        if stage == "environment":
+            for signal, text in model.signals.items():
+                yield line(to_latex(signal), text)
+        for effect in model.effects:
+            if effect.stage == stage:
+                for signal, text in effect.terms.items():
+                    yield f"{to_latex(signal)} &\\leftarrow {write(text)}"
+    for effect in model.effects:
+        for name, text in effect.definitions.items():
+            yield line(to_latex(name), text)
+    entries = list(model.inertia.items())
+    for effect in model.effects:
+        entries += effect.terms.items() if effect.stage == "inertia" else ()
+    for axis, velocity in model.axes.items():
+        parts = []
+        for other in model.axes.values():
+            texts = [text for key, text in entries if key == (axis, other)]
+            if texts:
+                factor = write(" + ".join(f"({text})" for text in texts))
+                parts.append(rf"\left({factor}\right) \dot{{{to_latex(other)}}}")
+        if not any(key[0] == axis for key in model.inertia):
+            parts.insert(0, rf"\dot{{{to_latex(velocity)}}}")
+        yield f"{' + '.join(parts)} &= {write(_forces(model.effects, axis))}"
+    for state, rate in model.kinematics.items():
+        added = _forces(model.effects, state)
+        yield line(rf"\dot{{{to_latex(state)}}}", rate if added == "0" else f"{rate} + {added}")
+    for effect in model.effects:
+        for extra in effect.states:
+            yield line(rf"\dot{{{to_latex(extra.name)}}}", extra.rate)
+    for output in model.outputs:
+        yield line(rf"{to_latex(output.name)}_{{\text{{measured}}}}", output.source)
+
+
+def _forces(effects: tuple, key: str) -> str:
+    terms = [f"({one.terms[key]})" for one in effects if one.stage == "force" and key in one.terms]
+    return " + ".join(terms) or "0"
+
+
+class _Numbers(ast.NodeTransformer):
+    """Put numbers in the place of names."""
+
+    def __init__(self, values: Mapping[str, float]) -> None:
+        self.values = values
+
+    def visit_Call(self, node: ast.Call) -> ast.Call:  # names of functions stay
+        node.args = [self.visit(argument) for argument in node.args]
+        return node
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        if node.id not in self.values:
+            return node
+        return ast.Constant(float(f"{self.values[node.id]:.{_DIGITS}g}"))
+
+
+def _with_numbers(text: str, values: Mapping[str, float]) -> str:
+    if not values:
+        return text
+    tree = ast.parse(text.strip(), mode="eval")
+    return ast.unparse(_Numbers(values).visit(tree))

@@ -1,0 +1,599 @@
+"""Vehicles' own logs: every format, mapped, cut, written, checked; and torn files."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from log_writers import (
+    Voyage,
+    write_bag,
+    write_dataflash,
+    write_mcap,
+    write_nmea,
+    write_ulog,
+)
+
+from oed_sysid import Channels, Dataset, Input, Output, new_problem, read_csv
+from oed_sysid.cli import main
+from oed_sysid.errors import DataError
+from oed_sysid.logs import LogMapping, Source, draft, import_log, log_of, open_log, read_mapping
+from oed_sysid.logs.cuts import CommandCuts, Cut
+from oed_sysid.logs.derived import euler_angles, local_position
+from oed_sysid.logs.log import assemble
+from oed_sysid.logs.mapping import parse
+
+VOYAGE = Voyage.short()
+CHANNELS = Channels(
+    (Input("rudder", "rad"),), (Output("psi", "rad", wrap=True), Output("r", "rad/s"))
+)
+
+
+def ulog(folder: Path) -> Path:
+    """The voyage as PX4 would log it."""
+    v = VOYAGE
+    return write_ulog(
+        folder / "flight.ulg",
+        {
+            "vehicle_attitude": (v.t_psi, {"q": v.quaternion(v.t_psi)}),
+            "vehicle_angular_velocity": (
+                v.t_r,
+                {"xyz": np.column_stack([0 * v.t_r, 0 * v.t_r, v.r(v.t_r)])},
+            ),
+            "actuator_controls_0": (v.t_rudder, {"control": v.rudder(v.t_rudder) / 0.35}),
+        },
+    )
+
+
+ULOG_MAP = """
+[inputs.rudder]
+field = "actuator_controls_0.control"
+factor = 0.35
+unit = "rad"
+[outputs.psi]
+field = "vehicle_attitude.yaw"
+wrap = true
+[outputs.r]
+field = "vehicle_angular_velocity.xyz[2]"
+"""
+
+
+def dataflash(folder: Path) -> Path:
+    """The voyage as ArduPilot would log it: degrees, servos in microseconds."""
+    v = VOYAGE
+    topics = {
+        "ATT": (v.t_psi, {"Yaw": np.degrees(v.psi(v.t_psi)) % 360}),
+        "IMU": (v.t_r, {"GyrZ": v.r(v.t_r)}),
+        "RCOU": (v.t_rudder, {"C1": 1500 + 1000 * v.rudder(v.t_rudder)}),
+    }
+    units = {"ATT.Yaw": "h", "IMU.GyrZ": "E", "RCOU.C1": "Y"}
+    return write_dataflash(folder / "00000001.BIN", topics, units)
+
+
+DATAFLASH_MAP = """
+[inputs.rudder]
+field = "RCOU.C1"
+trim = 1500
+factor = 0.001
+unit = "rad"
+[outputs.psi]
+field = "ATT.Yaw"
+wrap = true
+[outputs.r]
+field = "IMU.GyrZ"
+"""
+
+BAG_MAP = """
+[inputs.rudder]
+field = "rudder.data"
+unit = "rad"
+[outputs.psi]
+field = "imu_data.orientation.yaw_ned"
+wrap = true
+[outputs.r]
+field = "imu_data.angular_velocity.z"
+sign = -1
+"""
+
+TABLE_MAP = """
+[inputs.rudder]
+field = "run.rudder [deg]"
+[outputs.psi]
+field = "run.psi [deg]"
+wrap = true
+[outputs.r]
+field = "run.r [deg/s]"
+"""
+
+
+def table() -> dict[str, np.ndarray]:
+    """The voyage as a table in degrees, one row per heading."""
+    t = VOYAGE.t_psi
+    return {
+        "t [s]": t,
+        "rudder [deg]": np.degrees(VOYAGE.rudder(t)),
+        "psi [deg]": np.degrees(VOYAGE.psi(t)) % 360,
+        "r [deg/s]": np.degrees(VOYAGE.r(t)),
+    }
+
+
+def check_voyage(path: Path, mapping: str, *, digits: float, origin: float | None = None) -> None:
+    """Every sample is where and what it was, and the command is what was held."""
+    log = open_log(path)
+    dataset = import_log(log, parse(mapping), CHANNELS).dataset
+    record = dataset[0]
+    # The first sample of the log is t = 0.
+    first = min(VOYAGE.t_rudder[0], 0.0) if origin is None else origin
+    times = record.times + first
+    for name, truth in (("psi", VOYAGE.psi), ("r", VOYAGE.r)):
+        values = record.output(name)
+        present = np.isfinite(values)
+        expected = truth(times[present])
+        turns = 2 * np.pi * np.round((values[present] - expected)[0] / (2 * np.pi))
+        assert present.sum() > 500
+        np.testing.assert_allclose(values[present] - turns, expected, atol=digits)
+    held = VOYAGE.rudder(VOYAGE.t_rudder)[
+        np.searchsorted(VOYAGE.t_rudder, times + 1e-6, side="right") - 1
+    ]
+    if origin is not None:  # a table has the command in every row
+        held = VOYAGE.rudder(times)
+    np.testing.assert_allclose(record.input("rudder"), held, atol=1e-6)
+
+
+def test_ulog_keeps_every_sample_at_its_time(tmp_path: Path) -> None:
+    """Quaternions become a heading, and 10 and 25 Hz stay 10 and 25 Hz."""
+    check_voyage(ulog(tmp_path), ULOG_MAP, digits=2e-6)
+    log = open_log(tmp_path / "flight.ulg")
+    assert log["vehicle_attitude.yaw"].rate == pytest.approx(10.0, rel=1e-3)
+    assert log["vehicle_angular_velocity.xyz[2]"].unit == "rad/s"
+    np.testing.assert_allclose(log["vehicle_attitude.roll"].values, 0.1, atol=1e-6)
+
+
+def test_dataflash_states_its_units(tmp_path: Path) -> None:
+    """Units come from the log's own messages; microseconds become radians by factor and trim."""
+    path = dataflash(tmp_path)
+    log = open_log(path)
+    assert [log[name].unit for name in ("ATT.Yaw", "IMU.GyrZ", "RCOU.C1")] == ["deg", "rad/s", "us"]
+    check_voyage(path, DATAFLASH_MAP, digits=1e-6)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_bags_of_both_versions(tmp_path: Path, version: int) -> None:
+    """Header stamps are the clock; ENU and FLU become NED."""
+    path = tmp_path / ("run.bag" if version == 1 else "run")
+    check_voyage(write_bag(path, VOYAGE, version=version), BAG_MAP, digits=1e-7)
+
+
+def test_mcap_of_ros_and_json(tmp_path: Path) -> None:
+    """The MCAP inside a ROS 2 bag reads as the bag does, and JSON messages are read too."""
+    v = VOYAGE
+    path = write_mcap(
+        tmp_path / "run.mcap",
+        {
+            "nav": (v.t_psi, {"psi": v.psi(v.t_psi)}),
+            "imu": (v.t_r, {"r": v.r(v.t_r)}),
+            "rudder": (v.t_rudder, {"angle": v.rudder(v.t_rudder)}),
+        },
+    )
+    mapping = """
+    [inputs.rudder]
+    field = "rudder.angle"
+    unit = "rad"
+    [outputs.psi]
+    field = "nav.psi"
+    unit = "rad"
+    [outputs.r]
+    field = "imu.r"
+    unit = "rad/s"
+    """
+    check_voyage(path, mapping, digits=1e-7)
+
+
+def test_mcap_of_cdr(tmp_path: Path) -> None:
+    """Messages of ROS 2 in a single MCAP file are decoded by the definitions that it holds."""
+    from mcap.writer import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = "geometry_msgs/msg/Vector3"
+    text, _ = store.generate_msgdef(kind)
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=2000)
+        writer.start()
+        schema = writer.register_schema(kind, "ros2msg", text.encode())
+        channel = writer.register_channel("/rates", "cdr", schema)
+        for k in range(200):
+            raw = bytes(store.serialize_cdr(store.types[kind](0.0, 0.5, 0.01 * k), kind))
+            writer.add_message(channel, 10**9 + k * 10**8, raw, 0)
+        writer.finish()
+    series = open_log(path)["rates.z"]
+    np.testing.assert_allclose(series.values, 0.01 * np.arange(200))
+    assert series.rate == pytest.approx(10.0)
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(path.read_bytes()[:-3000])
+    log = open_log(torn)
+    assert 0 < log["rates.z"].values.size < 200
+    assert "breaks off" in log.notes[0]
+
+
+def test_nmea_with_and_without_times(tmp_path: Path) -> None:
+    """Times in front of lines are used as they are; without them positions are the clock."""
+    mapping = """
+    [inputs.rudder]
+    constant = 0.0
+    unit = "rad"
+    [outputs.psi]
+    field = "HEHDT.heading"
+    wrap = true
+    [outputs.r]
+    field = "HEROT.rate_of_turn"
+    """
+    exact = open_log(write_nmea(tmp_path / "a.nmea", VOYAGE, stamped=True))
+    record = import_log(exact, parse(mapping), CHANNELS).dataset[0]
+    r = record.output("r")
+    present = np.isfinite(r)
+    np.testing.assert_allclose(r[present], VOYAGE.r(record.times[present]), atol=2e-4)
+    assert any("torn" in note for note in exact.notes)
+    spread = open_log(write_nmea(tmp_path / "b.nmea", VOYAGE, stamped=False))
+    assert any("spread evenly" in note for note in spread.notes)
+    np.testing.assert_allclose(
+        spread["HEROT.rate_of_turn"].times, exact["HEROT.rate_of_turn"].times, atol=0.15
+    )
+    east = exact["GPRMC.east"].values
+    assert east[-1] == pytest.approx(59e-4 / 60 * 111320 * np.cos(np.radians(54)), rel=4e-3)
+
+
+def test_tables_of_other_programs(tmp_path: Path) -> None:
+    """MATLAB, Excel, Parquet and CSV give the same record."""
+    import pandas
+    from openpyxl import Workbook
+    from scipy.io import savemat
+
+    columns = table()
+    frame = pandas.DataFrame(columns)
+    frame.to_parquet(tmp_path / "run.parquet")
+    frame.to_csv(tmp_path / "run.csv", index=False)
+    book = Workbook()
+    book.active.title = "run"
+    book.active.append(list(columns))
+    for row in zip(*columns.values(), strict=True):
+        book.active.append([float(value) for value in row])
+    book.save(tmp_path / "run.xlsx")
+    for name in ("run.parquet", "run.csv", "run.xlsx"):
+        check_voyage(tmp_path / name, TABLE_MAP, digits=1e-9, origin=VOYAGE.t_psi[0])
+    bare = {key.split(" ")[0]: values for key, values in columns.items()}
+    savemat(tmp_path / "run.mat", {"run": bare})
+    units = TABLE_MAP
+    for key, unit in (("rudder", "deg"), ("psi", "deg"), ("r", "deg/s")):
+        units = units.replace(f'"run.{key} [{unit}]"', f'"run.{key}"\nunit = "{unit}"')
+    check_voyage(tmp_path / "run.mat", units, digits=1e-9, origin=VOYAGE.t_psi[0])
+
+
+def test_frames_become_records_and_return() -> None:
+    """A pandas frame, an xarray data set and a record hold the same numbers."""
+    import pandas
+
+    frame = pandas.DataFrame(table())
+    dataset = Dataset.from_dataframe(frame, CHANNELS, name="run")
+    t = VOYAGE.t_psi
+    np.testing.assert_allclose(dataset["run"].output("r"), VOYAGE.r(t), atol=1e-12)
+    both = dataset + dataset["run"].window(5.0, 20.0).rename("part")
+    back = Dataset.from_dataframe(both.to_dataframe(), CHANNELS)
+    assert back.names == ("run", "part")
+    assert [r.content_hash for r in back] == [r.content_hash for r in both]
+    dated = frame.drop(columns="t [s]")
+    dated.index = pandas.Timestamp("2026-01-01") + pandas.to_timedelta(t, unit="s")
+    with pytest.warns(UserWarning, match="1970"):
+        again = Dataset.from_dataframe(dated, CHANNELS)
+    np.testing.assert_allclose(again[0].times, t - t[0], atol=1e-6)
+    zoned = dated.tz_localize("UTC").tz_convert("Europe/Berlin")
+    zoned["r [deg/s]"] = zoned["r [deg/s]"].astype("Float64")
+    zoned.iloc[3, 2] = pandas.NA
+    with pytest.warns(UserWarning, match="t = 0 is 2026-01-01T00:00:00"):
+        once_more = Dataset.from_dataframe(zoned, CHANNELS)[0]
+    assert np.isnan(once_more.output("r")[3])
+    np.testing.assert_allclose(once_more.times, again[0].times, atol=1e-6)
+
+
+def test_xarray_brings_its_units() -> None:
+    """Units are attributes; a second dimension is refused with what to do."""
+    xarray = pytest.importorskip("xarray")
+    t = VOYAGE.t_psi
+    data = xarray.Dataset(
+        {
+            "rudder": ("time", np.degrees(VOYAGE.rudder(t)), {"units": "deg"}),
+            "psi": ("time", VOYAGE.psi(t), {"units": "rad"}),
+            "r": ("time", VOYAGE.r(t), {"units": "rad/s"}),
+        },
+        coords={"time": ("time", t, {"units": "s"})},
+    )
+    record = Dataset.from_xarray(data, CHANNELS)[0]
+    np.testing.assert_allclose(record.input("rudder"), VOYAGE.rudder(t), atol=1e-12)
+    np.testing.assert_allclose(log_of(data)["table.psi [rad]"].values, VOYAGE.psi(t))
+    with pytest.raises(DataError, match="Expected one, the time"):
+        Dataset.from_xarray(data.expand_dims(case=2), CHANNELS)
+
+
+def test_switching_times_of_rare_commands_become_rows(tmp_path: Path) -> None:
+    """A rudder that changes every ten seconds changes in the record when it did."""
+    result = import_log(open_log(ulog(tmp_path)), parse(ULOG_MAP), CHANNELS)
+    record = result.dataset[0]
+    changes = record.times[1:][np.diff(record.input("rudder")) != 0.0]
+    np.testing.assert_allclose(changes, np.arange(5.0, 60.0, 10.0), atol=1e-6)
+
+
+def test_delay_trim_and_clock(tmp_path: Path) -> None:
+    """A late sensor is moved, a trim taken off, and one output's times can be the rows."""
+    log = open_log(ulog(tmp_path))
+    mapping = parse(
+        'clock = "psi"\n'
+        + ULOG_MAP.replace('"vehicle_attitude.yaw"', '"vehicle_attitude.yaw"\ndelay = 0.3')
+        + "trim = 0.02\n"
+    )
+    result = import_log(log, mapping, CHANNELS)
+    record = result.dataset[0]
+    plain = import_log(log, parse(ULOG_MAP), CHANNELS).dataset[0]
+    moved = plain.times[np.isfinite(plain.output("psi"))] - 0.3
+    own = record.times[np.isfinite(record.output("psi"))]
+    np.testing.assert_allclose(own, moved[moved >= 0.0], atol=1e-9)
+    assert record.n_samples == own.size + 6  # the moments at which the rudder changes
+    near = np.isfinite(record.output("r"))
+    times = record.times[near] - 0.5
+    np.testing.assert_allclose(record.output("r")[near], VOYAGE.r(times) - 0.02, atol=6e-4)
+    assert any("left out" in note for note in result.notes)
+
+
+def test_cuts_by_command_and_by_mode(tmp_path: Path) -> None:
+    """Manoeuvres are found where the rudder leaves its rest, and where a mode says so."""
+    t = np.arange(0.0, 300.0, 0.5)
+    rudder = np.zeros(t.size)
+    rudder[(t >= 50) & (t < 70)] = 0.2
+    rudder[(t >= 150) & (t < 165)] = -0.2
+    mode = np.where((t >= 140) & (t < 200), 4.0, 1.0)
+    log = assemble(
+        Path("x.bin"), "test", {"a": (t, {"rudder": rudder, "r": np.cos(t), "mode": mode})}
+    )
+    base = {"rudder": Source("a.rudder", unit="rad")}, {"r": Source("a.r", unit="rad/s")}
+    found = import_log(log, LogMapping(*base, by_commands=CommandCuts(0.05)))
+    spans = [(r.times[0], r.times[-1]) for r in found.dataset]
+    assert spans == [(45.0, 80.0), (145.0, 175.0)]
+    text = LogMapping(*base).text() + '\n[cut_while]\nfield = "a.mode"\nequals = 4\n'
+    (record,) = import_log(log, parse(text)).dataset
+    assert (record.times[0], record.times[-1]) == (140.0, 200.0)
+    with pytest.raises(DataError, match="finds no manoeuvre"):
+        import_log(log, LogMapping(*base, by_commands=CommandCuts(0.9)))
+    with pytest.raises(DataError, match="the log lasts from"):
+        import_log(log, LogMapping(*base, cuts=(Cut("late", 900.0, 950.0),)))
+
+
+def test_thinning_keeps_samples_as_they_were() -> None:
+    """One sample per interval, none changed."""
+    t = np.arange(0.0, 20.0, 0.01)
+    log = assemble(Path("x.bin"), "test", {"a": (t, {"r": np.sin(t)})})
+    mapping = LogMapping({}, {"r": Source("a.r", unit="rad/s")}, sample_time=0.1)
+    record = import_log(log, mapping).dataset[0]
+    assert record.n_samples == 201
+    np.testing.assert_allclose(record.output("r"), np.sin(record.times), atol=1e-12)
+
+
+def test_linear_inputs_are_interpolated_and_said() -> None:
+    """A measured angle is interpolated between its own samples, with a note."""
+    t = np.arange(0.0, 20.0, 0.1)
+    slow = np.arange(0.0, 20.5, 1.0)
+    log = assemble(
+        Path("x.bin"), "test", {"a": (t, {"r": np.sin(t)}), "b": (slow, {"angle": 0.01 * slow})}
+    )
+    channels = Channels((Input("d", "rad", interpolation="linear"),), (Output("r", "rad/s"),))
+    mapping = LogMapping({"d": Source("b.angle", unit="rad")}, {"r": Source("a.r", unit="rad/s")})
+    result = import_log(log, mapping, channels)
+    np.testing.assert_allclose(result.dataset[0].input("d"), 0.01 * t, atol=1e-12)
+    assert any("interpolated linearly" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("outputs = 3", "are tables"),
+        ("[outputs.r]\nfeild = 'a.r'", "Did you mean 'field'"),
+        ("[outputs.r]\nunit = 'm/s'", "Give either field"),
+        ("[outputs.r]\nfield = 'a.r'\nsign = 2", "Choose 1 or -1"),
+        ("[outputs.r]\nfield = 'a.r'\nfactor = 'x'", "expected a number"),
+        ("[outputs.r]\nfield = 'a.r'\nunit = 'rad/fortnight'", "Unknown unit"),
+        ("[inputs.d]\nconstant = 1.0", "has no outputs"),
+        ("[outputs.r]\nfield = 'a.r'\n[[cuts]]\nname = 'x'\nfrom = 5\nto = 3", "before it begins"),
+        ("[outputs.r]\nfield = 'a.r'\n[[cuts]]\nname = 'x'\nfrom = 5", "lacks to"),
+        ("[outputs.r]\nfield = 'a.r'\n[cut_while]\nfield = 'm'", "one of equals"),
+        ("[outputs.r\nfield = 'a.r'", "is no TOML"),
+        ("clock = 'z'\n[outputs.r]\nfield = 'a.r'", "clock is 'z'"),
+    ],
+)
+def test_faulty_mappings_are_refused_in_words(text: str, words: str) -> None:
+    """Every fault of a mapping is said where it stands."""
+    with pytest.raises(DataError, match=words):
+        parse(text)
+
+
+def test_wrong_fields_and_units_are_refused() -> None:
+    """A field that is not there, a unit that does not fit, a clock that goes back."""
+    t = np.arange(0.0, 20.0, 0.1)
+    log = assemble(Path("x.bin"), "test", {"gyro": (t, {"z": t})})
+    outputs = Channels((), (Output("r", "rad/s"),))
+    for source, words in (
+        (Source("gyro.y"), "has no field"),
+        (Source("gyro.z"), "has no unit"),
+        (Source("gyro.z", unit="m/s"), r"channel needs \[rad/s\]"),
+    ):
+        with pytest.raises(DataError, match=words):
+            import_log(log, LogMapping({}, {"r": source}), outputs)
+    back = np.concatenate([t, t[:50]])
+    log = assemble(Path("x.bin"), "test", {"gyro": (back, {"z": back})})
+    with pytest.raises(DataError, match=r"goes back at 19\.9"):
+        import_log(log, LogMapping({}, {"r": Source("gyro.z", unit="rad/s")}), outputs)
+    jumps = assemble(Path("x.bin"), "test", {"c": (t, {"psi": (3.0 + 0.2 * t) % (2 * np.pi)})})
+    with pytest.raises(DataError, match=r"Add  wrap = true  to \[outputs.psi\]"):
+        import_log(jumps, LogMapping({}, {"psi": Source("c.psi", unit="rad")}))
+    with pytest.raises(DataError, match=r"no \[inputs.rudder\]"):
+        import_log(log, LogMapping({}, {"r": Source("gyro.z", unit="rad/s")}), CHANNELS)
+
+
+def test_torn_logs_say_so(tmp_path: Path) -> None:
+    """Every format cut in the middle gives what stands before, or an error in words."""
+    whole = {
+        "torn.ulg": ulog(tmp_path),
+        "torn.BIN": dataflash(tmp_path),
+        "torn.bag": write_bag(tmp_path / "run.bag", VOYAGE, version=1),
+    }
+    for name, source in whole.items():
+        content = source.read_bytes()
+        for share in (0.0, 0.001, 0.02, 0.5, 0.97):
+            torn = tmp_path / name
+            torn.write_bytes(content[: int(share * len(content))])
+            assert readable(torn)
+    rng = np.random.default_rng(1)
+    for name, source in whole.items():
+        damaged = bytearray(source.read_bytes())
+        for at in rng.integers(20, len(damaged), 40):
+            damaged[at] = rng.integers(0, 256)
+        (tmp_path / name).write_bytes(bytes(damaged))
+        assert readable(tmp_path / name)
+
+
+def readable(path: Path) -> bool:
+    """Whether a damaged log gives fields, or an error of the package in a sentence."""
+    try:
+        return len(open_log(path).names) > 0
+    except DataError as error:
+        return len(str(error)) > 30
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.ulg", b"", "is empty"),
+        ("a.ulg", b"hello", "does not begin like one"),
+        ("a.xyz", b"hello", "no format that is known"),
+        ("a.mat", b"MATLAB 5.0 MAT-file" + bytes(200), "cannot be read as a MATLAB"),
+        ("a.mat", b"\x89HDF\r\n\x1a\n" + bytes(200), "MATLAB"),
+        ("a.xlsx", b"PK\x03\x04" + bytes(200), "cannot be read as an Excel"),
+        ("a.parquet", b"PAR1" + bytes(200), "cannot be read as Parquet"),
+        ("a.mcap", b"\x89MCAP0\r\n" + bytes(200), "MCAP"),
+        ("a.bag", b"#ROSBAG V2.0\n" + bytes(200), "cannot be read as a ROS 1 bag"),
+        ("a.nmea", b"$GPRMC,garbage*00\n", "right checksum"),
+    ],
+)
+def test_hostile_files_are_refused(tmp_path: Path, name: str, content: bytes, words: str) -> None:
+    """What is no log says so, and never with a traceback from a library."""
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(DataError, match=words):
+        open_log(tmp_path / name)
+
+
+def test_missing_library_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without pyulog the message says what to install."""
+    import sys
+
+    monkeypatch.setitem(sys.modules, "pyulog", None)
+    with pytest.raises(DataError, match=r'pip install "oed_sysid\[logs\]"'):
+        open_log(ulog(tmp_path))
+
+
+def test_two_commands_from_log_to_checked_records(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    """--list, then --map: for a ULog, a DataFlash file and a bag, against a problem and without."""
+    monkeypatch.chdir(tmp_path)
+    logs = {
+        str(ulog(tmp_path).name): ULOG_MAP,
+        str(dataflash(tmp_path).name): DATAFLASH_MAP,
+        str(write_bag(tmp_path / "run", VOYAGE, version=2).name): BAG_MAP,
+    }
+    for log, text in logs.items():
+        Path("map.toml").write_text(text)
+        assert main(["import", log, "--list", "--json", "fields.json"]) == 0
+        fields = json.loads(Path("fields.json").read_text())["fields"]
+        assert len(fields) >= 3
+        assert main(["import", log, "--map", "map.toml", "--out", "data"]) == 0
+        written = Path("data") / f"{Path(log).stem}.csv"
+        record = read_csv(written, CHANNELS)[0]
+        assert np.isfinite(record.output("r")).sum() == VOYAGE.t_r.size
+    capsys.readouterr()
+
+
+def test_records_of_a_problem_are_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    """A heading with the wrong sign is found on the way in and ends with exit code 1."""
+    monkeypatch.chdir(tmp_path)
+    problem = new_problem(tmp_path / "boat")
+    text = (Path(problem) / "problem.py").read_text()
+    assert '"psi"' in text
+    log = str(ulog(tmp_path))
+    good = 'problem = "boat"\n' + ULOG_MAP
+    Path("good.toml").write_text(good)
+    Path("bad.toml").write_text(good.replace('yaw"', 'yaw"\nsign = -1'))
+    assert main(["import", log, "--map", "good.toml", "--out", "good"]) == 0
+    assert main(["import", log, "--map", "bad.toml", "--out", "bad", "--json", "bad.json"]) == 1
+    findings = json.loads(Path("bad.json").read_text())["check"]
+    assert "psi" in json.dumps(findings)
+    assert main(["import", log, "--problem", "boat", "--draft", "draft.toml"]) == 0
+    assert read_mapping("draft.toml").outputs["psi"].field == "vehicle_attitude.yaw"
+    assert main(["import", log, "--draft", "draft.toml"]) == 2
+    assert main(["import", log, "--map", "good.toml", "--out", "good.csv"]) == 2
+    assert "Give a folder" in capsys.readouterr().err
+
+
+def test_draft_maps_what_has_a_name(tmp_path: Path) -> None:
+    """Known fields are guessed, the rest is left to the user."""
+    made = draft(open_log(ulog(tmp_path)), CHANNELS, problem="boat")
+    assert made is not None
+    assert made.outputs["psi"].field == "vehicle_attitude.yaw"
+    assert made.outputs["r"].field == "vehicle_angular_velocity.xyz[2]"
+    assert made.inputs["rudder"].constant == 0.0
+    made.write(tmp_path / "map.toml")
+    assert read_mapping(tmp_path / "map.toml") == made
+
+
+@pytest.mark.skipif(
+    not os.environ.get("OED_SYSID_DATA"), reason="needs measured data, OED_SYSID_DATA"
+)
+def test_a_real_log_of_px4(tmp_path: Path) -> None:
+    """A flight log: attitude and gyro agree but for a bias, and the drop-out is where it was."""
+    path = Path(os.environ["OED_SYSID_DATA"]) / "log_formats" / "sample_log_small.ulg"
+    if not path.exists():
+        pytest.skip(f"{path.name} is not there")
+    log = open_log(path)
+    yaw, rate = log["vehicle_attitude.yaw"], log["vehicle_angular_velocity.xyz[2]"]
+    assert (yaw.values.size, rate.values.size) == (1298, 1812)
+    assert np.diff(yaw.times).max() == pytest.approx(0.1613, abs=1e-4)  # the logger's drop-out
+    steps = np.diff(rate.times) * (rate.values[1:] + rate.values[:-1]) / 2
+    integral = np.interp(yaw.times, rate.times, np.concatenate([[0.0], np.cumsum(steps)]))
+    # The gyro has a bias that the filter on board is still learning; the rest agrees.
+    away = yaw.values - integral
+    bend = away - np.polyval(np.polyfit(yaw.times, away, 2), yaw.times)
+    assert np.std(bend) < 0.1 * np.std(yaw.values)
+
+
+def test_quaternions_and_positions_by_hand() -> None:
+    """Euler angles of composed rotations, and a degree of longitude at 60 degrees north."""
+    angles = np.array([[0.3, -0.4, 2.5], [-1.2, 0.9, -3.0]])
+    phi, theta, psi = angles.T / 2
+    one = np.column_stack([np.cos(psi), 0 * psi, 0 * psi, np.sin(psi)])
+    two = np.column_stack([np.cos(theta), 0 * psi, np.sin(theta), 0 * psi])
+    three = np.column_stack([np.cos(phi), np.sin(phi), 0 * psi, 0 * psi])
+
+    def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.column_stack(
+            [
+                a[:, 0] * b[:, 0] - np.sum(a[:, 1:] * b[:, 1:], axis=1),
+                a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:]),
+            ]
+        )
+
+    found = np.column_stack(euler_angles(times(times(one, two), three)))
+    np.testing.assert_allclose(found, angles, atol=1e-12)
+    _, east = local_position(np.array([60.0, 60.0]), np.array([10.0, 11.0]))
+    assert east[1] == pytest.approx(55800.0, rel=1e-4)  # standard tables of WGS 84
