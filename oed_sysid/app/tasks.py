@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from oed_sysid.app.jobs import Tell
 from oed_sysid.app.study import Study
+from oed_sysid.compatibility import quick_check
+from oed_sysid.data.overlap import together
 from oed_sysid.estimators import MultipleShooting
 
 if TYPE_CHECKING:
@@ -31,9 +33,10 @@ def fit(study: Study, tell: Tell) -> Outcome:
     """Estimate the parameters of the believed model."""
     from oed_sysid.report import fit_page
 
+    log = quick_check(study.training(), study.problem.model)
     result = fitted(study, study.problem.model, tell)
     tell(DRAWING)
-    return Outcome(result, fit_page(result))
+    return Outcome(result, fit_page(result, log=log))
 
 
 def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outcome:
@@ -49,8 +52,10 @@ def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outc
     fits = {name: fitted(study, model, tell) for name, model in models.items()}
     tell("predicting the untouched records")
     result = compare_models(fits, untouched)
+    records = together(study.training(), untouched)
+    log = quick_check(records, study.problem.model).without("duplicate")
     tell(DRAWING)
-    return Outcome(result, comparison_page(result, title=study.problem.title))
+    return Outcome(result, comparison_page(result, title=study.problem.title, log=log))
 
 
 def diagnose(study: Study, tell: Tell) -> Outcome:
