@@ -20,6 +20,7 @@ import json
 import pickle
 import platform
 import re
+import secrets
 import shutil
 import signal
 import threading
@@ -108,7 +109,7 @@ class Journal:
         self.place = self.folder / digest
         if self._fresh:
             self.close()
-            self.place = self.folder / digest
+        self._sweep()
         kept = self.n_steps
         if kept and self._tell is not None:
             steps = "step" if kept == 1 else "steps"
@@ -178,8 +179,18 @@ class Journal:
 
     def close(self) -> None:
         """Forget the steps: the calculation, and what was made of it, is done."""
-        if self.place is not None:
-            shutil.rmtree(self.place, ignore_errors=True)
+        if self.place is None:
+            return
+        # All of them at once: a part of them would be done again.
+        with suppress(OSError):
+            self.place.rename(self.place.with_name(f".{self.place.name}{secrets.token_hex(4)}"))
+        self._sweep()
+
+    def _sweep(self) -> None:
+        """Remove what a closed journal, also of a killed process, has left."""
+        assert self.place is not None
+        for other in self.place.parent.glob(f".{self.place.name}*"):
+            shutil.rmtree(other, ignore_errors=True)
 
     # -- files ---------------------------------------------------------------------------
 
