@@ -53,6 +53,7 @@ def orders(problem: str | None = None, *, port: int = 8501) -> list[str]:
         "server.fileWatcherType": "none",
         "server.maxUploadSize": str(_LARGEST_UPLOAD),
         "browser.gatherUsageStats": "false",
+        "logger.hideWelcomeMessage": "true",  # it would show an address without the key
         "client.toolbarMode": "minimal",
         "client.showErrorDetails": "none",
         # The pictures are drawn on white.
