@@ -18,6 +18,10 @@ FEEDBACKS = ("measured", "true")
 _TOLERANCE = 1e-9
 
 
+# More samples than any computer's memory has room for.
+MOST_SAMPLES = 1e8
+
+
 @dataclass(frozen=True)
 class Limits:
     """What must not be exceeded during an experiment.
@@ -195,6 +199,12 @@ class Experiment:
                 f"{owner} lasts {self.duration} s with a sample every {self.sample_time} s. "
                 "Give a duration of several samples."
             )
+        if self.duration > MOST_SAMPLES * self.sample_time:
+            raise DesignError(
+                f"{owner} lasts {self.duration:g} s with a sample every {self.sample_time:g} s: "
+                f"that is {self.duration / self.sample_time:.0e} samples. Give a shorter run, or a "
+                "longer time between samples."
+            )
         if self.feedback not in FEEDBACKS:
             raise DesignError(
                 f"{owner} has feedback {self.feedback!r}. Choose one of {', '.join(FEEDBACKS)}."
@@ -359,7 +369,8 @@ class Experiment:
 
 def _range(kind: str, name: str, given: Sequence[float]) -> tuple[float, float]:
     try:
-        pair = tuple(float(bound) for bound in given)
+        words = any(isinstance(bound, str | bool) for bound in given)
+        pair = () if words else tuple(float(bound) for bound in given)
     except (TypeError, ValueError):
         pair = ()
     if len(pair) != 2 or not pair[0] < pair[1]:

@@ -72,6 +72,12 @@ class Parameter:
                 raise ModelError(
                     f"Parameter {self.name!r} has {field} {given!r:.40}. Expected a number."
                 )
+        for field in ("fixed", "log", "per_record"):
+            given = getattr(self, field)
+            if not isinstance(given, bool | np.bool_):
+                raise ModelError(
+                    f"Parameter {self.name!r} has {field} {given!r:.40}. Expected True or False."
+                )
         for field in ("value", "lower", "upper"):
             if math.isnan(getattr(self, field)):
                 raise ModelError(f"Parameter {self.name!r} has {field} NaN. Give a number.")

@@ -26,7 +26,7 @@ testing = pytest.importorskip("streamlit.testing.v1", reason="needs the extra 'a
 PATIENCE = 120.0
 
 
-def script(problem: str) -> None:
+def script(problem: str | None) -> None:
     """What streamlit runs."""
     from oed_sysid.app.frame import show
 
@@ -51,6 +51,16 @@ def fine(app):
 def following(app):
     """The next page."""
     return fine(app.button(key="next").click().run())
+
+
+def at_fit(app):
+    """The page Fit, the check of the log behind it."""
+    from oed_sysid.app.panels import desk
+
+    app = following(app)
+    assert app.header[0].value == "Check the log"
+    desk().wait()
+    return following(fine(app.run()))
 
 
 def done(app, button: str):
@@ -85,7 +95,7 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     """The whole flow: fit, compare, improve, step back, rank; and the commands repeat it."""
     app = opened(ship)
     assert app.header[0].value == load_problem(ship).title
-    app = done(following(app), "fit")
+    app = done(at_fit(app), "fit")
     assert "The estimation converged." in text_of(app)
     app = done(following(app), "compare")
     assert "in 95 % band" in text_of(app)
@@ -103,7 +113,7 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     assert {"Records (ZIP)", "Everything (ZIP)", "Report (HTML)"} <= offered
     lines = app.code[0].value.splitlines()
     verbs = [line.split()[1] for line in lines]
-    assert verbs == ["fit", "report", "compare", "improve", "compare", "rank"]
+    assert verbs == ["check", "fit", "report", "compare", "improve", "compare", "rank"]
 
     from oed_sysid.app.panels import desk
 
@@ -115,7 +125,7 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     with zipfile.ZipFile(io.BytesIO(archive(train, test))) as packed:
         packed.extractall(tmp_path)
     monkeypatch.chdir(tmp_path)
-    for line in (lines[0], lines[-1]):
+    for line in (lines[0], lines[1], lines[-1]):
         assert main(shlex.split(line)[1:]) == DONE
     capsys.readouterr()
     there = Fit.load(tmp_path / "fit.json")
@@ -130,7 +140,7 @@ def test_shipped_problem_with_other_records(monkeypatch) -> None:
     learn = next(w for w in app.multiselect if w.label == "Learn from")
     assert learn.value == ["train_steps", "train_zigzag_10_10", "train_zigzag_5_5"]
     learn.set_value(["train_zigzag_5_5"]).run()
-    app = done(following(app), "fit")
+    app = done(at_fit(app), "fit")
     assert app.caption[0].value == "Fitted by multiple shooting to train_zigzag_5_5"
     assert "Z_uw" in text_of(app)
 
@@ -156,6 +166,7 @@ def test_files_of_the_user(ship: Path) -> None:
     assert [error.value for error in app.error if "**bad.csv** was refused" in error.value]
     learn = next(w for w in app.multiselect if w.label == "Learn from")
     assert list(learn.options) == ["circle"]
+    app = app.button(key="next").click().run()
     app.button(key="next").click().run()
     assert [button.key for button in app.button if button.key == "ask:fit"]
     assert any("circle" in caption.value for caption in app.caption)
@@ -322,7 +333,7 @@ def test_job_stops_when_asked(capsys) -> None:
 
 def test_server_answers_this_computer_only_and_reports_to_nobody() -> None:
     """No address but localhost, no usage statistics."""
-    given = orders("remus_diving_plane", port=9000, browser=False)
+    given = orders("remus_diving_plane", port=9000)
     assert "--server.address=localhost" in given
     assert "--browser.gatherUsageStats=false" in given
     assert given[-2:] == ["--", "remus_diving_plane"]
@@ -353,3 +364,143 @@ def test_application_is_not_imported_with_the_package() -> None:
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert json.loads(run.stdout) is False
+
+
+def test_check_page_names_a_wrong_log_and_offers_copies(ship: Path) -> None:
+    """Swapped columns are named on the page Check, with corrected copies to take away."""
+    from oed_sysid.app.panels import desk
+
+    app = opened(ship)
+    app.button_group[0].set_value("My CSV files").run()
+    table = (ship / "data" / "zigzag_20_20.csv").read_text().splitlines()
+    names = table[0].split(",")
+    first, second = (next(i for i, n in enumerate(names) if n.startswith(k)) for k in ("psi", "r "))
+    swapped = names.copy()
+    swapped[first] = (
+        names[first].replace("psi", "r").replace("deg", "deg/s").replace("rad", "rad/s")
+    )
+    swapped[second] = names[second].replace("r [", "psi [").replace("/s", "")
+    content = "\n".join([",".join(swapped), *table[1:]]) + "\n"
+    app.file_uploader[0].set_value([("log.csv", content.encode(), "text/csv")]).run()
+    app = following(app)
+    desk().wait()
+    app = app.run()
+    assert not app.exception
+    assert "Log suspect" in app.error[0].value
+    assert "swap" in app.error[0].value
+    assert "Corrected copies (ZIP)" in {one.label for one in app.get("download_button")}
+
+
+def _other_folder(ship: Path, folder: Path, mark: Path) -> Path:
+    """A copy of a problem that leaves a mark when it is run."""
+    import shutil
+
+    shutil.copytree(ship, folder)
+    file = folder / "problem.py"
+    file.write_text(f"open({str(mark)!r}, 'a').write('x')\n" + file.read_text())
+    return folder
+
+
+def typed(folder: Path):
+    """The application in a new session, in which the path of a problem has been typed."""
+    app = testing.AppTest.from_function(script, kwargs={"problem": None}, default_timeout=PATIENCE)
+    app.session_state["keep:source"] = str(folder)
+    return app.run()
+
+
+def test_a_strangers_problem_is_run_only_after_consent(ship: Path, tmp_path: Path) -> None:
+    """A typed folder shows its program and waits for a button; other pages do not run it."""
+    mark = tmp_path / "ran"
+    folder = _other_folder(ship, tmp_path / "ferry", mark)
+    app = typed(folder)
+    assert not app.exception
+    assert not mark.exists()
+    assert "is run with your rights" in app.warning[0].value
+    assert any("open(" in one.value for one in app.code)
+    app.button(key="next").click().run()
+    assert not mark.exists()
+    assert "Agree to that on the page Problem" in app.error[0].value
+    app = typed(folder)
+    app.button(key="agree").click().run()
+    assert mark.exists()
+    assert fine(app).header[0].value == load_problem(folder).title
+
+
+def test_consent_ends_where_others_can_write(ship: Path, tmp_path: Path) -> None:
+    """In a folder that others can change, every change of the program asks again."""
+    from oed_sysid.app.trust import NotTrustedError, check_trusted, consent
+
+    folder = _other_folder(ship, tmp_path / "ferry", tmp_path / "ran")
+    agreed = {consent(str(folder)): True}
+    check_trusted(str(folder), agreed)
+    (folder / "problem.py").write_text("import os\n")
+    check_trusted(str(folder), agreed)
+    folder.chmod(0o777)
+    with pytest.raises(NotTrustedError):
+        check_trusted(str(folder), agreed)
+    agreed = {consent(str(folder)): True}
+    check_trusted(str(folder), agreed)
+    (folder / "problem.py").write_text("import sys\n")
+    with pytest.raises(NotTrustedError, match=r"problem\.py"):
+        check_trusted(str(folder), agreed)
+
+
+def test_consent_of_one_session_is_none_of_another(ship: Path, tmp_path: Path) -> None:
+    """What one window agreed to and uploaded is not there in the next."""
+    mark = tmp_path / "ran"
+    folder = _other_folder(ship, tmp_path / "ferry", mark)
+    first = typed(folder)
+    first.button(key="agree").click().run()
+    second = typed(folder)
+    assert "is run with your rights" in second.warning[0].value
+    assert f"files:{folder}" not in second.session_state
+
+
+def test_address_without_the_key_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever does not know the secret of this run sees no page and runs nothing."""
+    from oed_sysid.app.trust import SECRET
+
+    monkeypatch.setenv(SECRET, "right")
+    app = testing.AppTest.from_function(
+        script, kwargs={"problem": "remus_diving_plane"}, default_timeout=PATIENCE
+    )
+    for wrong in (None, "wrong"):
+        if wrong:
+            app.query_params["key"] = wrong
+        app.run()
+        assert "does not carry the key" in app.error[0].value
+        assert not app.header
+        assert not app.selectbox
+    app.query_params["key"] = "right"
+    assert fine(app.run()).header[0].value == load_problem("remus_diving_plane").title
+
+
+def test_uploads_are_limited_and_stay_in_their_folder(ship: Path, monkeypatch) -> None:
+    """Too many bytes are refused in words, and no name leads out of the folder."""
+    from oed_sysid.app import trust
+
+    problem = load_problem(ship)
+    good = (ship / "data" / "turning_circle.csv").read_bytes()
+    names = ["../../out.csv", "..", "a/b\\c.csv", "x\0y.csv", "n" * 300 + ".csv"]
+    records, refused, _ = read_uploads(problem, dict.fromkeys(names, good))
+    assert records is not None
+    assert refused == {}
+    assert not any(set("/\\\0") & set(name) for name in records.names)
+    monkeypatch.setattr(trust, "MOST_BYTES", 10)
+    with pytest.raises(OedSysidError, match="takes up to"):
+        trust.check_uploads({"a.csv": b"x" * 11})
+    assert "--server.maxUploadSize=200" in orders("remus_diving_plane")
+
+
+def test_stop_leaves_what_another_window_waits_for() -> None:
+    """A job ends when nobody waits for it any more."""
+    from oed_sysid.app.jobs import Job
+
+    job = Job(lambda tell: None)
+    job.look("one")
+    job.look("two")
+    assert not job.stop("one")
+    assert job.stop("two")
+    assert job.state == "waiting"
+    job.run()
+    assert job.state == "stopped"

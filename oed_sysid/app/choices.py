@@ -10,6 +10,7 @@ import streamlit as st
 
 from oed_sysid.app.records import likely_test, read_uploads, simulated
 from oed_sysid.app.study import Study
+from oed_sysid.app.trust import check_trusted, check_uploads, consent
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
 from oed_sysid.problem import Problem, list_problems, load_problem
@@ -30,6 +31,18 @@ def begin(initial: str | None) -> None:
     shipped = list_problems()
     first = initial or (_FIRST if _FIRST in shipped else next(iter(shipped), ""))
     st.session_state.setdefault(kept("source"), first)
+    if initial and "agreed" not in st.session_state:
+        agree(initial)  # who starts the application names what it begins with
+
+
+def agreed() -> dict[str, bool]:
+    """Problems of the user's own that may be run in this session."""
+    return st.session_state.setdefault("agreed", {})
+
+
+def agree(source: str) -> None:
+    """Let a problem be run in this session."""
+    agreed()[consent(source)] = True
 
 
 def kept(*names: str) -> str:
@@ -63,7 +76,8 @@ class Stock:
 
 
 def problem_of(source: str, variant: str) -> Problem:
-    """Load a problem; again when its files were changed."""
+    """Load a problem, if it may be run; again when its files were changed."""
+    check_trusted(source, agreed())
     return _loaded(source, variant, _stamp(source))
 
 
@@ -86,6 +100,7 @@ def stock(source: str, variant: str, origin: str) -> Stock:
     problem = problem_of(source, variant)
     if origin == UPLOADED:
         files: dict[str, bytes] = st.session_state.get(f"files:{source}", {})
+        check_uploads(files)
         return Stock(*read_uploads(problem, files)) if files else Stock(None, {})
     return Stock(_shipped(source, variant, _stamp(source), origin), {})
 

@@ -15,6 +15,12 @@ def describe(study: Study) -> str:
     return _line("problems", study)
 
 
+def check(study: Study) -> str:
+    """Command that checks the records."""
+    folders = "train" * (study.train is not None) + " test" * (study.test is not None)
+    return f"{_line('check', study)} {folders.strip()} --html check.html --fix corrected"
+
+
 def fit(study: Study) -> str:
     """Commands that fit, and write the report with predictions of the untouched records."""
     line = f"{_line('fit', study)} train{_noise(study)} --save fit.json --html fit.html"

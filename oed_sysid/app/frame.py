@@ -11,6 +11,7 @@ import streamlit as st
 
 from oed_sysid.app import (
     choices,
+    page_check,
     page_compare,
     page_fit,
     page_improve,
@@ -21,11 +22,13 @@ from oed_sysid.app import (
 from oed_sysid.app.jobs import unexpected
 from oed_sysid.app.panels import message, style
 from oed_sysid.app.study import Study
+from oed_sysid.app.trust import is_user
 from oed_sysid.errors import OedSysidError
 
 _ICON = str(Path(__file__).with_name("icon.svg"))
 # Title, address and symbol of each page, in the order of the work.
 PAGES: tuple[tuple[str, str, str, Callable[[Study], None]], ...] = (
+    ("Check the log", "check", "fact_check", page_check.show),
     ("Fit", "fit", "tune", page_fit.show),
     ("Compare and diagnose", "compare", "compare_arrows", page_compare.show),
     ("Improve", "improve", "add_circle", page_improve.show),
@@ -44,6 +47,17 @@ def show(initial: str | None = None) -> None:
     """
     # An own icon of the browser's tab: that of a page's symbol would be fetched from elsewhere.
     st.set_page_config("oed_sysid", _ICON, layout="wide")
+    if not st.session_state.get("is_user"):
+        if not is_user(st.query_params.get("key")):
+            message(
+                "This address does not carry the key of this application. Open the one that was "
+                "printed in the terminal when it was started."
+            )
+            st.stop()
+        st.session_state["is_user"] = True
+        st.session_state["key"] = st.query_params.get("key")
+    if st.session_state["key"] and st.query_params.get("key") != st.session_state["key"]:
+        st.query_params["key"] = st.session_state["key"]  # for a reload of any page
     choices.begin(initial)
     style()
     first = st.Page(

@@ -19,6 +19,8 @@ from oed_sysid.errors import OedSysidError
 Tell = Callable[[str], None]
 # Results that are kept; the oldest go first.
 _KEPT = 40
+# Seconds after which a session that no longer looks has gone.
+_AWAY = 10.0
 
 
 class StoppedError(Exception):
@@ -51,6 +53,7 @@ class Job:
     began: float = field(default_factory=time.monotonic)
     ended: threading.Event = field(default_factory=threading.Event)
     _stop: bool = False
+    _seen: dict[str, float] = field(default_factory=dict)
 
     @property
     def at_work(self) -> bool:
@@ -62,9 +65,23 @@ class Job:
         """How long it has been asked for, s."""
         return time.monotonic() - self.began
 
-    def stop(self) -> None:
-        """End it when it next tells what it is doing."""
-        self._stop = True
+    def look(self, who: str) -> None:
+        """Note that a session waits for it."""
+        self._seen[who] = time.monotonic()
+
+    def stop(self, who: str = "") -> bool:
+        """End it when it next tells what it is doing, unless another session waits for it too.
+
+        Returns
+        -------
+        bool
+            Whether it will end.
+        """
+        self._seen.pop(who, None)
+        now = time.monotonic()
+        if all(now - last > _AWAY for last in self._seen.values()):
+            self._stop = True
+        return self._stop
 
     def tell(self, what: str) -> None:
         """Note what is being done; ends the work if it is to stop."""

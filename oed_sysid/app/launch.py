@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import secrets
+import socket
+import tempfile
+import threading
+import time
+import webbrowser
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
+from oed_sysid.app.trust import SECRET
 from oed_sysid.errors import OedSysidError
 from oed_sysid.problem import load_problem
 
@@ -12,7 +21,7 @@ _SCRIPT = Path(__file__).with_name("flow.py")
 _LARGEST_UPLOAD = 200  # MB
 
 
-def orders(problem: str | None = None, *, port: int = 8501, browser: bool = True) -> list[str]:
+def orders(problem: str | None = None, *, port: int = 8501) -> list[str]:
     """Return what ``streamlit`` is told to do.
 
     Parameters
@@ -21,8 +30,6 @@ def orders(problem: str | None = None, *, port: int = 8501, browser: bool = True
         Problem to begin with: a shipped name or a folder.
     port : int
         Port of this computer; the server answers nobody else.
-    browser : bool
-        Whether to open a browser.
 
     Raises
     ------
@@ -41,11 +48,12 @@ def orders(problem: str | None = None, *, port: int = 8501, browser: bool = True
     settings = {
         "server.address": "localhost",
         "server.port": str(port),
-        "server.headless": "false" if browser else "true",
+        "server.headless": "true",  # the browser is opened below, with the key
         "server.showEmailPrompt": "false",
         "server.fileWatcherType": "none",
         "server.maxUploadSize": str(_LARGEST_UPLOAD),
         "browser.gatherUsageStats": "false",
+        "logger.hideWelcomeMessage": "true",  # it would show an address without the key
         "client.toolbarMode": "minimal",
         "client.showErrorDetails": "none",
         # The pictures are drawn on white.
@@ -62,10 +70,40 @@ def orders(problem: str | None = None, *, port: int = 8501, browser: bool = True
 def start(problem: str | None = None, *, port: int = 8501, browser: bool = True) -> None:
     """Run the server in this process until it is interrupted.
 
-    Parameters as for :func:`orders`.
+    Every user of this computer can reach its ports, so that the address carries a secret.
+
+    Parameters
+    ----------
+    problem, port
+        As for :func:`orders`.
+    browser : bool
+        Whether to open a browser.
     """
-    given = orders(problem, port=port, browser=browser)
+    given = orders(problem, port=port)
 
     from streamlit.web.cli import main
 
+    secret = secrets.token_urlsafe(24)
+    os.environ[SECRET] = secret
+    address = f"http://localhost:{port}/?key={secret}"
+    print(f"Open {address}", flush=True)
+    if browser:
+        threading.Thread(target=_open, args=(address, port), daemon=True).start()
     main(given, prog_name="streamlit", standalone_mode=False)
+
+
+def _open(address: str, port: int) -> None:
+    """Open a browser once the server answers.
+
+    By way of a file that only the user can read: command lines can be read by everybody.
+    """
+    for _ in range(300):
+        with suppress(OSError), socket.create_connection(("localhost", port), timeout=0.2):
+            break
+        time.sleep(0.1)
+    handle, name = tempfile.mkstemp(prefix="oed_sysid-", suffix=".html")
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(f'<meta http-equiv="refresh" content="0; url={address}">')
+    webbrowser.open(Path(name).as_uri())
+    time.sleep(20.0)
+    Path(name).unlink(missing_ok=True)

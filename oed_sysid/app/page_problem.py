@@ -9,6 +9,7 @@ import streamlit as st
 from oed_sysid.app import choices, commands
 from oed_sysid.app.panels import command, message, part
 from oed_sysid.app.study import content
+from oed_sysid.app.trust import NotTrustedError, check_trusted, code_of
 from oed_sysid.channels import Input, Output
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.problem import Problem, list_problems
@@ -26,9 +27,14 @@ def show() -> None:
         key=choices.kept("source"),
         accept_new_options=True,
         help="A shipped problem, or type the path of your own folder. "
-        "`oed-sysid new my_vehicle` makes one. Its problem.py is executed.",
+        "`oed-sysid new my_vehicle` makes one. You are asked before its problem.py is run.",
     )
     source = str(choices.chosen("source") or "").strip()
+    try:
+        check_trusted(source, choices.agreed())
+    except NotTrustedError:
+        _ask_consent(source)
+        return
     problem = choices.problem_of(source, choices.DEFAULT_MODEL)
     variant = choices.DEFAULT_MODEL
     if len(problem.variants) > 1:
@@ -53,6 +59,23 @@ def show() -> None:
     with sources:
         part(Section("", problem.references or ("None stated.",)))
     command(commands.describe(choices.study()))
+
+
+def _ask_consent(source: str) -> None:
+    """Show the programs of a folder, and run them only when the user says so."""
+    code = code_of(source)
+    st.warning(
+        f"**{source}** is not a problem of this package. To open it, its program `problem.py` is "
+        "run with your rights: it could read, change and send your files. Open it only if you "
+        "know where it comes from.",
+        icon=":material/warning:",
+    )
+    for path, text in code.items():
+        with st.expander(f"{path.name} ({len(text.splitlines())} lines)"):
+            st.code(text[:100_000], language="python")
+    if st.button("Run it and open the problem", key="agree"):
+        choices.agree(source)
+        st.rerun()
 
 
 def _records(problem: Problem, source: str, variant: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -90,10 +91,12 @@ def _progress(job: Job) -> None:
     """What a job is doing; the whole page is drawn anew at its end."""
     if not job.at_work:
         st.rerun()
+    who = st.session_state.setdefault("session", secrets.token_hex(8))
+    job.look(who)
     left, right = st.columns([5, 1], vertical_alignment="center")
     left.html(f'<div class="oed-busy"><i></i>{escape(job.doing)} · {job.seconds:.0f} s</div>')
-    if right.button("Stop", key="stop"):
-        job.stop()
+    if right.button("Stop", key="stop") and not job.stop(who):
+        st.info("Another window waits for the same work; it goes on for that one.")
 
 
 def show(page: Page) -> None:

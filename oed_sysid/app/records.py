@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import tempfile
 import warnings
 import zipfile
@@ -43,7 +44,7 @@ def read_uploads(
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as odd:
         warnings.simplefilter("always", UserWarning)
         for name, content in files.items():
-            path = Path(folder) / Path(name).name
+            path = Path(folder) / plain_name(name)
             path.write_bytes(content)
             try:
                 read += read_csv(path, problem.channels)
@@ -51,6 +52,17 @@ def read_uploads(
                 refused[name] = str(error).replace(f"{folder}/", "")
     notes = tuple(str(one.message) for one in odd if issubclass(one.category, UserWarning))
     return (Dataset(tuple(read)) if read else None), refused, notes
+
+
+def plain_name(name: str) -> str:
+    """Name of an uploaded file without what could lead out of a folder.
+
+    >>> plain_name("../../x.csv"), plain_name(".."), plain_name("dive 1.csv")
+    ('x.csv', 'upload.csv', 'dive 1.csv')
+    """
+    last = re.split(r"[\\/]", name)[-1]
+    kept = re.sub(r"[^\w.,()+\- ]", "_", last).lstrip(".")[-100:]
+    return kept or "upload.csv"
 
 
 def simulated(problem: Problem, *, seed: int = 0) -> Dataset:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.overlap import together
 from oed_sysid.errors import DataError
 from oed_sysid.problem import Problem
 
@@ -65,6 +66,18 @@ class Study:
         if self.train is None:
             raise DataError("There is no record to learn from. Choose one on the page Problem.")
         return self.train
+
+    def records(self) -> Dataset:
+        """Return all chosen records.
+
+        Raises
+        ------
+        DataError
+            If there are none.
+        """
+        if self.train is None or self.test is None:
+            return self.training() if self.test is None else self.test
+        return together(self.train, self.test)
 
     def untouched(self) -> Dataset:
         """Return the untouched records.

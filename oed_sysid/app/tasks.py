@@ -7,7 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from oed_sysid.app.jobs import Tell
+from oed_sysid.app.records import archive
 from oed_sysid.app.study import Study
+from oed_sysid.compatibility import LogCheck, corrected_copies, quick_check
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.overlap import together
 from oed_sysid.estimators import MultipleShooting
 
 if TYPE_CHECKING:
@@ -27,13 +31,35 @@ class Outcome:
     page: Page
 
 
+def check(study: Study, tell: Tell) -> Outcome:
+    """Say whether the records agree with themselves."""
+    from oed_sysid.compatibility import check as look
+    from oed_sysid.report import check_page
+
+    records = study.records()
+    tell("checking the records")
+    found = look(records, study.problem)
+    tell(DRAWING)
+    return Outcome(found, check_page(found, records, title=study.problem.title))
+
+
+def corrected(study: Study, found: LogCheck) -> bytes:
+    """Return a ZIP file with copies of the records in which the findings are undone."""
+    copies, _ = corrected_copies(study.records(), study.problem, found)
+    names = study.train.names if study.train is not None else ()
+    train = tuple(record for record in copies if record.name in names)
+    test = tuple(record for record in copies if record.name not in names)
+    return archive(Dataset(train) if train else None, Dataset(test) if test else None)
+
+
 def fit(study: Study, tell: Tell) -> Outcome:
     """Estimate the parameters of the believed model."""
     from oed_sysid.report import fit_page
 
+    log = quick_check(study.training(), study.problem.model)
     result = fitted(study, study.problem.model, tell)
     tell(DRAWING)
-    return Outcome(result, fit_page(result))
+    return Outcome(result, fit_page(result, log=log))
 
 
 def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outcome:
@@ -49,8 +75,10 @@ def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outc
     fits = {name: fitted(study, model, tell) for name, model in models.items()}
     tell("predicting the untouched records")
     result = compare_models(fits, untouched)
+    records = together(study.training(), untouched)
+    log = quick_check(records, study.problem.model).without("duplicate")
     tell(DRAWING)
-    return Outcome(result, comparison_page(result, title=study.problem.title))
+    return Outcome(result, comparison_page(result, title=study.problem.title, log=log))
 
 
 def diagnose(study: Study, tell: Tell) -> Outcome:

@@ -63,7 +63,7 @@ class CellStore:
     def write(self, key: str, result: Any) -> None:
         """Keep a result."""
         content = pickle.dumps((key, result), protocol=pickle.HIGHEST_PROTOCOL)
-        write_bytes(self.path(key), _digest(content) + content)
+        write_bytes(self.path(key), sealed(content))
 
     def keys(self) -> Iterator[str]:
         """Yield the names of all intact results."""
@@ -76,17 +76,35 @@ class CellStore:
     def _entry(path: Path) -> tuple[str, Any] | None:
         """Name and result in a file; None where it is missing, torn or not from this user."""
         try:
-            content = path.read_bytes()
+            body = unsealed(path.read_bytes())
         except OSError:
             return None
-        digest, body = content[:32], content[32:]
-        if not hmac.compare_digest(_digest(body), digest):
+        if body is None:
             return None
         try:
             key, result = pickle.loads(body)
         except Exception:  # a class that has since been renamed or changed
             return None
         return key, result
+
+
+def sealed(body: bytes) -> bytes:
+    """A body and, in front of it, the digest that says who wrote it.
+
+    >>> unsealed(sealed(b"result"))
+    b'result'
+    """
+    return _digest(body) + body
+
+
+def unsealed(content: bytes) -> bytes | None:
+    """The body that this user sealed; None of what is torn or of another writer.
+
+    >>> unsealed(b"planted") is None
+    True
+    """
+    digest, body = content[:32], content[32:]
+    return body if hmac.compare_digest(_digest(body), digest) else None
 
 
 def _digest(content: bytes) -> bytes:

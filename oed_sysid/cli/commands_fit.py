@@ -2,16 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from oed_sysid.cli.options import HtmlFile, JsonFile, KnownNoise, ProblemName, Test, Train, Variant
-from oed_sysid.cli.terminal import invocation, note, progress, say, store
+from oed_sysid.cli.options import (
+    Fresh,
+    HtmlFile,
+    JournalFolder,
+    JsonFile,
+    KnownNoise,
+    ProblemName,
+    Test,
+    Train,
+    Variant,
+)
+from oed_sysid.cli.terminal import (
+    INTERRUPTED,
+    invocation,
+    journal,
+    note,
+    progress,
+    say,
+    say_log,
+    store,
+)
 from oed_sysid.errors import DataError
 
 if TYPE_CHECKING:
+    from oed_sysid.batch.journal import Journal
+    from oed_sysid.cli.terminal import Shown
+    from oed_sysid.data.dataset import Dataset
+    from oed_sysid.fitting.fit import Fit
     from oed_sysid.model import Model
     from oed_sysid.problem import Problem
 
@@ -39,32 +63,36 @@ def fit(
             show_default=False,
         ),
     ] = None,
+    kept_in: JournalFolder = None,
+    fresh: Fresh = False,
 ) -> None:
     """Estimate the parameters of a problem's model from measured records.
 
     [bold]Example[/bold]: oed-sysid fit remus_diving_plane dive_1.csv dive_2.csv --json fit.json
     """
+    from oed_sysid.compatibility import quick_check
     from oed_sysid.data.dataset import read_csv
-    from oed_sysid.estimators import MultipleShooting
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     dataset = read_csv(files, chosen.channels)
+    log = quick_check(dataset, chosen.model)
     noise = "given" if known_noise else "auto"
-    with progress("Fitting") as show:
-        result = MultipleShooting(noise=noise, progress=show.iteration).fit(chosen.model, dataset)
-    say(result.report())
-    store(result.to_dict(), json_file, records=[dataset])
-    if save is not None:
-        command, settings = invocation()
-        result.save(save, command=command, settings=settings)
-        note(f"Written: {save}")
-    if html_file is not None:
-        from oed_sysid.report import fit_page
+    with journal(kept_in, fresh) as keep:
+        with progress("Fitting") as show:
+            result = _fits({"": chosen.model}, dataset, noise, keep, show)[""]
+        say_log(log)
+        say(result.report())
+        store({**result.to_dict(), "log": log.to_dict()}, json_file, records=[dataset])
+        if save is not None:
+            command, settings = invocation()
+            result.save(save, command=command, settings=settings)
+            note(f"Written: {save}")
+        if html_file is not None:
+            from oed_sysid.report import fit_page
 
-        note(f"Written: {fit_page(result).write(html_file)}")
-    if not result.status.ok:
-        raise typer.Exit(1)
+            note(f"Written: {fit_page(result, log=log).write(html_file)}")
+        _end([result], suspect=log.suspect)
 
 
 def compare(
@@ -84,36 +112,85 @@ def compare(
     known_noise: KnownNoise = False,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
+    kept_in: JournalFolder = None,
+    fresh: Fresh = False,
 ) -> None:
     """Fit to training records and say where predictions of other records fail.
 
     [bold]Example[/bold]: oed-sysid compare remus_diving_plane --train t1.csv t2.csv --test v.csv
     """
+    from oed_sysid.compatibility import quick_check
     from oed_sysid.data.dataset import read_csv
+    from oed_sysid.data.overlap import together
     from oed_sysid.diagnosis.compare import compare as compare_models
-    from oed_sysid.estimators import MultipleShooting
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     training, untouched = (read_csv(files, chosen.channels) for files in (train, test))
+    log = quick_check(together(training, untouched), chosen.model).without("duplicate")
     noise = "given" if known_noise else "auto"
-    fits = {}
-    with progress("Fitting") as show:
-        for name, one in _models(chosen, added or []).items():
-            show.say(f"Fitting {name}")
-            fits[name] = MultipleShooting(noise=noise, progress=show.iteration).fit(one, training)
-        show.say("Predicting")
-        result = compare_models(fits, untouched)
-    say(result.report())
-    stopped = {name: fit for name, fit in fits.items() if not fit.status.ok}
-    for name, fit in stopped.items():
-        note(f"The fit of {name} ended as {fit.status}")
-    store(result.to_dict(), json_file, records=[training, untouched])
-    if html_file is not None:
-        from oed_sysid.report import comparison_page
+    with journal(kept_in, fresh) as keep:
+        with progress("Fitting") as show:
+            fits = _fits(_models(chosen, added or []), training, noise, keep, show)
+            show.say("Predicting")
+            result = compare_models(fits, untouched)
+        say_log(log)
+        say(result.report())
+        for name, fit in fits.items():
+            if not fit.status.ok:
+                note(f"The fit of {name} ended as {fit.status}")
+            for concern in fit.grave:
+                note(f"Do not use the fit of {name}: {concern.text}")
+        content = {**result.to_dict(), "log": log.to_dict()}
+        store(content, json_file, records=[training, untouched])
+        if html_file is not None:
+            from oed_sysid.report import comparison_page
 
-        note(f"Written: {comparison_page(result, title=chosen.title).write(html_file)}")
-    if stopped:
+            page = comparison_page(result, title=chosen.title, log=log)
+            note(f"Written: {page.write(html_file)}")
+        _end(list(fits.values()), suspect=log.suspect)
+
+
+def _fits(
+    models: Mapping[str, Model], dataset: Dataset, noise: str, keep: Journal, show: Shown
+) -> dict[str, Fit]:
+    """One fit of each model; those that an interrupted call has finished are read."""
+    from oed_sysid.estimators import MultipleShooting
+    from oed_sysid.fitting.archive import encode
+
+    estimator = MultipleShooting(noise=noise, progress=show.iteration)
+    content = {
+        "task": "fit",
+        "models": [encode(model) for model in models.values()],
+        "records": [[record.name, record.content_hash] for record in dataset],
+        "noise": noise,
+    }
+    keep.open(content, shared={"records": dataset})
+    fits: dict[str, Fit] = {}
+    for name, model in models.items():
+        if name:
+            show.say(f"Fitting {name}")
+
+        def work(name: str = name, model: Model = model) -> Fit:
+            fits[name] = estimator.fit(model, dataset, warm=keep.state())
+            if fits[name].status.code == "interrupted":
+                keep.keep(fits[name])
+            return fits[name]
+
+        try:
+            fits[name] = keep.once(f"fit {name}", work)
+        except KeyboardInterrupt:
+            # The best so far is worth a report where it is all that was asked for.
+            if name not in fits or len(models) > 1:
+                raise
+    return fits
+
+
+def _end(fits: Sequence[Fit], *, suspect: bool) -> None:
+    """Leave with the exit code that says whether the result can be used."""
+    if any(fit.status.code == "interrupted" for fit in fits):
+        raise typer.Exit(INTERRUPTED)
+    if suspect or any(fit.grave or not fit.status.ok for fit in fits):
         raise typer.Exit(1)
 
 

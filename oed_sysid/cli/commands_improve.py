@@ -6,8 +6,17 @@ from typing import Annotated
 
 import typer
 
-from oed_sysid.cli.options import HtmlFile, JsonFile, KnownNoise, ProblemName, Train, Variant
-from oed_sysid.cli.terminal import note, progress, say, store
+from oed_sysid.cli.options import (
+    Fresh,
+    HtmlFile,
+    JournalFolder,
+    JsonFile,
+    KnownNoise,
+    ProblemName,
+    Train,
+    Variant,
+)
+from oed_sysid.cli.terminal import journal, note, progress, say, say_log, store
 
 
 def diagnose(
@@ -22,14 +31,17 @@ def diagnose(
 
     [bold]Example[/bold]: oed-sysid diagnose remus_diving_plane --train train_*.csv
     """
+    from oed_sysid.compatibility import quick_check
     from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.diagnose import diagnose as look
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     records = read_csv(train, chosen.channels)
+    log = quick_check(records, chosen.model)
     with progress("Looking"):
         result = look(chosen.model, records, candidates=chosen.effects, known_noise=known_noise)
+    say_log(log)
     say(result.report())
     store(result.to_dict(), json_file, records=[records])
     if html_file is not None:
@@ -61,6 +73,8 @@ def improve(
     ] = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
+    kept_in: JournalFolder = None,
+    fresh: Fresh = False,
 ) -> None:
     """Find the effects that a model lacks, and test the claim on validation records.
 
@@ -74,28 +88,32 @@ def improve(
     chosen = load_problem(problem, variant=model)
     training = read_csv(train, chosen.channels)
     untouched = read_csv(test, chosen.channels) if test else None
-    with progress("Starting") as show:
-        result = improve(
-            chosen.model,
-            training,
-            untouched,
-            candidates=chosen.effects,
-            known_noise=known_noise,
-            max_effects=max_effects,
-            progress=show.say,
-        )
-    say(result.report())
-    store(result.to_dict(), json_file, records=[training, untouched])
-    if save is not None:
-        result.fit.save(save)
-        note(f"Written: {save}")
-    if html_file is not None:
-        from oed_sysid.report import improvement_page
+    with journal(kept_in, fresh) as keep:
+        with progress("Starting") as show:
+            result = improve(
+                chosen.model,
+                training,
+                untouched,
+                candidates=chosen.effects,
+                known_noise=known_noise,
+                max_effects=max_effects,
+                progress=show.say,
+                journal=keep,
+            )
+        say(result.report())
+        store(result.to_dict(), json_file, records=[training, untouched])
+        if save is not None:
+            result.fit.save(save)
+            note(f"Written: {save}")
+        if html_file is not None:
+            from oed_sysid.report import improvement_page
 
-        fits = {"nominal": result.base_fit} | ({"improved": result.fit} if result.steps else {})
-        comparison = compare(fits, untouched or training)
-        page = improvement_page(result, comparison, train=training, title=chosen.title)
-        note(f"Written: {page.write(html_file)}")
+            fits = {"nominal": result.base_fit} | ({"improved": result.fit} if result.steps else {})
+            comparison = compare(fits, untouched or training)
+            page = improvement_page(result, comparison, train=training, title=chosen.title)
+            note(f"Written: {page.write(html_file)}")
+        if result.remains.kind == "log suspect":
+            raise typer.Exit(1)
 
 
 COMMANDS = (diagnose, improve)

@@ -8,8 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from oed_sysid.cli.options import HtmlFile, JsonFile, PictureFile, ProblemName, Variant
-from oed_sysid.cli.terminal import note, progress, say, store, write
+from oed_sysid.cli.options import (
+    Fresh,
+    HtmlFile,
+    JournalFolder,
+    JsonFile,
+    PictureFile,
+    ProblemName,
+    Variant,
+)
+from oed_sysid.cli.terminal import journal, note, progress, say, store, write
 from oed_sysid.errors import DesignError, ProblemError
 
 if TYPE_CHECKING:
@@ -175,12 +183,15 @@ def design(
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
     picture: PictureFile = None,
+    kept_in: JournalFolder = None,
+    fresh: Fresh = False,
 ) -> None:
     """Design the manoeuvre that tells most about the parameters, within the limits.
 
     [bold]Example[/bold]: oed-sysid design auv_diving_plane --duration 120 --max-fin 10
     """
     from dataclasses import replace
+    from functools import partial
 
     import numpy as np
 
@@ -197,48 +208,50 @@ def design(
     spread = None if after else uncertainty
     caution = None if certainty is None else Caution(certainty, spread)
     n_starts, n_candidates, n_steps = _choice("effort", effort, EFFORTS)
-    with progress("Designing") as show:
-        found = design_experiment(
-            Fit.load(after) if after else chosen.model,
-            limits=limits,
-            duration=float(pattern.duration or 0.0) if duration is None else duration,
-            sample_time=pattern.sample_time,
-            rng=np.random.default_rng(seed),
-            criterion=_criterion(chosen, criterion, discriminate or []),
-            parametrisation=_family(family, avoid or []),
-            constants=pattern.constants,
-            initial=pattern.initial,
-            caution=caution,
-            n_starts=n_starts,
-            n_candidates=n_candidates,
-            n_steps=n_steps,
-            progress=lambda state: show.say(
-                f"designing: start {state.start + 1}, round {state.round + 1}, {state.value:.4g}"
-            ),
-        )
-        if found.assurance is None:
-            show.say("simulating other vehicles")
-            stated = assess_limits(
-                found.model, found.experiment, limits=limits, spread=spread, prior=found.prior,
-                rng=np.random.default_rng(seed), n_vehicles=200,
-            )  # fmt: skip
-            found = replace(found, assurance=stated)
-    say(found.report() if card is not None else found.sea_trial_card())
-    if out is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        found.write_csv(out)
-        note(f"Written: {out}")
-    if card is not None:
-        write(found.sea_trial_card() + "\n", card)
-    store(found.to_dict(), json_file)
-    if html_file is not None:
-        from oed_sysid.report import design_page
+    with journal(kept_in, fresh) as keep:
+        with progress("Designing") as show:
+            found = design_experiment(
+                Fit.load(after) if after else chosen.model,
+                limits=limits,
+                duration=float(pattern.duration or 0.0) if duration is None else duration,
+                sample_time=pattern.sample_time,
+                rng=np.random.default_rng(seed),
+                criterion=_criterion(chosen, criterion, discriminate or []),
+                parametrisation=_family(family, avoid or []),
+                constants=pattern.constants,
+                initial=pattern.initial,
+                caution=caution,
+                n_starts=n_starts,
+                n_candidates=n_candidates,
+                n_steps=n_steps,
+                journal=keep,
+                progress=lambda now: show.say(
+                    f"designing: start {now.start + 1}, round {now.round + 1}, {now.value:.4g}"
+                ),
+            )
+            if found.assurance is None:
+                show.say("simulating other vehicles")
+                stated = partial(
+                    assess_limits, found.model, found.experiment, limits=limits, spread=spread,
+                    prior=found.prior, rng=np.random.default_rng(seed), n_vehicles=200,
+                )  # fmt: skip
+                found = replace(found, assurance=keep.once("assurance", stated))
+        say(found.report() if card is not None else found.sea_trial_card())
+        if out is not None:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            found.write_csv(out)
+            note(f"Written: {out}")
+        if card is not None:
+            write(found.sea_trial_card() + "\n", card)
+        store(found.to_dict(), json_file)
+        if html_file is not None:
+            from oed_sysid.report import design_page
 
-        note(f"Written: {design_page(found, title=chosen.title).write(html_file)}")
-    if picture is not None:
-        from oed_sysid.report import figure_design
+            note(f"Written: {design_page(found, title=chosen.title).write(html_file)}")
+        if picture is not None:
+            from oed_sysid.report import figure_design
 
-        _draw(figure_design(found), picture)
+            _draw(figure_design(found), picture)
 
 
 def _draw(figure: Any, path: Path) -> None:

@@ -86,3 +86,17 @@ KnownNoise = Annotated[
         help="Trust the noise levels that the problem declares instead of estimating them.",
     ),
 ]
+JournalFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--journal",
+        metavar="FOLDER",
+        help="Where finished steps are kept until the command ends, so that it goes on from them "
+        "when it is called again after an interruption.",
+        show_default="in the user's cache",
+    ),
+]
+Fresh = Annotated[
+    bool,
+    typer.Option("--fresh", help="Start over: forget what an interrupted call has finished."),
+]

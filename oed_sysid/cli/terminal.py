@@ -18,8 +18,13 @@ from typing import TYPE_CHECKING, Any
 from oed_sysid.files import write_text
 
 if TYPE_CHECKING:
+    from oed_sysid.batch.journal import Journal
+    from oed_sysid.compatibility import LogCheck
     from oed_sysid.data.dataset import Dataset
     from oed_sysid.fitting.gauss_newton import Progress
+
+# Exit code of a command that Ctrl-C ended.
+INTERRUPTED = 130
 
 
 def say(text: str = "") -> None:
@@ -30,6 +35,14 @@ def say(text: str = "") -> None:
 def note(text: str) -> None:
     """Print something worth knowing that is not the result."""
     print(text, file=sys.stderr)
+
+
+def say_log(log: LogCheck) -> None:
+    """Print, above a result, what speaks against the log that it is made from."""
+    warning = log.warning()
+    if warning:
+        say(warning)
+        say()
 
 
 def table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -94,6 +107,52 @@ def progress(what: str) -> Iterator[Shown]:
     with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=None)
         yield Shown(lambda text: bar.update(task, description=text), what)
+
+
+@contextmanager
+def journal(folder: Path | None, fresh: bool) -> Iterator[Journal]:
+    """Keep finished steps of a command until everything it was asked for is written.
+
+    Parameters
+    ----------
+    folder : Path or None
+        Where; None means the user's cache.
+    fresh : bool
+        Whether what an earlier call has kept is forgotten.
+
+    Yields
+    ------
+    Journal
+        For the calculation.
+    """
+    import typer
+
+    from oed_sysid.batch.journal import Journal, unfinished_folder
+
+    try:
+        place = folder or unfinished_folder()
+    except OSError as error:
+        place = None
+        note(f"Finished steps are not kept: {error}. Give a folder with --journal.")
+    kept = Journal(place, fresh=fresh, tell=note)
+    try:
+        yield kept
+    except typer.Exit as end:
+        if end.exit_code != INTERRUPTED:
+            kept.close()
+            raise
+        _say_kept(kept)
+        raise
+    except BaseException:
+        _say_kept(kept)
+        raise
+    kept.close()
+
+
+def _say_kept(kept: Journal) -> None:
+    if kept.n_steps:
+        steps = "step is" if kept.n_steps == 1 else "steps are"
+        note(f"{kept.n_steps} finished {steps} kept: the same command goes on from there.")
 
 
 def store(

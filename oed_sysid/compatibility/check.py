@@ -108,7 +108,7 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
 
 
 def quick_check(dataset: Dataset, model: Model) -> LogCheck:
-    """Screens of single signals and discrete faults only: quick enough before every fit.
+    """Screens of single signals, discrete faults and inputs: quick enough before every fit.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def quick_check(dataset: Dataset, model: Model) -> LogCheck:
     Returns
     -------
     LogCheck
-        As :func:`check`, without faults that have a size and without inputs.
+        As :func:`check`, without faults that have a size.
     """
     began = perf_counter()
     traces, equations, findings = _screened(dataset, model, spare=False)
@@ -134,6 +134,8 @@ def quick_check(dataset: Dataset, model: Model) -> LogCheck:
                 for one in found
                 if one.correction.kind not in discrete.SIZED
             ]
+    fixes = [f.correction for f in findings if f.correction is not None]
+    findings += input_findings(dataset, model, fixes)[0]
     ordered = _ordered(findings)
     return LogCheck(
         tuple(ordered),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -203,6 +203,10 @@ class LogCheck:
             if one.kind == kind and (signal is None or signal in one.signals):
                 return one
         return None
+
+    def without(self, kind: str) -> LogCheck:
+        """Return the result without the findings of one kind."""
+        return replace(self, findings=tuple(one for one in self.findings if one.kind != kind))
 
     def warning(self) -> str:
         """Return a paragraph to put above a result made from this log; empty if it is ok."""

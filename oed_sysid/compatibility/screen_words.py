@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
 from oed_sysid.compatibility.result import Correction, Finding
-from oed_sysid.compatibility.screens import Fault, shared_rows
+from oed_sysid.compatibility.screens import Fault
 from oed_sysid.compatibility.traces import Trace
 from oed_sysid.compatibility.words import COPY, angle_aware
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.overlap import overlap
 
 # Fast noise against the declared level before it is mentioned.
 NOISIER = 2.5
@@ -96,7 +99,7 @@ def screen_findings(dataset: Dataset, traces: list[Trace], faults: list[Fault]) 
                 else None,
             )
         )
-    return [*result, *_noise(dataset, traces), *_gaps(traces), *_copies(traces)]
+    return [*result, *_noise(dataset, traces), *_gaps(traces), *_copies(dataset)]
 
 
 def _noise(dataset: Dataset, traces: list[Trace]) -> list[Finding]:
@@ -153,19 +156,26 @@ def _gaps(traces: list[Trace]) -> list[Finding]:
     return result
 
 
-def _copies(traces: list[Trace]) -> list[Finding]:
+def _copies(dataset: Dataset) -> list[Finding]:
     """Records that hold the same measurement."""
-    return [
-        Finding(
-            "duplicate",
-            (),
-            (first, second),
-            f"{first} and {second} share {common} samples: one is a copy of the other, or a part.",
-            "the same noise counts twice, and a test on one of them is no test",
-            f"leave {second} out",
-            True,
-            size=float(common),
-            unit="samples",
+    result = []
+    for first, second in combinations(dataset, 2):
+        found = overlap(first, second)
+        if found is None:
+            continue
+        names = (first.name, second.name)
+        result.append(
+            Finding(
+                "duplicate",
+                (),
+                names,
+                f"{names[0]} and {names[1]} share {found.n_equal} samples: one is a copy of the "
+                "other, or a part.",
+                "the same noise counts twice, and a test on one of them is no test",
+                f"leave {names[1]} out",
+                True,
+                size=float(found.n_equal),
+                unit="samples",
+            )
         )
-        for first, second, common in shared_rows(traces)
-    ]
+    return result

@@ -25,8 +25,6 @@ LEAST_RUNS = 4
 FROZEN = 8
 LEAST_SAMPLES = 20
 UNIQUE = 0.6
-# Equal rows of two records before they count as one measurement.
-LEAST_SHARED = 10
 
 
 @dataclass(frozen=True)
@@ -205,25 +203,3 @@ def _spikes(times: np.ndarray, series: np.ndarray, taken: np.ndarray, coarse: bo
         found.append(int(i))
         y[i] = middle
     return np.sort(np.array(found, dtype=int))
-
-
-def shared_rows(traces: list[Trace]) -> list[tuple[str, str, int]]:
-    """Pairs of records that hold the same samples, and how many.
-
-    Rows are compared by the bits of their signals, so that copies which were shifted in time,
-    renamed, cut or thinned are recognised; rows that repeat within a record do not count.
-    """
-    names = set.intersection(*(set(trace.values) for trace in traces))
-    seen: list[tuple[str, set[bytes]]] = []
-    pairs = []
-    for trace in traces:
-        matrix = np.column_stack([trace.values[name] for name in sorted(names)])
-        matrix = np.ascontiguousarray(np.nan_to_num(matrix, nan=np.pi)) + 0.0
-        keys, counts = np.unique(matrix, axis=0, return_counts=True)
-        rows = {row.tobytes() for row in keys[counts == 1]}
-        for other, known in seen:
-            common = len(rows & known)
-            if common >= LEAST_SHARED:
-                pairs.append((other, trace.name, common))
-        seen.append((trace.name, rows))
-    return pairs

@@ -16,7 +16,7 @@ filtered path at frozen gain; levels of the noise carry exact tangents of mean a
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,6 +126,9 @@ class FilterKernel:
         self._library = load(model, selectable=True, filtered=True)
         if self._library is not None:
             self._library.kernel_filter_work.restype = ctypes.c_size_t
+
+    def __reduce__(self) -> tuple[Callable[[Model], FilterKernel], tuple[Model]]:
+        return filter_kernel, (self.model,)
 
     @property
     def n_full(self) -> int:

@@ -6,7 +6,10 @@ import re
 from datetime import UTC, datetime
 
 # A sample that was not taken, in the words of loggers, spreadsheets and programs.
-MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "nat", "<na>"})
+MISSING = frozenset(
+    {"", "nan", "na", "n/a", "#n/a", "null", "none", "nat", "<na>", "-nan", "nan(ind)", "-nan(ind)"}
+    | {"1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind", "nan(snan)", "missing"}
+)
 _CLOCK = re.compile(r"(\d{1,3}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}")
 _DIGITS = r"\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?"
@@ -17,7 +20,7 @@ _COMPLAINTS: tuple[tuple[re.Pattern[str], str], ...] = tuple(
         (r"[+-]?0x[0-9a-f]+", "is hexadecimal. Write decimal numbers"),
         (
             r"[+-]?\d{1,3}(?:,\d{3})+\.\d*|[+-]?\d{1,3}(?:\.\d{3})+,\d*|[+-]?\d{1,3}(?:['’ \u00a0"
-            r"\u202f]\d{3})+(?:[.,]\d*)?|[+-]?\d{1,3}(?:\.\d{3}){2,}|[+-]?\d{1,3}(?:,\d{3}){2,}",
+            r"\u202f\u2009]\d{3})+(?:[.,]\d*)?|[+-]?\d{1,3}(?:\.\d{3}){2,}|[+-]?\d{1,3}(?:,\d{3}){2,}",
             "has separators of thousands. Write the number without them",
         ),
         (
@@ -25,7 +28,36 @@ _COMPLAINTS: tuple[tuple[re.Pattern[str], str], ...] = tuple(
             "has a decimal comma in a file with commas between cells. Write a decimal point, or "
             "put semicolons between cells",
         ),
-        (r"[+-]?[\d_]+(?:\.[\d_]*)?(?:e[+-]?\d+)?", "has an underscore. Write digits only"),
+        (r"(?=.*_)[+-]?[\d_]+(?:\.[\d_]*)?(?:e[+-]?\d+)?", "has an underscore. Write digits only"),
+        (
+            r"(?=.*[\u2010-\u2015\u2212\ufe63\uff0d])[\u2010-\u2015\u2212\ufe63\uff0d+-]?[\d.,]+.*",
+            "has a minus sign of typesetting. Write the one of the keyboard (-)",
+        ),
+        (
+            r"(?=.*[^\x00-\x7f])[+-]?[\d.,．，]+(?:e[+-]?\d+)?",
+            "has digits of another script. Write 0 to 9 and a decimal point",
+        ),
+        (r"[+-]?\d+[·‧∙]\d+", "has a raised decimal mark. Write a decimal point"),
+        (r"\(\s*[\d.,]+\s*\)", "is a negative number as accountants write it. Write a minus sign"),
+        (r"[+-]?\d+\.?\d*e[+-]?", "breaks off in its exponent. Write the whole number"),
+        (r"[+-]?\d+\.?\d*[fFlL]", "has the suffix of a program's constant. Write digits only"),
+        (r"(?:1\.)?#inf|-?1\.#inf", "is infinite. Leave the cell empty for a missing sample"),
+        (r"['‘].*['’]", "stands between single quotes. Write numbers without quotes"),
+        (r"[\[({].*[\])}]", "holds several numbers. Write one column for each"),
+        (r"[€$£¥]\s*[\d.,]+", "is an amount of money. Write a number in the unit of the header"),
+        (
+            r"\d{1,3}:\d{2}(?::\d{2})?(?:[.,]\d+)?\s*[ap]\.?m\.?",
+            "is a time of twelve hours. Write seconds, or times such as 13:05:00.5",
+        ),
+        (
+            r"\d{1,3}:\d{2}(?:[.,]\d+)?",
+            "is a time without seconds, or without hours. Write seconds, or times such as "
+            "00:05:00.5",
+        ),
+        (
+            r"(?:[a-z]{3,9}\.?,?\s+)?(?:[a-z]{3,9}\.?\s+\d{1,2}|\d{1,2}\.?\s+[a-z]{3,9}\.?),?\s+\d.*",
+            "is a date in words. Write seconds, or ISO times such as 2024-05-31T12:00:00.5Z",
+        ),
         (r"[+-]?\d+\.?\d*d[+-]?\d+", "has a Fortran exponent. Write e instead of d"),
         (
             r"#\w+[/!?]\S*",

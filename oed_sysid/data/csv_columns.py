@@ -30,6 +30,13 @@ SENTINELS = (
     *(9999999.0, -999.25, -32768.0, 32767.0, 65535.0, -2147483648.0, 2147483647.0),
     *(4294967295.0, 1e20, -1e20, 1e30, -1e30, 1e35, 1e37, 9.969209968386869e36, -1e34),
 )
+# Headers that a message lists.
+SHOWN = 30
+# Days of the years 1970 to 2100 since 1900 (spreadsheets) and since the year 0 (MATLAB), and the
+# step below which a log in seconds is none.
+DAYS, DAY_STEP = ((25569.0, 73051.0, 25569.0), (719529.0, 767011.0, 719529.0)), 0.01
+# A clock that jumps by more, s, was set: ten years.
+CLOCK_SET = 3.156e8
 # An angle beyond three turns that is declared in rad is most likely in degrees.
 SUSPICIOUS_ANGLE = 20.0
 
@@ -70,7 +77,9 @@ class Columns:
     @property
     def found(self) -> str:
         """Sentence that lists the headers, for messages."""
-        return "Columns found: " + ", ".join(repr(header) for header in self.table.headers) + "."
+        shown = ", ".join(repr(header) for header in self.table.headers[:SHOWN])
+        rest = len(self.table.headers) - SHOWN
+        return f"Columns found: {shown}{f' and {rest} more' if rest > 0 else ''}."
 
     def times(self, time: str | None) -> np.ndarray:
         """Return the times in s, shape ``(n_rows,)``, checked to increase."""
@@ -132,6 +141,23 @@ class Columns:
                     f"'t [{other}]'."
                 )
         step = float(np.median(np.diff(times))) if times.size > 1 else 0.0
+        for low, high, origin in DAYS:
+            if unit == "s" and low < first < high and 0.0 < step < DAY_STEP and times[-1] < high:
+                moment = datetime.fromtimestamp((first - origin) * 86400.0, UTC)
+                raise DataError(
+                    f"Column {header!r} of {self.path.name} starts at {first:.12g} and steps by "
+                    f"{step:.3g}: it seems to count days ({moment:%Y-%m-%d %H:%M}). Write seconds "
+                    f"since the first row, 86400*({header} - {first:.12g})."
+                )
+        jumps = np.flatnonzero(np.diff(times) > CLOCK_SET)
+        if jumps.size:
+            row = int(jumps[0]) + 1
+            raise DataError(
+                f"Row {self.table.row_numbers[row]} of {self.path.name}: time "
+                f"{self._cell(row, index)} after {self._cell(row - 1, index)} is "
+                f"{(times[row] - times[row - 1]) / 3.156e7:.0f} years later: the clock was set. "
+                "Cut the log there, and read both parts."
+            )
         if step >= SUSPICIOUS_STEP and unit == "s":
             self.suspicions.append(
                 f"Column {header!r} of {self.path.name} steps by {step:.4g} s. If it is in "

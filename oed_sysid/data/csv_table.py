@@ -149,7 +149,14 @@ def _cells(line: str, delimiter: str) -> list[str]:
 def _check_layout(path: Path, header: str, delimiter: str, lines: list[str]) -> None:
     """Refuse what is laid out in another way than a header and rows with one delimiter."""
     first = lines[0]
-    if first.lstrip().startswith(("{", "[", "<")) or header.lstrip().startswith(("{", "<")):
+    if header.count('"') % 2:
+        raise DataError(
+            f"A quotation mark in the header of {path.name} is not closed in its line. Write the "
+            "header in one line, without line breaks in names."
+        )
+    units = re.match(r"\s*\[[^\[\]{}\":]{0,20}\]\s*([,;\t]|$)", first)
+    opens = ("{", "<") if units else ("{", "[", "<")
+    if first.lstrip().startswith(opens) or header.lstrip().startswith(("{", "<")):
         raise DataError(
             f"{path.name} looks like JSON, XML or a web page, not like a table. Export it as CSV."
         )
@@ -177,6 +184,7 @@ def _check_layout(path: Path, header: str, delimiter: str, lines: list[str]) -> 
 
 
 def _check_headers(path: Path, headers: list[str]) -> None:
+    known: set[str] = set()
     numeric = [header for header in headers if number(header, comma=True) is not None and header]
     if numeric and (len(numeric) == len(headers) or len(numeric) >= max(2, len(headers) - 1)):
         turned = len(numeric) < len(headers)
@@ -203,8 +211,9 @@ def _check_headers(path: Path, headers: list[str]) -> None:
             raise DataError(
                 f"Column {index + 1} of {path.name} has no header. Name it, or remove the column."
             )
-        if header in headers[:index]:
+        if header in known:
             raise DataError(f"{path.name} has two columns {header!r}. Rename one of them.")
+        known.add(header)
 
 
 def _check_second_line(path: Path, headers: list[str], cells: list[str]) -> None:

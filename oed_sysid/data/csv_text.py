@@ -12,7 +12,12 @@ from pathlib import Path
 
 from oed_sysid.errors import DataError
 
-_EXPORT = "Open it there and save it as CSV (comma separated, UTF-8), or use oed-sysid import"
+_EXPORT = "Open it there and save it as CSV (comma separated, UTF-8)"
+_IMPORT = "Turn it into CSV with: oed-sysid import"
+# Sentences of instruments, and what a line of a program's messages looks like.
+_SENTENCE = re.compile(r"[$!][A-Z]{2}[A-Z0-9]{3},")
+_PAIRS = re.compile(r"\s*[A-Za-z_]\w*\s*[=:]\s*[-+.\w]+([,;\s]+[A-Za-z_]\w*\s*[=:]\s*[-+.\w]+)+\s*")
+_MESSAGE = re.compile(r"\[?\d{4}-\d\d-\d\d[T ]\d\d:\d\d\S*\s+\[?[A-Z]{3,}\b.*")
 # How files that are often taken for tables begin, what they are, and what to do.
 _KINDS: tuple[tuple[bytes, str, str], ...] = (
     (b"PK\x03\x04", "an Excel workbook, or another ZIP archive", _EXPORT),
@@ -28,15 +33,27 @@ _KINDS: tuple[tuple[bytes, str, str], ...] = (
     (
         b"MATLAB 5.0",
         "a MATLAB file",
-        "Export the table with writetable(T, 'file.csv'), or use oed-sysid import",
+        f"{_IMPORT}, or export the table with writetable(T, 'file.csv')",
     ),
     (b"\x93NUMPY", "a NumPy array", "Make a Record of it, or write it as CSV with headers"),
-    (b"PAR1", "a Parquet file", "Use oed-sysid import, or export the table as CSV"),
-    (b"SQLite format 3", "an SQLite database", "Export the table as CSV"),
-    (b"#ROSBAG", "a ROS bag", "Use oed-sysid import"),
-    (b"ULog\x01", "a PX4 log (ULog)", "Use oed-sysid import"),
-    (b"\xa3\x95\x80", "an ArduPilot log (DataFlash)", "Use oed-sysid import"),
-    (b"\x89MCAP0", "an MCAP file", "Use oed-sysid import"),
+    (b"PAR1", "a Parquet file", _IMPORT),
+    (b"SQLite format 3", "an SQLite database, such as a ROS 2 bag", _IMPORT),
+    (b"#ROSBAG", "a ROS bag", _IMPORT),
+    (b"ULog\x01", "a PX4 log (ULog)", _IMPORT),
+    (b"\x89MCAP", "a ROS bag (MCAP)", _IMPORT),
+    (b"\xa3\x95", "an ArduPilot log (DataFlash)", _IMPORT),
+    (b"FMT, 128,", "an ArduPilot log (DataFlash)", _IMPORT),
+    (b"ARROW1", "an Arrow (Feather) file", "Export the table as CSV"),
+    (b"CDF\x01", "a NetCDF file", "Export the table as CSV"),
+    (b"CDF\x02", "a NetCDF file", "Export the table as CSV"),
+    (b"TDSm", "a LabVIEW file (TDMS)", "Export the table as CSV"),
+    (b"bplist", "a binary property list", "Export the table as CSV"),
+    (b"-----BEGIN ", "an encrypted or signed message", "Decrypt it first"),
+    (
+        b"version https://git-lfs",
+        "the pointer that Git LFS keeps in place of a file",
+        "Fetch the file itself with: git lfs pull",
+    ),
     (b"\x80\x04\x95", "a Python pickle", "Write the table as CSV"),
 )
 _MARKS = (
@@ -63,11 +80,41 @@ def lines_of(path: Path) -> list[tuple[int, str]]:
         If the file is missing, cannot be read, or is no text.
     """
     text = _text(path)
-    return [
+    lines = [
         (number, line)
         for number, line in enumerate(_split(text), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
+        # A row of delimiters alone holds nothing: spreadsheets append some.
+        if line.strip(' \t,;\f\v"') and not line.lstrip().startswith("#")
     ]
+    if lines and re.fullmatch(r"\"?sep=.\"?", lines[0][1].strip(), re.IGNORECASE):
+        del lines[0]  # a spreadsheet's own word for its delimiter
+    _check_kind(path, lines)
+    return lines
+
+
+def _check_kind(path: Path, lines: list[tuple[int, str]]) -> None:
+    """Refuse text that is no table, in words of what it is."""
+    first = [line for _, line in lines[:2]]
+    if not first:
+        return
+    kinds = (
+        (_SENTENCE.match, "sentences of instruments (NMEA 0183)", _IMPORT),
+        (_PAIRS.fullmatch, "pairs of name and value", "Write one column per name, as CSV"),
+        (_MESSAGE.fullmatch, "messages of a program", "Take the numbers out of them, as CSV"),
+    )
+    for is_one, what, advice in kinds:
+        if all(is_one(line) for line in first):
+            raise DataError(f"{path.name} holds {what}, not a table. {advice}.")
+    if first[0].lstrip().startswith(r"{\rtf"):
+        raise DataError(f"{path.name} is a document (RTF), not a table. Save it as CSV.")
+    if " & " in first[0] and first[0].rstrip().endswith("\\\\"):
+        raise DataError(f"{path.name} is a table of LaTeX. Write commas for & and drop the \\\\.")
+    for number, line in lines:
+        if line.startswith(("<<<<<<< ", ">>>>>>> ")) or line.rstrip() == "=======":
+            raise DataError(
+                f"Row {number} of {path.name} is a mark of a merge that Git could not finish: the "
+                "file holds two versions. Choose one of them."
+            )
 
 
 def _split(text: str) -> list[str]:
@@ -80,6 +127,10 @@ def _text(path: Path) -> str:
         raise DataError(f"There is no file {str(path)!r}. Check the path.")
     if path.is_dir():
         raise DataError(f"{str(path)!r} is a folder. Give a file in it.")
+    if not path.is_file():
+        raise DataError(
+            f"{str(path)!r} is a device or a pipe, not a file. Copy it to a file first."
+        )
     try:
         if path.stat().st_size > LARGEST:
             raise DataError(f"{path.name} has more than {LARGEST >> 30} GB. Cut it into parts.")
@@ -88,7 +139,7 @@ def _text(path: Path) -> str:
         raise DataError(f"{path} cannot be read: {error.strerror or error}.") from None
     for start, what, advice in _KINDS:
         if content.startswith(start):
-            raise DataError(f"{path.name} is {what}, not text. {advice}.")
+            raise DataError(f"{path.name} is {what}, not a table. {advice}.")
     for mark, encoding in _MARKS:
         if content.startswith(mark):
             try:

@@ -19,10 +19,11 @@ record has to agree, with every input.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
 
@@ -223,3 +224,24 @@ def _compared(
     if n_rows and n_equal >= share * n_rows and len(different) >= needed:
         return Overlap(n_equal, n_rows, shift)
     return None
+
+
+def together(train: Dataset, validation: Dataset) -> Dataset:
+    """All records; validation records that are called as training records say what they are.
+
+    Parameters
+    ----------
+    train, validation : Dataset
+        With the same channels.
+
+    Returns
+    -------
+    Dataset
+        The training records first.
+    """
+    taken = set(train.names)
+    others = [
+        replace(record, name=f"{record.name} (validation)") if record.name in taken else record
+        for record in validation
+    ]
+    return Dataset((*train, *others))

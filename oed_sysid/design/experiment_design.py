@@ -10,10 +10,12 @@ from functools import partial
 
 import numpy as np
 
+from oed_sysid.batch.journal import Journal
 from oed_sysid.design.candidates import again, starts
 from oed_sysid.design.caution import Caution
 from oed_sysid.design.criteria import Criterion, DOptimal
 from oed_sysid.design.discrimination import Discriminate
+from oed_sysid.design.journal import opened
 from oed_sysid.design.objective import Objective, Score
 from oed_sysid.design.parametrisation import Grid, Levels, Parametrisation
 from oed_sysid.design.plan import Plan, plan_of
@@ -63,6 +65,7 @@ def design_experiment(
     n_workers: int | None = None,
     name: str = "designed",
     progress: Callable[[Progress], None] | None = None,
+    journal: Journal | None = None,
 ) -> Design:
     """Design the manoeuvre that tells most about the parameters, within limits.
 
@@ -113,6 +116,8 @@ def design_experiment(
         Name of the experiment.
     progress : callable, optional
         Called with a :class:`~oed_sysid.design.search.Progress`.
+    journal : Journal, optional
+        Keeps every finished step; a later call with the same content goes on from them.
 
     Returns
     -------
@@ -124,6 +129,17 @@ def design_experiment(
         If no manoeuvre keeps the limits; it says which and how far off.
     """
     began = time.perf_counter()
+    keep = opened(
+        journal,
+        {
+            "model": model, "limits": limits, "duration": duration, "sample_time": sample_time,
+            "rng": rng.bit_generator.state, "criterion": criterion,
+            "parametrisation": parametrisation, "inputs": inputs, "constants": constants,
+            "neutral": neutral, "initial": initial, "end": end, "prior": prior, "start": start,
+            "noise": noise, "coloured": coloured, "caution": caution, "n_starts": n_starts,
+            "n_candidates": n_candidates, "n_steps": n_steps, "name": name,
+        },
+    )  # fmt: skip
     plan = plan_of(
         model, limits=limits, duration=duration, sample_time=sample_time, rng=rng,
         criterion=criterion, inputs=inputs, constants=constants, neutral=neutral,
@@ -137,16 +153,16 @@ def design_experiment(
     task = partial(
         _searched, parametrisation=parametrisation, references=references, rng=rng,
         n_candidates=n_candidates, n_starts=n_starts, n_steps=n_steps, workers=workers, name=name,
-        progress=progress,
+        progress=progress, keep=keep,
     )  # fmt: skip
     objective, found, best, experiment = task(plan)
-    assurance = plan.assured(experiment, rng)
+    assurance = keep.once("other vehicles", partial(plan.assured, experiment, rng), rng=rng)
     for _ in range(_N_STRICTER):
         if assurance is None or caution is None or assurance.probability >= caution.probability:
             break
         plan = plan.stricter(assurance, rng)
         objective, found, best, experiment = task(plan, begin=best)
-        assurance = plan.assured(experiment, rng)
+        assurance = keep.once("other vehicles", partial(plan.assured, experiment, rng), rng=rng)
     trajectory = simulate_inputs(
         plan.model, plan.grid.times, inputs=best.commands, initial=plan.initial
     )
@@ -220,16 +236,21 @@ def _searched(
     workers: int,
     name: str,
     progress: Callable[[Progress], None] | None,
+    keep: Journal,
     begin: Score | None = None,
 ) -> tuple[Objective, Found, Score, Experiment]:
     """Search the family, from rough manoeuvres or from a given member."""
     if isinstance(parametrisation, ZigZags):
         objective = plan.objective(None, workers)
         _check_neutral(plan)
-        zigzag, nearest, loop = search_zigzags(
-            parametrisation, objective, plan.grid, plan.model, sign=_sign(references),
-            constants=plan.constants, initial=plan.initial, rng=rng, guards=objective.guards,
+        tried = partial(
+            search_zigzags, parametrisation, objective, plan.grid, plan.model,
+            sign=_sign(references), constants=plan.constants, initial=plan.initial, rng=rng,
+            guards=objective.guards,
         )  # fmt: skip
+        (zigzag, nearest, loop), objective.n_evaluations = keep.once(
+            "zigzags", lambda: (tried(), objective.n_evaluations), rng=rng
+        )
         if nearest is None:
             raise DesignError(f"No zigzag on {parametrisation.feedback!r} stays finite.")
         found = Found(zigzag, nearest, (float("-inf") if zigzag is None else zigzag.value,))
@@ -242,8 +263,12 @@ def _searched(
         first = again(objective, plan.grid, begin)
     else:
         given = [plan.designed(exp) for _, exp, _ in references]
-        first = starts(
-            objective, plan.grid, rng, n_candidates=n_candidates, n_starts=n_starts, given=given
+        rough = partial(
+            starts, objective, plan.grid, rng, n_candidates=n_candidates, n_starts=n_starts,
+            given=given,
+        )  # fmt: skip
+        first, objective.n_evaluations = keep.once(
+            "rough manoeuvres", lambda: (rough(), objective.n_evaluations), rng=rng
         )
     if not first:
         raise DesignError(
@@ -251,7 +276,7 @@ def _searched(
             "is unstable on its own. Design a closed loop, parametrisation=ZigZags(...), or "
             "a shorter run."
         )
-    found = search(objective, first, n_steps=n_steps, progress=progress)
+    found = search(objective, first, n_steps=n_steps, progress=progress, journal=keep)
     if found.best is None:
         raise DesignError(_infeasible(plan, found))
     return objective, found, found.best, plan.experiment(name, found.best.commands)

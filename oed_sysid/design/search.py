@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import csr_matrix, hstack
 
+from oed_sysid.batch.journal import Journal
 from oed_sysid.design.objective import Objective, Score, Slope
 
 # Inner distance kept from the limits while searching, as a share of their width.
@@ -64,6 +65,7 @@ def refine(
     *,
     n_steps: int = 40,
     report: Callable[[int, Score], None] | None = None,
+    journal: Journal | None = None,
 ) -> tuple[Score | None, Score]:
     """Maximise from one start by sequential linear programming.
 
@@ -77,6 +79,8 @@ def refine(
         Largest number of linearisations.
     report : callable, optional
         Called with step and score.
+    journal : Journal, optional
+        Keeps where the search stands while it is a step of a longer one.
 
     Returns
     -------
@@ -99,7 +103,10 @@ def refine(
     radius = np.full(len(start.numbers), _FIRST_RADIUS)
     last_step = np.zeros(len(start.numbers))
     merits = [_merit(start)]
-    for index in range(n_steps):
+    begin = 0
+    if journal is not None and (kept := journal.state()) is not None:
+        begin, current, best, nearest, radius, last_step, merits, objective.n_evaluations = kept
+    for index in range(begin, n_steps):
         slope = objective.linearise(current)
         for _ in range(6):
             step, predicted = _program(objective, current, slope, radius)
@@ -134,6 +141,9 @@ def refine(
             report(index, current)
         if len(merits) > 6 and merits[-1] - merits[-6] < _WORTH_MORE:
             break
+        if journal is not None:
+            standing = (index + 1, current, best, nearest, radius, last_step, merits)
+            journal.keep((*standing, objective.n_evaluations))
     return best, nearest if best is None else best
 
 
@@ -217,6 +227,7 @@ def search(
     *,
     n_steps: int = 40,
     progress: Callable[[Progress], None] | None = None,
+    journal: Journal | None = None,
 ) -> Found:
     """Refine several starts roughly, the best one further.
 
@@ -231,7 +242,10 @@ def search(
         the best.
     progress : callable, optional
         Called with a :class:`Progress` after each step.
+    journal : Journal, optional
+        Keeps every refined start.
     """
+    keep = journal or Journal()
     nearest = min(begin, key=lambda score: score.excess)
     rough: list[Score] = []
 
@@ -239,9 +253,18 @@ def search(
         if progress is not None:
             progress(Progress(number, index, score.value, score.excess))
 
+    def refined(number: int, start: Score, n_steps: int) -> tuple[Score | None, Score]:
+        def work() -> tuple[Score | None, Score, int]:
+            report = partial(tell, number)
+            best, close = refine(objective, start, n_steps=n_steps, report=report, journal=keep)
+            return best, close, objective.n_evaluations
+
+        best, close, objective.n_evaluations = keep.once(f"start {number + 1}", work)
+        return best, close
+
     values = []
     for number, start in enumerate(begin):
-        found, close = refine(objective, start, n_steps=n_steps, report=partial(tell, number))
+        found, close = refined(number, start, n_steps)
         values.append(float("-inf") if found is None else found.value)
         if found is not None:
             rough.append(found)
@@ -254,9 +277,7 @@ def search(
         inner = best if index == 0 else objective.score(0.5 + _INWARD * (best.numbers - 0.5))
         if not inner.views:
             continue
-        found, _ = refine(
-            objective, inner, n_steps=2 * n_steps, report=partial(tell, len(begin) + index)
-        )
+        found, _ = refined(len(begin) + index, inner, 2 * n_steps)
         if found is not None and found.value > best.value:
             best = found
     return Found(best, nearest, tuple(values))

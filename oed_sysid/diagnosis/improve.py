@@ -13,13 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from oed_sysid.batch.journal import Journal
 from oed_sysid.batch.threads import single_threaded
 from oed_sysid.compatibility import LogCheck, quick_check
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.overlap import check_disjoint
+from oed_sysid.data.overlap import check_disjoint, together
 from oed_sysid.diagnosis.improvement import (
     Improvement,
     Step,
@@ -27,6 +29,7 @@ from oed_sysid.diagnosis.improvement import (
     Yardstick,
     parameter_table,
 )
+from oed_sysid.diagnosis.journal import opened
 from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.propose import Proposals, propose
 from oed_sysid.diagnosis.rank import (
@@ -108,6 +111,7 @@ def improve(
     known_noise: bool = False,
     max_effects: int = 4,
     progress: Callable[[str], None] | None = None,
+    journal: Journal | None = None,
 ) -> Improvement:
     """Find the effects that a model lacks.
 
@@ -129,6 +133,8 @@ def improve(
         Most effects to add.
     progress : callable, optional
         Told in words what is being done.
+    journal : Journal, optional
+        Keeps every finished step; a later call with the same content goes on from them.
     """
     tell = progress or (lambda text: None)
     if not candidates:
@@ -137,68 +143,67 @@ def improve(
         )
     if test is not None:
         check_disjoint(train, test)
-    log = quick_check(train if test is None else _together(train, test), model)
     # Overlaps of training and validation records were refused above.
-    log = replace(log, findings=tuple(f for f in log.findings if f.kind != "duplicate"))
+    log = quick_check(train if test is None else together(train, test), model).without("duplicate")
+    keep = opened(journal, model, train, test, candidates, known_noise, max_effects)
     tell("fitting the nominal model")
-    study, base = Study.begin(model, train, test, candidates, known_noise=known_noise)
+    study, base = keep.once(
+        "nominal model",
+        lambda: Study.begin(model, train, test, candidates, known_noise=known_noise),
+    )
     state = _State(study, (), base, (base,))
     notes: list[str] = []
     rejected: list[str] = []
     first: Ranking | None = None
     try:
-        state, first, rejected = _search(state, max_effects, tell)
+        state, first, rejected = _search(state, max_effects, tell, keep)
     except OedSysidError as error:
         notes.append(f"The search ended early: {error}")
     first = first or rank(study, base, study.candidates, n_refits=0, share=state.share)
     tell("locating where the nominal model fails")
-    location = _located(study, base, first, notes)
-    left = _kept(lambda: remains(state.study, state.fit), notes)
+    location = _located(study, base, first, notes, keep)
+    left = _kept(keep, "what remains", lambda: remains(state.study, state.fit), notes)
     proposals: Proposals | None = None
     if left is not None and not left.is_noise:
         tell("looking for a term that no known effect holds")
-        found = _kept(lambda: _with_term(state, max_effects), notes)
+        found = _kept(keep, "unknown term", lambda: _with_term(state, max_effects), notes)
         if found is not None:
             state, proposals, tied = found
-            again = _kept(lambda: remains(state.study, state.fit), notes)
+            again = _kept(keep, "what remains", lambda: remains(state.study, state.fit), notes)
             left = replace(again or left, tied=tied)
     if left is None:
         left = Remains(np.inf, None)
     tell("fits and errors of every step")
-    return _result(state, base, first, location, rejected, proposals, left, notes, log)
-
-
-def _together(train: Dataset, test: Dataset) -> Dataset:
-    """All records; validation records that are called as training records say what they are."""
-    taken = set(train.names)
-    others = [
-        replace(record, name=f"{record.name} (validation)") if record.name in taken else record
-        for record in test
-    ]
-    return Dataset((*train, *others))
+    return keep.once(
+        "every step",
+        lambda: _result(state, base, first, location, rejected, proposals, left, notes, log),
+    )
 
 
 def _search(
-    state: _State, max_effects: int, tell: Callable[[str], None]
+    state: _State, max_effects: int, tell: Callable[[str], None], keep: Journal
 ) -> tuple[_State, Ranking, list[str]]:
     """Rank, choose, add, reconsider, until nothing more is worth it."""
     first: Ranking | None = None
     rejected: list[str] = []
     while len(state.added) < max_effects:
         tell(f"ranking candidates, round {len(state.added) + 1}")
-        ranking = rank(state.study, state.fit, state.left, share=state.share)
+        ranking = keep.once(
+            "ranking", partial(rank, state.study, state.fit, state.left, share=state.share)
+        )
         first = first or ranking
-        ranking, told = _without_smoothers(state, ranking)
+        ranking, told = keep.once("smoothers", partial(_without_smoothers, state, ranking))
         state = replace(state, dismissed=tuple(dict.fromkeys((*state.dismissed, *told))))
-        chosen, validation_gain, refused = _choose(state, ranking)
+        chosen, validation_gain, refused = keep.once("choice", partial(_choose, state, ranking))
         rejected += refused
         if chosen is None:
             break
         tell(f"adding {chosen.name}")
-        state = _with(state, chosen, ranking, validation_gain)
+        adding = partial(_with, state, chosen, ranking, validation_gain)
+        state = keep.once(f"with {chosen.name}", adding)
         if len(state.added) > 1:
             tell("reconsidering the effects added before")
-            state = _review(state)
+            state = keep.once("review", partial(_review, state))
     assert first is not None
     return state, first, rejected
 
@@ -463,16 +468,18 @@ def _without_imitations(
     return kept, fit
 
 
-def _located(study: Study, base: FilteredSolution, first: Ranking, notes: list[str]) -> Located:
+def _located(
+    study: Study, base: FilteredSolution, first: Ranking, notes: list[str], keep: Journal
+) -> Located:
     rivals = likeliest(first)
-    found = _kept(lambda: locate(base, study.unit, rivals), notes)
+    found = _kept(keep, "location", lambda: locate(base, study.unit, rivals), notes)
     return found if found is not None else Located.nothing(base)
 
 
-def _kept(work: Callable, notes: list[str]):  # type: ignore[no-untyped-def,type-arg]
+def _kept(keep: Journal, label: str, work: Callable, notes: list[str]):  # type: ignore[no-untyped-def,type-arg]
     """What a stage returns; None, and a note, where it fails: earlier results are kept."""
     try:
-        return work()
+        return keep.once(label, work)
     except (OedSysidError, np.linalg.LinAlgError) as error:
         notes.append(f"One stage could not be done: {error}")
         return None

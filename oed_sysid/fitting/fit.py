@@ -17,6 +17,7 @@ from oed_sysid.data.frames import frame
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.effects.base import RandomProcess
 from oed_sysid.fitting.archive import encode
+from oed_sysid.fitting.explained import grave
 from oed_sysid.fitting.judgement import Concern, judge
 from oed_sysid.fitting.prediction import Initial, Prediction, predict
 from oed_sysid.fitting.saved import check_fit, decode_result, made_by, write_result
@@ -231,6 +232,11 @@ class Fit:
         """What speaks against the fit; see :mod:`oed_sysid.fitting.judgement`."""
         return judge(self)
 
+    @cached_property
+    def grave(self) -> tuple[Concern, ...]:
+        """Why the values must not be used although the fit converged; see :mod:`.explained`."""
+        return grave(self)
+
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of one parameter from its standard error.
 
@@ -329,6 +335,7 @@ class Fit:
     def report(self) -> str:
         """Return the fit as text that can be pasted into a paper."""
         lines = [
+            *(f"Do not use these values: {concern.text}" for concern in self.grave),
             f"{self.model.name} fitted by {self.estimator}",
             f"  records       {', '.join(self.dataset.names)}",
             f"  observations  {self.n_observations}",
@@ -439,7 +446,8 @@ class Fit:
 
     def _warnings(self) -> list[str]:
         said = self.status.advice
-        lines = [f"  {concern.text}" for concern in self.concerns if concern.text != said]
+        said_first = {said, *(concern.text for concern in self.grave)}
+        lines = [f"  {one.text}" for one in self.concerns if one.text not in said_first]
         commands = np.vstack([record.inputs for record in self.dataset])
         for channel, series in zip(self.model.inputs, commands.T, strict=True):
             if np.ptp(series) == 0.0:
@@ -497,6 +505,7 @@ class Fit:
             "noise_model": self.noise.to_dict(),
             "noise_std": dict(self.noise_std),
             "concerns": [concern.to_dict() for concern in self.concerns],
+            "grave": [concern.to_dict() for concern in self.grave],
         }
 
 

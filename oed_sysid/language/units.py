@@ -244,10 +244,33 @@ def _unknown(part: str, unit: str) -> DataError:
     accepted = ", ".join(sorted(UNITS, key=str.lower))
     if part in OFFSETS:
         return DataError(f"[{unit}] mixes {part} with other units. Use K for differences.")
+    meant = _MEANT.get(part.lower()) or next(
+        (name for name in UNITS if name.lower() == part.lower()), None
+    )
+    if meant is None and not part.isascii() and "°" in unit:
+        meant = "deg"  # a degree sign read in the wrong encoding, such as Â°
+    hint = f" Did you mean {meant!r}?" if meant else ""
     return DataError(
-        f"Unknown unit {part!r} in [{unit}]. Accepted are {accepted}, "
+        f"Unknown unit {part!r} in [{unit}].{hint} Accepted are {accepted}, "
         "and products such as 'kg m^2/s^2' or '1/s'."
     )
+
+
+# What people write for units, in small letters.
+_MEANT = {
+    **dict.fromkeys(("degree", "degrees", "degs", "&deg;", "&deg", "\ufffd"), "deg"),
+    **dict.fromkeys(("radian", "radians", "rads"), "rad"),
+    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("minute", "minutes", "mins"), "min"),
+    **dict.fromkeys(("hour", "hours", "hr", "hrs"), "h"),
+    **dict.fromkeys(("millisecond", "milliseconds", "msec"), "ms"),
+    **dict.fromkeys(("meter", "metre", "meters", "metres", "mtr"), "m"),
+    **dict.fromkeys(("feet", "foot"), "ft"),
+    **dict.fromkeys(("knot", "knots", "kts"), "kn"),
+    **dict.fromkeys(("newton", "newtons"), "N"),
+    **dict.fromkeys(("percent", "pct"), "%"),
+    **dict.fromkeys(("rev/min", "rpms", "upm"), "rpm"),
+}
 
 
 def _text(symbols: dict[str, Fraction]) -> str:

@@ -92,6 +92,19 @@ def validate(model: Model) -> None:
                 f"Inertia entry ({axis!r}, {state!r}) of model {model.name!r} does not belong to "
                 f"the axes {dict(model.axes)}."
             )
+    outputs = list(model.output_names)
+    for name in {n for n in outputs if outputs.count(n) > 1}:
+        raise ModelError(f"Model {model.name!r} has two outputs {name!r}. Rename or remove one.")
+    columns: dict[str, str] = {}
+    for output in model.outputs:
+        column = output.column or output.name
+        if column in columns:
+            raise ModelError(
+                f"Outputs {columns[column]!r} and {output.name!r} of model {model.name!r} both "
+                f"read the column {column!r}: one measurement would count twice. Give one of them "
+                "another column, or remove it."
+            )
+        columns[column] = output.name
     parameters = set(model.parameter_names)
     base = [*states, *model.input_names, *parameters]
     for name in {n for n in base if base.count(n) > 1}:

@@ -8,6 +8,7 @@ import importlib
 import os
 import sys
 import traceback
+import warnings
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
@@ -132,12 +133,17 @@ def _load(file: Path) -> Problem:
     importlib.invalidate_caches()
     # Registered, so that what the file defines can be pickled and inspected.
     sys.modules[name] = module
-    here = os.getcwd()
+    here, keyboard = os.getcwd(), sys.stdin
     try:
-        # Compiled here, not imported: no stale bytecode, nothing written into the folder.
-        exec(compile(file.read_bytes(), str(file), "exec"), vars(module))
+        # What the file does to filters and folders stays with it, and it cannot wait for a key.
+        with warnings.catch_warnings(), open(os.devnull) as nothing:
+            sys.stdin = nothing
+            # Compiled here, not imported: no stale bytecode, nothing written into the folder.
+            exec(compile(file.read_bytes(), str(file), "exec"), vars(module))
     except SyntaxError as error:
         sys.modules.pop(name, None)
+        if "null bytes" in error.msg and file.read_bytes()[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            raise ProblemError(f"{file} is UTF-16 text. Save it as UTF-8.") from None
         raise ProblemError(
             f"{error.filename or file}, line {error.lineno or '?'}: {error.msg}. Correct this line "
             "of the problem."
@@ -159,6 +165,7 @@ def _load(file: Path) -> Problem:
         sys.modules.pop(name, None)
         raise ProblemError(_fault(file, error)) from None
     finally:
+        sys.stdin = keyboard
         with suppress(OSError):
             os.chdir(here)
     problem = getattr(module, "problem", None)
@@ -182,6 +189,8 @@ def _load(file: Path) -> Problem:
     else:
         public = [key for key in vars(module) if not key.startswith("_")]
         found = f"it defines {', '.join(public) or 'nothing'}: end it with problem = Problem(...)"
+        if b"__main__" in file.read_bytes():
+            found += ", above and outside of if __name__ == '__main__'"
     raise ProblemError(f"{file} does not export 'problem'; {found}.")
 
 
@@ -193,6 +202,8 @@ def _fault(file: Path, error: BaseException) -> str:
         hint = " Install it, or write 'from .name import ...' for a file of the same folder."
     elif isinstance(error, TypeError) and "unexpected keyword argument" in str(error):
         hint = " Check the spelling; help(oed_sysid.Model) and so on list what there is."
+    elif isinstance(error, EOFError):
+        hint = " It waits for something to be typed: write the numbers into the file."
     return f"{_place(file, error)}: {kind}{str(error) or 'no message'}{hint}"
 
 

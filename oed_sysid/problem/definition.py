@@ -112,8 +112,20 @@ class Problem:
             for experiment in self.experiments.values():
                 experiment.check_model(self.model)
             self.limits.check_names(self.model)
+            for experiment in self.experiments.values():
+                self._check_constants(experiment)
         except OedSysidError as error:
             raise ProblemError(f"Problem {self.name!r}: {error}") from None
+
+    def _check_constants(self, experiment: Experiment) -> None:
+        """Refuse an input that is held outside the limits of every experiment."""
+        for name, value in experiment.constants.items():
+            lower, upper = self.limits.inputs.get(name, (-math.inf, math.inf))
+            if not lower <= value <= upper:
+                raise ProblemError(
+                    f"Experiment {experiment.name!r} holds {name!r} at {value:g}, outside the "
+                    f"problem's limits [{lower:g}, {upper:g}]. Correct one of them."
+                )
 
     def _check_kinds(self) -> None:
         """Refuse parts of another kind before anything is asked of them."""
@@ -189,6 +201,16 @@ class Problem:
                 f"Problem {self.name!r} states the truth of {unknown[0]!r}, which is a parameter "
                 f"of none of its models and candidates.{closest(unknown[0], known)}"
             )
+        everything = [p for model in self.models.values() for p in model.all_parameters]
+        everything += [p for effect in self.effects for p in effect.parameters]
+        for parameter in everything:
+            true = (self.truth or {}).get(parameter.name)
+            if true is not None and not parameter.lower <= true <= parameter.upper:
+                raise ProblemError(
+                    f"Problem {self.name!r} states the truth of {parameter.name!r} as {true:g}, "
+                    f"outside its bounds [{parameter.lower:g}, {parameter.upper:g}]: it could "
+                    "never be found. Correct one of them."
+                )
 
     def _parameter_names(self) -> tuple[str, ...]:
         names = [name for model in self.models.values() for name in model.parameter_names]
@@ -273,7 +295,15 @@ class Problem:
                 f"Problem {self.name!r} comes without records. Read your own with "
                 "oed_sysid.read_csv(path, problem.channels), or simulate an experiment."
             )
-        found = self.records()
+        try:
+            found = self.records()
+        except OedSysidError:
+            raise
+        except Exception as error:
+            raise ProblemError(
+                f"The records of problem {self.name!r} cannot be had: its function failed with "
+                f"{type(error).__name__}: {str(error) or 'no message'}."
+            ) from error
         if not isinstance(found, Dataset):
             raise ProblemError(
                 f"The records of problem {self.name!r} are a {type(found).__name__}, expected a "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from oed_sysid.compatibility import LogCheck
 from oed_sysid.diagnosis.compare import Comparison, ModelMisfit
 from oed_sysid.report.page import Page, Picture, Section, Table
 from oed_sysid.report.prediction_plots import figure_predictions, plot_comparison
@@ -10,15 +11,22 @@ from oed_sysid.report.style import new_figure
 _MAX_RECORDS = 6
 
 
-def comparison_page(comparison: Comparison, *, title: str = "Models and records") -> Page:
+def comparison_page(
+    comparison: Comparison, *, title: str = "Models and records", log: LogCheck | None = None
+) -> Page:
     """Compose the report on a comparison: verdict, misfit by output, predictions."""
     return Page(
         title=title,
         subtitle=f"Compared on {', '.join(comparison.dataset.names)}",
-        verdict=tuple(comparison.verdict.splitlines()),
+        verdict=(*log_verdict(log), *comparison.verdict.splitlines()),
         numbers=tuple((part.label, f"{part.relative:.3g} × noise") for part in comparison.models),
         sections=comparison_sections(comparison),
     )
+
+
+def log_verdict(log: LogCheck | None) -> tuple[str, ...]:
+    """What speaks against the log that a result is made from, to be said first."""
+    return () if log is None else tuple(log.warning().splitlines())
 
 
 def comparison_sections(comparison: Comparison) -> tuple[Section, ...]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from oed_sysid.compatibility import LogCheck
 from oed_sysid.diagnosis.compare import Comparison
 from oed_sysid.fitting.fit import Fit
-from oed_sysid.report.comparison_page import comparison_sections
+from oed_sysid.report.comparison_page import comparison_sections, log_verdict
 from oed_sysid.report.fit_plots import (
     figure_fit,
     figure_whiteness,
@@ -23,7 +24,9 @@ _MAX_RECORDS = 8
 _SURPRISING = 3.0
 
 
-def fit_page(fit: Fit, comparison: Comparison | None = None, *, style: int = 0) -> Page:
+def fit_page(
+    fit: Fit, comparison: Comparison | None = None, *, log: LogCheck | None = None, style: int = 0
+) -> Page:
     """Compose the report on a fit: verdict, estimates, records, residuals, equations.
 
     Parameters
@@ -32,6 +35,8 @@ def fit_page(fit: Fit, comparison: Comparison | None = None, *, style: int = 0) 
         The fit.
     comparison : Comparison, optional
         Of the fit with other records.
+    log : LogCheck, optional
+        What a check of the records found; said first.
     style : int
         Position of the model in a comparison, for its colour.
 
@@ -43,7 +48,11 @@ def fit_page(fit: Fit, comparison: Comparison | None = None, *, style: int = 0) 
     return Page(
         title=fit.model.name,
         subtitle=f"Fitted by {fit.estimator} to {', '.join(fit.dataset.names)}",
-        verdict=(*fit_verdict(fit), *(comparison.verdict.splitlines() if comparison else ())),
+        verdict=(
+            *log_verdict(log),
+            *fit_verdict(fit),
+            *(comparison.verdict.splitlines() if comparison else ()),
+        ),
         numbers=(
             ("misfit", f"{fit.normalised_rms:.3g} × noise"),
             ("parameters", str(len(fit.names))),
@@ -63,7 +72,7 @@ def fit_page(fit: Fit, comparison: Comparison | None = None, *, style: int = 0) 
 
 def fit_verdict(fit: Fit) -> tuple[str, ...]:
     """Say in sentences whether a fit can be used, and for what."""
-    says = []
+    says = [f"Do not use these values: {concern.text}" for concern in fit.grave]
     if fit.status.ok:
         says.append("The estimation converged.")
     else:

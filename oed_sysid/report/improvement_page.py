@@ -7,7 +7,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.compare import Comparison
 from oed_sysid.diagnosis.improvement import Improvement
-from oed_sysid.report.comparison_page import comparison_sections
+from oed_sysid.report.comparison_page import comparison_sections, log_verdict
 from oed_sysid.report.diagnosis_page import evidence_section, located_section
 from oed_sysid.report.improvement_plots import plot_error_fall
 from oed_sysid.report.page import Page, Picture, Section, Table
@@ -69,8 +69,9 @@ def improvement_verdict(improvement: Improvement) -> tuple[str, ...]:
     which = "test" if np.isfinite(after["test"]) else "train"
     records = "records that nothing was fitted to" if which == "test" else "training records"
     says = [
+        *log_verdict(improvement.log),
         f"As believed, the model predicts the {records} with an error of {before[which]:.3g} times "
-        "the noise."
+        "the noise.",
     ]
     known = {score.effect.name for score in improvement.ranking.scores}
     for step in improvement.steps:

@@ -216,4 +216,52 @@ REFUSED: tuple[tuple[str, str | dict[str, str | bytes], tuple[str, ...]], ...] =
      ("truth of 'E_drg'", "Did you mean 'E_drag'")),
     ("model of another name as default", swap("    truth=", "    models={'default': model + drag},\n"
                                               "    truth="), ("two default models",)),
+    # -- the file, again
+    ("below __main__", swap("problem = Problem(", "if __name__ == '__main__':\n  problem = Problem("),
+     ("does not export 'problem'", "outside of if __name__ == '__main__'")),
+    ("waits for a key", "gain = float(input())\n" + SOUND, ("line 1", "to be typed")),
+    ("tabs and spaces", "if True:\n\tx = 1\n        y = 2\n" + SOUND, ("line 3", "tabs")),
+    ("UTF-16", {"problem.py": SOUND.encode("utf-16")}, ("UTF-16", "UTF-8")),
+    ("import from above the folder", "from ..other import x\n" + SOUND, ("line 1", "beyond")),
+    ("coroutine", "async def f(): ...\nproblem = f()\nproblem.close()\n",
+     ("its 'problem' is a coroutine",)),
+    ("warnings as errors", "import warnings\nwarnings.simplefilter('error')\nwarnings.warn('old')\n",
+     ("line 3", "UserWarning: old")),
+    # -- channels, again
+    ("output twice", swap('Output("r", "rad/s")', 'Output("psi", "rad", column="heading")'),
+     ("two outputs 'psi'",)),
+    ("column read twice", swap('Output("r", "rad/s")', 'Output("r", "rad/s", column="psi")'),
+     ("'psi' and 'r'", "both read the column 'psi'", "count twice")),
+    ("input twice", swap('Input("rudder", "rad"),', 'Input("rudder", "rad"), Input("rudder", "rad"),'),
+     ("'rudder' for two things",)),
+    ("wrap of a rate", swap('Output("r", "rad/s")', 'Output("r", "rad/s", wrap=True)'),
+     ("'r' in [rad/s] cannot wrap",)),
+    ("noise as text", swap("noise_std=0.01", "noise_std='1 deg'"), ("noise_std '1 deg'",)),
+    # -- parameters, again
+    ("fixed as text", swap('12.0, "s"', '12.0, "s", fixed="no"'),
+     ("'T' has fixed 'no'", "True or False")),
+    ("vector as a value", swap("12.0", "__import__('numpy').ones(2)"), ("'T' has value", "a number")),
+    ("logarithm of a negative value", swap('12.0, "s"', '-12.0, "s", log=True'), ("log=True",)),
+    ("truth outside the bounds", swap('"K": 0.12', '"K": 12.0'),
+     ("truth of 'K' as 12", "outside its bounds [0, 1]")),
+    # -- tables
+    ("table that is not sorted", SOUND.replace("K*rudder", "lift(psi)*K*rudder").replace(
+        "step=0.5,", "step=0.5, tables={'lift': ([0.0, 2.0, 1.0], [1.0, 1.0, 1.0])},"),
+     ("Table 'lift'", "does not increase")),
+    ("table with a gap", SOUND.replace("K*rudder", "lift(psi)*K*rudder").replace(
+        "step=0.5,", "step=0.5, tables={'lift': ([0.0, 1.0], [1.0, float('nan')])},"),
+     ("Table 'lift'", "not finite")),
+    ("table that is not called", SOUND.replace("K*rudder", "lift*K*rudder").replace(
+        "step=0.5,", "step=0.5, tables={'lift': ([0.0, 1.0], [1.0, 1.0])},"),
+     ("unknown name 'lift'",)),
+    # -- experiments and limits, again
+    ("experiment of endless length", swap("duration=60.0", "duration=1e9"), ("1e+10 samples",)),
+    ("experiment beyond the limits", swap('constants={"rudder": 0.1}', 'constants={"rudder": 10.0}'),
+     ("holds 'rudder' at 10", "[-0.6, 0.6]")),
+    ("start of an unknown state", swap("duration=60.0", "duration=60.0, initial={'x': 1.0}"),
+     ("starts at 'x'",)),
+    ("limit as text", swap("(-0.6, 0.6)", "('-0.6', '0.6')"), ("Limit of input 'rudder'",)),
+    ("limit of one number", swap("(-0.6, 0.6)", "0.6"), ("Limit of input 'rudder' is 0.6",)),
+    ("zigzag of an unknown input", swap('Experiment("still", duration=60.0, constants={"rudder": 0.1})',
+     'Experiment("z", ZigZag("helm", 0.1, 0.1), duration=60.0)'), ("commands 'helm'",)),
 )  # fmt: skip

@@ -1,0 +1,175 @@
+"""Kill long calculations again and again: nothing finished is lost, and the result is the same.
+
+    python -m benchmarks.killed --kills 20
+
+A command runs in a process of its own and is killed (``SIGKILL``): every second time blindly
+within its first three seconds, otherwise as soon as it has finished a step that was not there
+before. It is called again until it ends. Judged are: every finished step is left as it was
+written, the result equals that of an undisturbed run to the last bit, and no rest stays behind.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+RECORDS = ROOT / "problems" / "remus_diving_plane" / "data"
+COMMANDS: Mapping[str, tuple[str, ...]] = {
+    "improve": (
+        "improve",
+        "remus_diving_plane",
+        "--train",
+        *(str(RECORDS / f"train_{name}.csv") for name in ("steps", "zigzag_10_10")),
+        "--test",
+        str(RECORDS / "test_steps.csv"),
+    ),
+    "design": (
+        *("design", "auv_diving_plane", "--duration", "90", "--effort", "normal"),
+        *("--certainty", "0.9"),
+    ),
+}
+# Times, and how a file was made, differ from run to run.
+VOLATILE = ("seconds", "oed_sysid", "duration_s")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one command that was killed again and again.
+
+    Attributes
+    ----------
+    kills : int
+        How often it was killed; less than asked for if it ended before.
+    rewritten : int
+        Finished steps that a later call wrote again or lost.
+    equal : bool
+        Whether the result is that of the undisturbed run.
+    left : int
+        Files that stayed in the journal's folder.
+    seconds, undisturbed : float
+        Time of all calls together, and of one undisturbed call, s.
+    """
+
+    kills: int
+    rewritten: int
+    equal: bool
+    left: int
+    seconds: float
+    undisturbed: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was lost."""
+        return self.equal and not self.rewritten and not self.left
+
+
+def killed(command: Sequence[str], *, kills: int, rng: np.random.Generator) -> Outcome:
+    """Run a command undisturbed, then killed until it has been killed often enough.
+
+    Parameters
+    ----------
+    command : sequence of str
+        Arguments of ``oed-sysid`` without those for the result and the journal.
+    kills : int
+        How often to kill.
+    rng : numpy.random.Generator
+        Draws the times.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        began = time.monotonic()
+        _start(command, place / "whole.json", place / "other").wait()
+        undisturbed = time.monotonic() - began
+        began, done, rewritten = time.monotonic(), 0, 0
+        while True:
+            before = _steps(place / "journal")
+            process = _start(command, place / "killed.json", place / "journal")
+            # Every second kill is blind, the others come when something new has been finished.
+            if done < kills and done % 2:
+                _wait(process, 3.0 * rng.random(), lambda: False)
+            elif done < kills:
+                known = set(before)
+                _wait(process, np.inf, lambda known=known: set(_steps(place / "journal")) - known)
+            else:
+                process.wait()
+            if process.poll() is not None:
+                break
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            done += 1
+            if (place / "killed.json").exists():
+                continue  # the work was done: what is kept may go
+            after = _steps(place / "journal")
+            rewritten += sum(after.get(name) != state for name, state in before.items())
+        seconds = time.monotonic() - began
+        equal = _result(place / "whole.json") == _result(place / "killed.json")
+        left = sum(path.is_file() for path in (place / "journal").rglob("*"))
+    return Outcome(done, rewritten, equal, left, seconds, undisturbed)
+
+
+def _start(command: Sequence[str], result: Path, journal: Path) -> subprocess.Popen[bytes]:
+    full = [sys.executable, "-m", "oed_sysid.cli", *command]
+    full += ["--json", str(result), "--journal", str(journal)]
+    return subprocess.Popen(full, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def _wait(process: subprocess.Popen[bytes], most: float, ready: Callable[[], object]) -> None:
+    """Wait until something is ready, the process has ended, or the time is over."""
+    began = time.monotonic()
+    while process.poll() is None and time.monotonic() - began < most and not ready():
+        time.sleep(0.02)
+
+
+def _steps(journal: Path) -> dict[str, tuple[int, int]]:
+    """Time and size of every finished step, by name."""
+    found = {}
+    for path in journal.rglob("*.step"):
+        state = path.stat()
+        found[path.name] = (state.st_mtime_ns, state.st_size)
+    return found
+
+
+def _result(path: Path) -> Any:
+    return _without_times(json.loads(path.read_text(encoding="utf-8")))
+
+
+def _without_times(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_times(v) for k, v in value.items() if k not in VOLATILE}
+    return [_without_times(v) for v in value] if isinstance(value, list) else value
+
+
+def main() -> int:
+    """Print a table; 1 if anything was lost."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    print("| command | killed | steps written again | equal | files left | time | undisturbed |")
+    print("|---|---|---|---|---|---|---|")
+    ok = True
+    for name, command in COMMANDS.items():
+        found = killed(command, kills=given.kills, rng=np.random.default_rng(given.seed))
+        ok = ok and found.ok
+        print(
+            f"| {name} | {found.kills} | {found.rewritten} | {'yes' if found.equal else 'no'} "
+            f"| {found.left} | {found.seconds:.0f} s | {found.undisturbed:.0f} s |",
+            flush=True,
+        )
+    return 0 if ok else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

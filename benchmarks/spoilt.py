@@ -1,0 +1,57 @@
+"""Wrong logs through the search for missing physics: none may be certified.
+
+    python -m benchmarks.spoilt
+
+The records of one hidden-effect case (nothing hidden) are spoilt in fifteen ways, training and
+validation alike, and given to ``improve``. Printed is what it says, and whether that certifies a
+log that is wrong: ``adequate`` or ``random forces`` without a word about the fault.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from benchmarks.compatibility_logs import SPOILS, data_folder, hidden_effect_cases, named_as, spoil
+from oed_sysid.compatibility import check
+from oed_sysid.data.dataset import read_csv
+from oed_sysid.diagnosis.improve import improve
+
+
+def main() -> int:
+    """Print a table; 1 if a spoilt log was certified."""
+    cases = hidden_effect_cases()
+    if not cases:
+        print("no hidden_effects folder below OED_SYSID_DATA")
+        return 1
+    problem, train = cases["case_010"]
+    files = sorted((data_folder() / "hidden_effects" / "case_010").glob("test_*.csv"))
+    test = read_csv(files, problem.channels)
+    print("| spoilt | check | improve | added | certified | s |")
+    print("|---|---|---|---|---|---|")
+    certified = 0
+    for name, (kind, signal, _) in SPOILS.items():
+        began = time.perf_counter()
+        bad, held = spoil(train, name), spoil(test, name)
+        found = check(bad, problem)
+        result = improve(problem.model, bad, held, candidates=problem.effects)
+        added = [step.added for step in result.steps]
+        # A sensor effect on the signal that is wrong names the fault, in its own way.
+        named = result.remains.kind == "log suspect" or any(
+            step.effect.stage == "sensor" and signal in " ".join(map(str, step.effect.terms))
+            for step in result.steps
+        )
+        wrong = not named and result.remains.kind in ("adequate", "random forces")
+        certified += wrong
+        print(
+            f"| {kind} {signal} | {'named' if named_as(found, name) else found.verdict} "
+            f"| {result.remains.kind} | {', '.join(added) or '-'} | {'YES' if wrong else 'no'} "
+            f"| {time.perf_counter() - began:.0f} |",
+            flush=True,
+        )
+    print(f"\n{certified} of {len(SPOILS)} certified")
+    return 1 if certified else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

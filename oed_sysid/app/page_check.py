@@ -1,0 +1,34 @@
+"""Page 2: whether the records agree with themselves, before any model of forces."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import streamlit as st
+
+from oed_sysid.app import commands, tasks
+from oed_sysid.app.panels import Asked, command, desk, download, html_download, work
+from oed_sysid.app.panels import show as show_page
+from oed_sysid.app.study import Study
+
+
+def show(study: Study) -> None:
+    """Draw the page; the check is quick, so that nobody has to ask for it."""
+    st.header("Check the log")
+    line = commands.check(study)
+    study.records()
+    key = ("check", *study.key)
+    if desk().find(key) is None:
+        desk().ask(key, partial(tasks.check, study))
+    about = Asked("Check the log", "check", line)
+    outcome = work("Check", key, about, partial(tasks.check, study))
+    if outcome is not None:
+        if outcome.result.suspect:
+            st.error(outcome.result.verdict, icon=":material/warning:")
+        st.caption(outcome.page.subtitle)
+        show_page(outcome.page)
+        html_download(outcome.page, "check")
+        if outcome.result.suspect:
+            copies = partial(tasks.corrected, study, outcome.result)
+            download("Corrected copies (ZIP)", copies, "corrected.zip", "application/zip")
+    command(line)

@@ -1,0 +1,54 @@
+"""What shapes an improvement, so that a later call finds the steps of one that did not end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from oed_sysid.batch.journal import Journal
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.effects import Effect
+from oed_sysid.fitting.archive import encode
+from oed_sysid.model import Model
+
+
+def opened(
+    journal: Journal | None,
+    model: Model,
+    train: Dataset,
+    validation: Dataset | None,
+    candidates: Sequence[Effect],
+    known_noise: bool,
+    max_effects: int,
+) -> Journal:
+    """Open a journal for one improvement.
+
+    Parameters
+    ----------
+    journal : Journal or None
+        None keeps nothing.
+    model : Model
+    train, validation : Dataset
+    candidates : sequence of Effect
+    known_noise : bool
+    max_effects : int
+        As :func:`~oed_sysid.diagnosis.improve.improve` takes them.
+
+    Returns
+    -------
+    Journal
+        With steps of an earlier call with equal content, if there was one.
+    """
+    keep = journal or Journal()
+    if keep.folder is None:
+        return keep
+    content = {
+        "task": "improve",
+        "model": encode(model),
+        "candidates": [encode(effect) for effect in candidates],
+        "train": [[record.name, record.content_hash] for record in train],
+        "validation": [[record.name, record.content_hash] for record in validation or ()],
+        "known_noise": known_noise,
+        "max_effects": max_effects,
+    }
+    keep.open(content, shared={"train": train, "validation": validation})
+    return keep
