@@ -25,6 +25,7 @@ import numpy as np
 from oed_sysid.channels import Input, Output
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.unknowns import StartState
@@ -116,11 +117,8 @@ class CaptiveTests:
             )
         if not self.forces:
             raise DataError(f"Captive tests {self.name!r} have no force. Give at least one axis.")
-        if self.n_tests < 3:
-            raise DataError(
-                f"Captive tests {self.name!r} are {self.n_tests}; at least three are needed. Join "
-                "them with those of another series."
-            )
+        if not self.n_tests:
+            raise DataError(f"Captive tests {self.name!r} are none. Give at least one test.")
         for axis in self.forces:
             if not self.noise.get(axis, 0.0) > 0.0:
                 raise DataError(
@@ -199,9 +197,13 @@ class CaptiveTests:
             raise ModelError(f"Model {model.name!r} moves a velocity without an axis.")
 
     def record(self, model: Model) -> Record:
-        """Return the tests as one record of the towed model; its clock only counts them."""
+        """Return the tests as one record of the towed model; its clock only counts them.
+
+        A series that is too short for a record repeats its last test with nothing measured.
+        """
         towed = self.towed(model)
         n = self.n_tests
+        rows = np.minimum(np.arange(max(n, MINIMUM_SAMPLES)), n - 1)
         columns = {**self.inputs, TOWED: np.ones(n)}
         columns |= {
             _HELD.format(state): self.motions.get(state, np.zeros(n))
@@ -210,11 +212,12 @@ class CaptiveTests:
         measured = {_FORCE.format(axis): values for axis, values in self.forces.items()}
         nothing = np.full(n, np.nan)
         outputs = np.column_stack([measured.get(name, nothing) for name in towed.output_names])
+        outputs = np.where((np.arange(len(rows)) < n)[:, None], outputs[rows], np.nan)
         empty = np.isnan(outputs).all(axis=0)
         return Record(
             self.name,
-            model.step * np.arange(n),
-            np.column_stack([columns[name] for name in towed.input_names]),
+            model.step * np.arange(len(rows)),
+            np.column_stack([columns[name] for name in towed.input_names])[rows],
             outputs,
             towed.channels,
             missing_outputs=tuple(
@@ -230,7 +233,8 @@ class CaptiveTests:
         start, _ = compiled.start(np.zeros(compiled.n_own), record.inputs[0], values, 0.0)
         run = compiled.run(record.times, record.inputs, values, start)
         names = towed.output_names
-        return {axis: run.outputs[:, names.index(_FORCE.format(axis))] for axis in self.forces}
+        found = run.outputs[: self.n_tests]
+        return {axis: found[:, names.index(_FORCE.format(axis))] for axis in self.forces}
 
     def relative_errors(self, model: Model) -> dict[str, float]:
         """Rms error of the model's forces over their own rms, by axis."""
