@@ -45,7 +45,7 @@ SAME_STRENGTH = 0.05
 # Rungs of the ladder, the strongest records, which are only predicted, not counted.
 MOST_RUNGS = 3
 # Weights below this are not worth a jackknife.
-LEAST_WEIGHT = 0.01
+LEAST_WEIGHT = 0.05
 
 
 class Estimator(Protocol):
@@ -360,7 +360,7 @@ def average_structures(
     for candidate, one, weight in zip(candidates, found, weights, strict=True):
         std = dict.fromkeys(one.values, 0.0)
         if weight >= LEAST_WEIGHT:
-            std = _jackknife(candidate, dataset, purpose, one.values)
+            std = record_errors(candidate, dataset, purpose)
         done.append(
             Transfer(
                 one.name,
@@ -484,21 +484,45 @@ def _step_error(
     return total, count
 
 
-def _jackknife(
-    candidate: Structure, dataset: Dataset, purpose: Purpose, values: Mapping[str, float]
+def record_errors(
+    structure: Structure, dataset: Dataset, purpose: Purpose
 ) -> dict[str, float]:
-    """Standard deviations from fits that leave out one record at a time."""
+    r"""Standard deviations of wanted quantities from what records say apart from one another.
+
+    The delete-one jackknife over records,
+    :math:`\sqrt{(n-1)/n \sum_i (q_{(i)} - \bar q)^2}`: what differs from record to record and no
+    parameter says, missing structure among it, is in it; an error that all records share is not.
+
+    Parameters
+    ----------
+    structure : Structure
+    dataset : Dataset
+        Three records or more.
+    purpose : callable
+        ``fit -> {name: number}``; ``lambda fit: fit.values`` for the parameters themselves.
+
+    Returns
+    -------
+    dict of str to float
+        Infinite where fewer than two of the fits succeed.
+
+    References
+    ----------
+    Efron & Stein (1981), The jackknife estimate of variance, Ann. Statist. 9.
+    """
+    names = tuple(purpose(structure.fit(dataset)))
     found = []
     for left in dataset.names:
         rest = _chosen(dataset, [name for name in dataset.names if name != left])
         try:
-            found.append([purpose(candidate.fit(rest))[name] for name in values])
+            wanted = purpose(structure.fit(rest))
         except OedSysidError:
-            continue  # one run fewer in the variance, which the factor below counts
+            continue  # one record fewer in the variance, which the factor below counts
+        found.append([wanted[name] for name in names])
     table = np.array(found)
-    table = table[np.isfinite(table).all(axis=1)] if table.size else np.empty((0, len(values)))
+    table = table[np.isfinite(table).all(axis=1)] if table.size else np.empty((0, len(names)))
     n = len(table)
     if n < 2:
-        return dict.fromkeys(values, math.inf)
+        return dict.fromkeys(names, math.inf)
     variance = (n - 1) / n * np.sum((table - table.mean(axis=0)) ** 2, axis=0)
-    return dict(zip(values, map(float, np.sqrt(variance)), strict=True))
+    return dict(zip(names, map(float, np.sqrt(variance)), strict=True))

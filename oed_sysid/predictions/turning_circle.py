@@ -20,6 +20,7 @@ from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.manoeuvres import TurningCircle
 from oed_sysid.manoeuvres.indices import TurningIndices, turning_indices
 from oed_sysid.model import Model
+from oed_sysid.predictions.draws import draw
 from oed_sysid.simulate import equilibrium, simulate_batch
 
 SIDES = ("starboard", "port")
@@ -242,7 +243,7 @@ def turning_circle(
     steered = _rudder_input(model, input)
     values = [model.value_vector]
     if fit is not None and n_draws > 0:
-        values += list(_draw(fit, n_draws, rng or np.random.default_rng(0)))
+        values += list(draw(fit, n_draws, rng or np.random.default_rng(0)))
     kept = [model.parameter_names.index(name) for name in tracked.parameter_names]
     table = np.array(values)[:, kept]
     start = {"u": speed} if "u" in model.state_names else {}
@@ -339,27 +340,6 @@ def _with_track(model: Model, speed: float) -> Model:
         ),
         effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
     )
-
-
-def _draw(fit: Fit, n_draws: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw parameter sets ``(n_draws, n_parameters)`` from what the fit knows."""
-    if not np.all(np.isfinite(fit.covariance)):
-        unknown = [n for n, error in fit.std_errors.items() if not math.isfinite(error)]
-        raise ModelError(
-            f"The fit does not determine {', '.join(unknown)}: no uncertainty can be drawn. Fix "
-            "these parameters, or give them a prior, and fit again; or pass fit.model."
-        )
-    model = fit.model
-    table = np.tile(model.value_vector, (n_draws, 1))
-    position = {name: i for i, name in enumerate(model.parameter_names)}
-    shared = rng.multivariate_normal(fit.estimates, fit.covariance, size=n_draws, method="eigh")
-    table[:, [position[name] for name in fit.names]] = shared
-    for name in fit.local_values[0] if fit.local_values else ():
-        spread = np.std([local[name] for local in fit.local_values])
-        table[:, position[name]] += spread * rng.standard_normal(n_draws)
-    lower = [parameter.lower for parameter in model.all_parameters]
-    upper = [parameter.upper for parameter in model.all_parameters]
-    return np.clip(table, lower, upper)
 
 
 def _turn(

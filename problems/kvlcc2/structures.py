@@ -1,8 +1,8 @@
 """Structures that zigzags hardly tell apart, and what is asked of them: circles.
 
-Two families, each with terms more and fewer: the modified Abkowitz model, fitted by one-step
-regression, and the MMG model, fitted to whole runs with the records at three weights against
-the priors.
+Two families, each with terms more and fewer: the modified Abkowitz model and the MMG model. Each
+is fitted to predict one step, 10 s and 40 s ahead, the MMG model also whole runs, with the records
+at three weights against its priors.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from oed_sysid import Fit, Model, MultipleShooting
+from oed_sysid import Dataset, Fit, Model, MultipleShooting
 from oed_sysid.estimators import EquationError
 from oed_sysid.predictions.structures import Structure
 from oed_sysid.predictions.turning_circle import turning_circle
@@ -25,7 +25,8 @@ from .particulars import APPROACH_SPEED, LENGTH, RUDDER_RATE
 REGRESSION = EquationError(window=5)
 CIRCLES = ("advance", "transfer", "tactical_diameter", "steady_diameter")
 SCORED = ("advance", "tactical_diameter")
-HORIZON = 40.0  # s
+HORIZON = 40.0  # s, of the segments that judge
+HORIZONS = (10.0, 40.0)  # s, of fits; one step is the regression
 SIDES = ("starboard", "port")
 
 
@@ -36,26 +37,57 @@ def without(model: Model, *parameters: str) -> Model:
 
 
 def weighed(factor: float) -> MultipleShooting:
-    """Estimator whose records weigh less by the square of a factor."""
+    """Estimator of whole runs whose records weigh less by the square of a factor."""
     levels = [factor * float(output.noise_std or 0.0) for output in MMG.outputs]
     return MultipleShooting(disturbances="none", noise=levels)
 
 
-def candidates() -> tuple[Structure, ...]:
+def ahead(horizon: float) -> MultipleShooting:
+    """Estimator of predictions some seconds ahead."""
+    return MultipleShooting(disturbances="none", noise="given", horizon=horizon)
+
+
+def variants(
+    full: Model, mechanical: Mapping[str, Model], dataset: Dataset
+) -> tuple[Structure, ...]:
+    """The candidates of the rule: a modified Abkowitz model and models of the MMG kind.
+
+    Searches begin where the regression, or the fit that looks 10 s ahead, ended; these values are
+    no priors.
+
+    Parameters
+    ----------
+    full : Model
+        Modified Abkowitz model with all its terms.
+    mechanical : mapping of str to Model
+        Models of the MMG kind, by name.
+    dataset : Dataset
+        Records that give the start values.
+    """
+    full = REGRESSION.fit(full, dataset).model
+    mechanical = {
+        label: ahead(HORIZONS[0]).fit(model, dataset).model for label, model in mechanical.items()
+    }
+    symmetric = without(full, "Y_u_prime", "N_u_prime", "Y_T_prime", "N_T_prime")
+    found = []
+    for label, model in (("MAVMM", full), ("MAVMM symmetric", symmetric)):
+        found.append(Structure(label, model, REGRESSION))
+        found += [Structure(f"{label}, {h:g} s ahead", model, ahead(h)) for h in HORIZONS]
+    for label, dropped in (
+        ("MAVMM, rudder outside the race", ("N_deltaT_prime",)),
+        ("MAVMM, no loss of speed in yaw", ("Y_ur_prime", "N_ur_prime")),
+    ):
+        found.append(Structure(label, without(full, *dropped), REGRESSION))
+    for label, model in mechanical.items():
+        found += [Structure(f"{label}, {h:g} s ahead", model, ahead(h)) for h in HORIZONS]
+        for factor in (1.0, 4.0, 10.0):
+            name = f"{label}, whole runs" + ("" if factor == 1.0 else f", levels x {factor:g}")
+            found.append(Structure(name, model, weighed(factor)))
+    return tuple(found)
+
+
+def candidates(dataset: Dataset) -> tuple[Structure, ...]:
     """Structures to average."""
-    full = MAVMM.with_values(wake())
-    found = [
-        Structure("MAVMM", full, REGRESSION),
-        Structure(
-            "MAVMM symmetric",
-            without(full, "Y_u_prime", "N_u_prime", "Y_T_prime", "N_T_prime"),
-            REGRESSION,
-        ),
-        Structure("MAVMM, rudder outside the race", without(full, "N_deltaT_prime"), REGRESSION),
-        Structure(
-            "MAVMM, no loss of speed in yaw", without(full, "Y_ur_prime", "N_ur_prime"), REGRESSION
-        ),
-    ]
     effects = {effect.name: effect for effect in manoeuvring_effects()}
     plain = MMG + [
         effects[name] for name in ("helm_zero", "rudder_lift_shape", "propeller_wake_by_drift")
@@ -63,11 +95,9 @@ def candidates() -> tuple[Structure, ...]:
     race = effects["race_from_thrust"].parameters[0].name
     screw = plain + [effects["race_from_thrust"], effects["single_screw_asymmetry"]]
     screw = screw.with_values({race: 1.0}).fix(race)
-    for label, model in (("MMG", plain), ("MMG, race from the thrust", screw)):
-        for factor in (1.0, 4.0, 10.0):
-            name = label if factor == 1.0 else f"{label}, levels x {factor:g}"
-            found.append(Structure(name, model, weighed(factor)))
-    return tuple(found)
+    return variants(
+        MAVMM.with_values(wake()), {"MMG": plain, "MMG, race from the thrust": screw}, dataset
+    )
 
 
 def circles(fit: Fit) -> Mapping[str, float]:
