@@ -11,7 +11,8 @@ for a course-unstable vessel they grow. In the loop the law is replayed instead,
 
 at a limited rate, with the model's own :math:`\hat\psi, \hat r`. The law is given, or taken from the
 record: the gains by least squares of the logged rudder, a zigzag's angles and headings of reversal
-from the log. Bands are those of draws from the fit, each in its own loop.
+from the log. Bands are those of draws from the fit, each in its own loop, in which the law sees
+noisy sensors and the start is as uncertain as its measurement.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.fitting.fit import Fit, align
-from oed_sysid.fitting.start_guess import measured_states
+from oed_sysid.fitting.start_guess import measured_columns, measured_states
 from oed_sysid.model import Model
 from oed_sysid.predictions.draws import draw
 
@@ -35,6 +36,9 @@ from oed_sysid.predictions.draws import draw
 OVER = 0.5
 # A law that leaves this share of the rudder's variance unexplained is no law of the record.
 UNEXPLAINED = 0.5
+# Share of its largest angle or rate from which on a rudder counts as limited.
+AT_LIMIT = 0.95
+LEAST_SAMPLES = 20
 
 
 class Control(Protocol):
@@ -104,6 +108,9 @@ class CourseControl:
     ) -> CourseControl:
         """Identify the law from a record, by least squares of its rudder.
 
+        Noise of heading and yaw rate pulls the gains towards zero where the course is held well:
+        take a part of the record in which it is changed.
+
         Raises
         ------
         DataError
@@ -123,12 +130,23 @@ class CourseControl:
         1.5 4.0
         """
         rudder, psi, rate = record.input(input), record.output(heading), record.output(yaw_rate)
-        seen = np.isfinite(psi) & np.isfinite(rate)
+        steps = np.abs(np.diff(rudder)) / np.diff(record.times)
+        # At a limit of angle or rate the rudder says nothing of the law.
+        limited = np.abs(rudder) > AT_LIMIT * np.abs(rudder).max()
+        limited[1:] |= steps > AT_LIMIT * steps.max()
+        limited[0] = True  # what came before is not known
+        seen = np.isfinite(psi) & np.isfinite(rate) & ~limited
+        if seen.sum() < LEAST_SAMPLES:
+            raise DataError(
+                f"Only {seen.sum()} samples of record {record.name!r} have heading, yaw rate and a "
+                f"rudder off its limits; {LEAST_SAMPLES} are needed. Give the law."
+            )
         table = np.column_stack([np.ones(seen.sum()), -psi[seen], -rate[seen]])
         (level, gain, damping), *_ = np.linalg.lstsq(table, rudder[seen], rcond=None)
         left = rudder[seen] - table @ [level, gain, damping]
-        if np.var(left) > UNEXPLAINED * np.var(rudder):
-            share = 100 * (1 - np.var(left) / max(np.var(rudder), 1e-300))
+        whole = np.var(rudder[seen])
+        if np.var(left) > UNEXPLAINED * whole:
+            share = 100 * (1 - np.var(left) / max(whole, 1e-300))
             raise DataError(
                 f"Heading and yaw rate explain {share:.0f} % of the variance of {input!r} in record "
                 f"{record.name!r}: no helmsman held a course there. Give the law, or replay the "
@@ -136,7 +154,6 @@ class CourseControl:
             )
         # The course that is held on the mean; the neutral rudder goes with it.
         course = float(np.mean(psi[seen]))
-        steps = np.abs(np.diff(rudder)) / np.diff(record.times)
         return cls(
             input,
             float(gain),
@@ -355,9 +372,10 @@ def closed_loop(
     table = [held.value_vector]
     if fit is not None and n_draws > 0:
         table += list(draw(fit, n_draws, rng))
-    runs = [_run(held, record, control, values) for values in table]
+    runs = [_run(held, record, control, table[0], np.zeros(len(sigma)), rng)]
+    runs += [_run(held, record, control, values, sigma, rng) for values in table[1:]]
     outputs, inputs = runs[0]
-    opened = _run(held, record, None, table[0])[0]
+    opened = _run(held, record, None, table[0], np.zeros(len(sigma)), rng)[0]
     drawn = np.array([one for one, _ in runs[1:] if np.isfinite(one).all()])
     nothing = np.full(outputs.shape, np.nan)
     std, lower, upper = nothing, nothing, nothing
@@ -370,13 +388,22 @@ def closed_loop(
 
 
 def _run(
-    model: Model, record: Record, control: Control | None, values: np.ndarray
+    model: Model,
+    record: Record,
+    control: Control | None,
+    values: np.ndarray,
+    sigma: np.ndarray,
+    rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Outputs and the law's input, sample by sample; the logged input where there is no law."""
+    """Outputs and the law's input, sample by sample; the logged input where there is no law.
+
+    The law sees outputs with noise of ``sigma``, and so does the start.
+    """
     compiled = kernel(model)
     own = np.zeros(compiled.n_own)
+    columns = measured_columns(model)
     for position, series in measured_states(model, record).items():
-        own[position] = series[0]
+        own[position] = series[0] + sigma[columns[position]] * rng.standard_normal()
     times, inputs = record.times, record.inputs.copy()
     state, _ = compiled.start(own, inputs[0], values, times[0])
     if control is None:
@@ -390,13 +417,14 @@ def _run(
     seen = first.outputs[0]
     for k in range(len(times) - 1):
         outputs[k] = seen
-        step = times[k + 1] - times[k]
-        known = dict(zip(names, map(float, seen), strict=True)) | {"time": times[k] - times[0]}
+        noisy = seen + sigma * rng.standard_normal(len(sigma))
+        known = dict(zip(names, map(float, noisy), strict=True)) | {"time": times[k] - times[0]}
         wanted, memory = control.order(memory, known)
-        reach = control.rate * step
-        inputs[k, column] = last
-        last = float(np.clip(wanted, last - reach, last + reach))
-        inputs[k + 1, column] = last
+        if k:  # the first is what the log begins with
+            reach = control.rate * (times[k] - times[k - 1])
+            last = float(np.clip(wanted, last - reach, last + reach))
+        # What is asked for at a sample acts until the next.
+        inputs[k : k + 2, column] = last
         run = compiled.run(times[k : k + 2], inputs[k : k + 2], values, state)
         if not np.isfinite(run.outputs).all():
             return outputs, inputs[:, column]

@@ -105,7 +105,7 @@ class Transfer:
     values : mapping of str to float
         The wanted quantities, from all records; empty where they could not be had.
     std : mapping of str to float
-        Their jackknife standard deviations; zero where the weight is negligible.
+        Their jackknife standard deviations; empty where the weight is below five per cent.
     note : str
         What failed, in words; empty if nothing did.
     """
@@ -358,7 +358,7 @@ def average_structures(
     weights = raw / raw.sum()
     done = []
     for candidate, one, weight in zip(candidates, found, weights, strict=True):
-        std = dict.fromkeys(one.values, 0.0)
+        std: dict[str, float] = {}
         if weight >= LEAST_WEIGHT:
             std = record_errors(candidate, dataset, purpose)
         done.append(
@@ -376,20 +376,25 @@ def average_structures(
         )
     used = [one for one in done if one.weight > 0]
     names = tuple(used[0].values)
-    values, between, within = {}, {}, {}
+    values: dict[str, float] = {}
+    between: dict[str, float] = {}
+    within: dict[str, float] = {}
     for name in names:
         table = np.array([one.values[name] for one in used])
         share = np.array([one.weight for one in used])
         values[name] = float(share @ table)
         between[name] = float(np.sqrt(share @ (table - values[name]) ** 2))
-        within[name] = float(np.sqrt(share @ np.array([one.std[name] ** 2 for one in used])))
-    std = {
+        # Those too light for a jackknife are taken to scatter as the others do.
+        known = np.array([bool(one.std) for one in used])
+        part = np.array([one.std[name] ** 2 for one in used if one.std])
+        within[name] = float(np.sqrt(share[known] @ part / share[known].sum()))
+    total = {
         name: math.sqrt(between[name] ** 2 + within[name] ** 2 + (floor * values[name]) ** 2)
         for name in names
     }
     return StructureAverage(
         values,
-        std,
+        total,
         between,
         within,
         tuple(sorted(done, key=lambda one: -one.weight)),
