@@ -1,10 +1,10 @@
-"""Estimators where records are not what the model simulates: one table in docs/benchmark_estimators.md.
+"""Estimators where records are not what the model simulates: one table of a page.
 
 python -m benchmarks.real_world [--seeds 20] [--problems ...] [--worlds ...] [--store out/worlds]
 
 Every estimator has its default settings and the same data, start values and declared levels; none
 is tuned. Finished runs stay in the store and are never run again, so that a run can be stopped,
-resumed and enlarged; the table is written from what is there.
+resumed and enlarged; the table in docs/benchmark_estimators.md is written from what is there.
 """
 
 from __future__ import annotations

@@ -13,10 +13,10 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))  # for problems/, read from here
 
-from oed_sysid import load_problem  # noqa: E402
-from oed_sysid.predictions.structures import average_structures, peak_input  # noqa: E402
-from problems.kvlcc2.captive import captive_tests  # noqa: E402
-from problems.kvlcc2.structures import (  # noqa: E402
+from oed_sysid import load_problem
+from oed_sysid.predictions.structures import average_structures, peak_input
+from problems.kvlcc2.captive import captive_tests
+from problems.kvlcc2.structures import (
     HORIZON,
     SCORED,
     SIDES,
@@ -44,7 +44,9 @@ average = average_structures(
 )
 print(average.report())
 
-print("\nin lengths                    average  95 % interval   whole runs of MMG  published  error")
+print(
+    "\nin lengths                    average  95 % interval   whole runs of MMG  published  error"
+)
 alone = next(one for one in average.structures if one.name == "MMG, whole runs")
 held, errors = 0, []
 for name, published in PUBLISHED.items():
@@ -57,8 +59,8 @@ for name, published in PUBLISHED.items():
         f"{published:10.2f} {100 * (value / published - 1):+6.1f} %"
     )
 print(
-    f"\nYes, to {100 * sum(errors) / len(errors):.1f} % on the mean; {held} of {len(errors)} published "
-    f"indices lie in their 95 % intervals. The heaviest structure, {average.structures[0].name}, has "
-    f"{100 * average.structures[0].weight:.0f} % of the weight; no single test would have chosen it, "
-    "and no single structure says how sure the answer is."
+    f"\nYes, to {100 * sum(errors) / len(errors):.1f} % on the mean; {held} of {len(errors)} "
+    "published indices lie in their 95 % intervals. The heaviest structure, "
+    f"{average.structures[0].name}, has {100 * average.structures[0].weight:.0f} % of the weight; "
+    "no single test would have chosen it, and no single structure says how sure the answer is."
 )

@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Experiment, Force, Input, Model, MultipleShooting, Output, Parameter
-from oed_sysid import State, ZigZag
+from oed_sysid import (
+    Dataset,
+    Experiment,
+    Force,
+    Input,
+    Model,
+    MultipleShooting,
+    Output,
+    Parameter,
+    State,
+    ZigZag,
+)
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.fitting.captive import CaptiveTests
 from oed_sysid.simulate import simulate

@@ -107,7 +107,9 @@ def test_what_is_no_law_is_said() -> None:
     """A rudder that answers nothing, or is never reversed, or is unknown, is refused."""
     rng = np.random.default_rng(4)
     log = steered(HELM, 60.0, rng)
-    noise = Record("noise", log.times, rng.standard_normal(log.inputs.shape), log.outputs, log.channels)
+    noise = Record(
+        "noise", log.times, rng.standard_normal(log.inputs.shape), log.outputs, log.channels
+    )
     with pytest.raises(DataError, match="no helmsman"):
         CourseControl.of(noise, "delta")
     held = Record("held", log.times, np.full(log.inputs.shape, 0.2), log.outputs, log.channels)

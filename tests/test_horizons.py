@@ -65,7 +65,7 @@ def test_a_short_horizon_costs_precision_where_the_structure_is_right(zigzags: D
 
 
 def test_missing_structure_shows_at_long_horizons() -> None:
-    """Without the cubic damping of the data the misfit grows with the horizon; with it, it is one."""
+    """Without the cubic damping of the data the misfit grows with the horizon, with it it stays."""
     rng = np.random.default_rng(2)
     data = Dataset(tuple(record(f"run_{i}", rng, cubic=-3.0) for i in range(4)))
     for model, low, high in ((SHIP, 1.1, 30.0), (SHIP + CUBIC, 0.95, 1.05)):

@@ -10,9 +10,8 @@ import pytest
 from oed_sysid import Dataset, Force, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.fitting.captive import CaptiveTests
-from oed_sysid.predictions.structures import Structure, average_structures, ladder
+from oed_sysid.predictions.structures import Structure, average_structures, ladder, peak_input
 from tests.turning_ship import record as turning_record
-from oed_sysid.predictions.structures import peak_input
 
 SHOOTING = MultipleShooting(disturbances="none")
 TIMES = np.arange(0.0, 10.0, 0.2)
@@ -119,9 +118,7 @@ def test_what_fails_weighs_nothing_and_is_named() -> None:
     assert average.structures[1].note == "It never turns"
     assert average.between["resistance"] == 0.0
     with pytest.raises(ModelError, match="No structure gives"):
-        average_structures(
-            (LINEAR, LINEAR), data, purpose=picky, strength=first, horizon=5.0
-        )
+        average_structures((LINEAR, LINEAR), data, purpose=picky, strength=first, horizon=5.0)
 
 
 def test_the_ladder_goes_from_weak_to_strong() -> None:
@@ -130,7 +127,7 @@ def test_the_ladder_goes_from_weak_to_strong() -> None:
     rungs = ladder(data, first)
     assert [len(weaker) for weaker, _ in rungs] == [3, 4, 5]
     assert all("from 2.5" in stronger for _, stronger in rungs)
-    with pytest.raises(DataError, match="one strength"):
+    with pytest.raises(DataError, match="No two records"):
         ladder(runs(1.0, 1.001), first)
     zigzag = turning_record("zigzag", np.random.default_rng(0))
     assert peak_input("rudder")(zigzag) == 0.5

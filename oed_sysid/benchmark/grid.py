@@ -147,6 +147,4 @@ def _cells(
             for factor in sampling:
                 for level, world in product(noise, worlds):
                     for name in estimators:
-                        yield Cell(
-                            problem, name, float(level), unit, factor, seed, world=world
-                        )
+                        yield Cell(problem, name, float(level), unit, factor, seed, world=world)

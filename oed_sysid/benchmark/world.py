@@ -7,8 +7,8 @@ on all equations of motion,
 .. math:: w_{k+1} = \varphi w_k + \sigma_w \sqrt{1 - \varphi^2}\, \varepsilon_k, \qquad
     \sigma_w = \text{share} \cdot \max |F|,
 
-with :math:`\max|F|` the largest sum of forces of the undisturbed run (largest acceleration, where an
-equation is written as one) and a time of four samples; sensor noise with a memory; noise of another
+with :math:`\max|F|` the largest sum of forces of the undisturbed run (largest acceleration, where
+an equation is written as one) and a time of four samples; sensor noise with a memory; noise of another
 size than declared; numbers that are taken as known and are not; spikes; start values off by far.
 Commands are those of the undisturbed run.
 """
@@ -115,9 +115,7 @@ class World:
         sums = (f'force("{key}")' if key in model.axes else f"dot({key})" for key in places)
         probe = replace(
             model,
-            outputs=tuple(
-                Output(f"sum_{i}", "1", expression=text) for i, text in enumerate(sums)
-            ),
+            outputs=tuple(Output(f"sum_{i}", "1", expression=text) for i, text in enumerate(sums)),
             effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
         )
         run = simulate_inputs(probe, clean.times, inputs=clean.inputs, initial=start)
@@ -126,12 +124,13 @@ class World:
         pushed = replace(
             model,
             inputs=(*model.inputs, *(Input(name, "1", interpolation="linear") for name in pushes)),
-            effects=(*model.effects, Force("random pushes", dict(zip(places, pushes, strict=True)))),
+            effects=(
+                *model.effects,
+                Force("random pushes", dict(zip(places, pushes, strict=True))),
+            ),
         )
         n = len(clean.times)
-        fine = np.interp(
-            np.arange((n - 1) * SUBSTEPS + 1) / SUBSTEPS, np.arange(n), clean.times
-        )
+        fine = np.interp(np.arange((n - 1) * SUBSTEPS + 1) / SUBSTEPS, np.arange(n), clean.times)
         columns = []
         for signal, values in zip(model.inputs, clean.inputs.T, strict=True):
             if signal.interpolation == "linear":
@@ -155,15 +154,11 @@ class World:
             return model
         known = [p for p in model.all_parameters if p.fixed and p.value]
         off = {p.name: p.value * (1 + self.wrong * rng.uniform(-1.0, 1.0)) for p in known}
-        bounded = {
-            p.name: float(np.clip(off[p.name], p.lower, p.upper)) for p in known
-        }
+        bounded = {p.name: float(np.clip(off[p.name], p.lower, p.upper)) for p in known}
         return model.with_values(bounded)
 
 
-def _gauss_markov(
-    shape: tuple[int, ...], time: float, rng: np.random.Generator
-) -> np.ndarray:
+def _gauss_markov(shape: tuple[int, ...], time: float, rng: np.random.Generator) -> np.ndarray:
     """First-order noise of unit variance, ``(n_times, n_signals)``; ``time`` in samples."""
     keep = np.exp(-1.0 / time)
     white = rng.standard_normal(shape)

@@ -398,7 +398,9 @@ def _uncertainty(
     held = shooting.limits.held[kept]
     matrix = now.matrix + np.diag(shooting.limits.prior_weight[kept])
     others = np.flatnonzero(~held & (np.arange(len(kept)) >= n_shared))
-    gain = np.linalg.pinv(matrix[np.ix_(others, others)], hermitian=True) @ matrix[others, :n_shared]
+    gain = (
+        np.linalg.pinv(matrix[np.ix_(others, others)], hermitian=True) @ matrix[others, :n_shared]
+    )
     reduced = matrix[:n_shared, :n_shared] - matrix[:n_shared, others] @ gain
     information = Information.from_matrix(
         layout.shared_names, reduced / slopes[:, None] / slopes, scales

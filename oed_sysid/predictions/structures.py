@@ -239,22 +239,24 @@ def ladder(
 ) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]:
     """Names of weaker records to fit and stronger ones to predict, for up to three rungs.
 
-    Records within five per cent of each other's strength stay together.
+    Records within five per cent of each other's strength stay together, and a rung has two
+    records at least: one alone seldom determines a model.
 
     Raises
     ------
     DataError
-        If all records are of one strength.
+        If there are no two records that are weaker than another.
     """
     ordered = sorted(dataset, key=strength)
     sizes = [strength(record) for record in ordered]
     edges = [
-        i for i in range(1, len(sizes)) if sizes[i] > (1 + SAME_STRENGTH) * sizes[i - 1] + 1e-12
+        i for i in range(2, len(sizes)) if sizes[i] > (1 + SAME_STRENGTH) * sizes[i - 1] + 1e-12
     ]
     if not edges:
         raise DataError(
-            "All records are of one strength, so that none can be predicted from weaker ones. Add "
-            "weaker or stronger manoeuvres, or choose another measure of strength."
+            "No two records are weaker than the others (all are of one strength, or too few), so "
+            "that none can be predicted from weaker ones. Add weaker or stronger manoeuvres, or "
+            "choose another measure of strength."
         )
     names = [record.name for record in ordered]
     return tuple((tuple(names[:i]), tuple(names[i:])) for i in edges[-MOST_RUNGS:])
@@ -489,9 +491,7 @@ def _step_error(
     return total, count
 
 
-def record_errors(
-    structure: Structure, dataset: Dataset, purpose: Purpose
-) -> dict[str, float]:
+def record_errors(structure: Structure, dataset: Dataset, purpose: Purpose) -> dict[str, float]:
     r"""Standard deviations of wanted quantities from what records say apart from one another.
 
     The delete-one jackknife over records,

@@ -23,14 +23,11 @@ The rudder angle is positive with its trailing edge to port.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from oed_sysid import Dataset, Force, Model, Output, Parameter, read_csv
+from oed_sysid import Force, Output, Parameter, read_csv
 from oed_sysid.data.third_party import fetch, registered
 
 from .manoeuvring import MMG
@@ -73,7 +70,7 @@ RUDDER = (
 )
 # Wake fraction: 0.46 + c_0 + c_1 (u - U_0) + c_2 delta + c_3 delta^2, and by the side of the drift
 # at the stern beta_P = beta + 0.48 r' its square and its size.
-WAKE_NAMES = tuple(f"c_w{i}" for i in range(4)) + ("c_w_ss", "c_w_pp", "c_w_s", "c_w_p")
+WAKE_NAMES = (*(f"c_w{i}" for i in range(4)), "c_w_ss", "c_w_pp", "c_w_s", "c_w_p")
 WAKE = tuple(known(name, 0.0, "1", "wake fraction, from the thrust") for name in WAKE_NAMES)
 
 SIGNALS = {

@@ -93,7 +93,7 @@ def candidates(dataset: Dataset) -> tuple[Structure, ...]:
         effects[name] for name in ("helm_zero", "rudder_lift_shape", "propeller_wake_by_drift")
     ]
     race = effects["race_from_thrust"].parameters[0].name
-    screw = plain + [effects["race_from_thrust"], effects["single_screw_asymmetry"]]
+    screw = plain + effects["race_from_thrust"] + effects["single_screw_asymmetry"]
     screw = screw.with_values({race: 1.0}).fix(race)
     return variants(
         MAVMM.with_values(wake()), {"MMG": plain, "MMG, race from the thrust": screw}, dataset
