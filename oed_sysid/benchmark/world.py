@@ -8,8 +8,9 @@ on all equations of motion,
     \sigma_w = \text{share} \cdot \max |F|,
 
 with :math:`\max|F|` the largest sum of forces of the undisturbed run (largest acceleration, where
-an equation is written as one) and a time of four samples; sensor noise with a memory; noise of another
-size than declared; numbers that are taken as known and are not; spikes; start values off by far.
+an equation is written as one) and a time of four samples; sensor noise with a memory; noise of
+another size than declared; numbers that are taken as known and are not; spikes; start values off
+by far.
 Commands are those of the undisturbed run.
 """
 

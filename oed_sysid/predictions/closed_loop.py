@@ -10,8 +10,8 @@ for a course-unstable vessel they grow. In the loop the law is replayed instead,
     \delta_k = \pm\delta_a \text{ reversed where } |\hat\psi_k - \psi_0| \text{ passes } \psi_s ,
 
 at a limited rate, with the model's own :math:`\hat\psi, \hat r`. The law is given, or taken from
-the record: the gains by least squares of the logged rudder, a zigzag's angles and headings of reversal
-from the log. Bands are those of draws from the fit, each in its own loop, in which the law sees
+the record: the gains by least squares of the logged rudder, a zigzag's angles and headings of
+reversal from the log. Bands are those of draws from the fit, each in its own loop, in which the law sees
 noisy sensors and the start is as uncertain as its measurement.
 """
 
@@ -149,8 +149,8 @@ class CourseControl:
             share = 100 * (1 - np.var(left) / max(whole, 1e-300))
             raise DataError(
                 f"Heading and yaw rate explain {share:.0f} % of the variance of {input!r} in "
-                f"record {record.name!r}: no helmsman held a course there. Give the law, or replay the "
-                "logged input."
+                f"record {record.name!r}: no helmsman held a course there. Give the law, or "
+                "replay the logged input."
             )
         # The course that is held on the mean; the neutral rudder goes with it.
         course = float(np.mean(psi[seen]))
