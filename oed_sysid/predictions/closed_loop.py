@@ -11,8 +11,8 @@ for a course-unstable vessel they grow. In the loop the law is replayed instead,
 
 at a limited rate, with the model's own :math:`\hat\psi, \hat r`. The law is given, or taken from
 the record: the gains by least squares of the logged rudder, a zigzag's angles and headings of
-reversal from the log. Bands are those of draws from the fit, each in its own loop, in which the law sees
-noisy sensors and the start is as uncertain as its measurement.
+reversal from the log. Bands are those of draws from the fit, each in its own loop, in which the
+law sees noisy sensors and the start is as uncertain as its measurement.
 """
 
 from __future__ import annotations
