@@ -17,6 +17,7 @@ SLOW: tuple[str, ...] = (
     "esso_osaka_wind",
     "find_missing_physics",
     "slocum_glider",
+    "tanker_turning_circle",
 )
 # Examples on measured data of third parties, which is not shipped.
 MEASURED = (

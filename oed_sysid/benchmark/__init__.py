@@ -15,6 +15,7 @@ from oed_sysid.benchmark.grid import PROBLEMS, Benchmark, benchmark
 from oed_sysid.benchmark.measures import Row, Verdict, measure, verdicts
 from oed_sysid.benchmark.scenarios import UNITS, Scenario, load_scenario
 from oed_sysid.benchmark.tables import as_csv, as_markdown
+from oed_sysid.benchmark.world import WORLDS, World
 
 __all__ = [
     "CONTESTANTS",
@@ -23,6 +24,7 @@ __all__ = [
     "PROBLEMS",
     "QUICK",
     "UNITS",
+    "WORLDS",
     "Benchmark",
     "Cell",
     "Contestant",
@@ -30,6 +32,7 @@ __all__ = [
     "Row",
     "Scenario",
     "Verdict",
+    "World",
     "as_csv",
     "as_markdown",
     "benchmark",

@@ -13,6 +13,7 @@ import numpy as np
 
 from oed_sysid.benchmark.contestants import contestant_by_name
 from oed_sysid.benchmark.scenarios import Scenario, load_scenario
+from oed_sysid.benchmark.world import IDEAL, world_by_name
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.experiment import Experiment
@@ -46,6 +47,8 @@ class Cell:
         Of noise, start values and random searches.
     spread : float
         Start values are off by up to this share, uniformly.
+    world : str
+        What the records hold that no model says; see :mod:`oed_sysid.benchmark.world`.
     """
 
     problem: str
@@ -55,15 +58,22 @@ class Cell:
     sampling: int = 1
     seed: int = 0
     spread: float = 0.3
+    world: str = IDEAL
 
     @property
     def key(self) -> str:
         """Name in a store: everything that shapes the result but the code of the estimators."""
         settings = contestant_by_name(self.estimator)
-        content = f"{FORMAT} {asdict(self)} {load_scenario(self.problem).digest} {settings!r}"
+        fields = asdict(self)
+        if self.world == IDEAL:  # as runs were named before there were worlds
+            del fields["world"]
+        else:
+            fields["world"] = world_by_name(self.world)
+        content = f"{FORMAT} {fields} {load_scenario(self.problem).digest} {settings!r}"
         digest = hashlib.sha256(content.encode()).hexdigest()[:12]
+        world = "" if self.world == IDEAL else f"{self.world} "
         return (
-            f"{self.problem} {self.estimator} noise {self.noise:g} seed {self.seed} "
+            f"{self.problem} {self.estimator} {world}noise {self.noise:g} seed {self.seed} "
             f"sampling {self.sampling} {digest}"
         )
 
@@ -119,15 +129,19 @@ class Outcome:
 
 def run_cell(cell: Cell) -> Outcome:
     """Simulate, fit and judge; a failure of the estimator is a result, not an error."""
-    scenario = load_scenario(cell.problem)
+    scenario, world = load_scenario(cell.problem), world_by_name(cell.world)
     sigma = scenario.noise(cell.noise, cell.noise_unit)
     model = scenario.with_noise(sigma)
     runs = tuple(_at(experiment, cell.sampling) for experiment in scenario.train)
     rng, noisy = cell.rng("noise"), bool(sigma.any())
-    dataset = Dataset(tuple(simulate(model, run, rng=rng, noise=noisy) for run in runs))
+    if cell.world == IDEAL:
+        dataset = Dataset(tuple(simulate(model, run, rng=rng, noise=noisy) for run in runs))
+    else:
+        dataset = Dataset(tuple(world.record(model, run, rng=rng, noise=noisy) for run in runs))
     bounds = dict(zip(model.free_names, _bounds(model, dataset), strict=True))
     contestant = contestant_by_name(cell.estimator)
-    estimator, start = contestant.prepared(_away(model, cell), scenario.start, cell.seed)
+    handed = world.believed(_away(model, cell, world.start), cell.rng("known"))
+    estimator, start = contestant.prepared(handed, scenario.start, cell.seed)
     began = time.perf_counter()
     try:
         with warnings.catch_warnings():
@@ -155,12 +169,13 @@ def _at(experiment: Experiment, sampling: int) -> Experiment:
     return replace(experiment, sample_time=sampling * experiment.sample_time)
 
 
-def _away(model: Model, cell: Cell) -> Model:
+def _away(model: Model, cell: Cell, factor: float = 1.0) -> Model:
     """Start values away from the truth, within bounds."""
     rng = cell.rng("start")
     values = {}
     for parameter in model.free_parameters:
-        moved = parameter.value * (1.0 + cell.spread * rng.uniform(-1.0, 1.0))
+        off = rng.uniform(-1.0, 1.0)
+        moved = parameter.value * (factor**off if factor > 1 else 1.0 + cell.spread * off)
         values[parameter.name] = float(np.clip(moved, parameter.lower, parameter.upper))
     return model.with_values(values)
 

@@ -28,6 +28,7 @@ from oed_sysid.estimators import (
 from oed_sysid.model import Model
 
 OURS = "multiple_shooting"
+OURS_DISTURBED = "multiple_shooting_disturbed"
 OURS_BELIEVING = "multiple_shooting_prior"
 # Take start values as a prior by their nature.
 BELIEVERS = ("ekf", "ukf")
@@ -74,6 +75,7 @@ class Contestant:
 # swarm that runs beside others, and Gibbs draws enough for a mean and an interval.
 CONTESTANTS: Mapping[str, Contestant] = {
     OURS: Contestant(MultipleShooting(disturbances="none")),
+    OURS_DISTURBED: Contestant(MultipleShooting(disturbances="auto", loss="auto")),
     OURS_BELIEVING: Contestant(MultipleShooting(disturbances="none"), believes=True),
     "output_error": Contestant(OutputError()),
     "equation_error": Contestant(EquationError()),

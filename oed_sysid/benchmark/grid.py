@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from oed_sysid.benchmark.cell import Cell, Outcome, run_cell
 from oed_sysid.benchmark.contestants import OURS, QUICK, contestant_by_name
 from oed_sysid.benchmark.measures import Row, Verdict, measure, verdicts
 from oed_sysid.benchmark.scenarios import UNITS, load_scenario
+from oed_sysid.benchmark.world import IDEAL, world_by_name
 from oed_sysid.errors import ProblemError
 
 PROBLEMS = (
@@ -74,6 +76,7 @@ def benchmark(
     noise_unit: str = "peak",
     sampling: Sequence[int] = (1,),
     seeds: int = 3,
+    worlds: Sequence[str] = (IDEAL,),
     store: str | Path | None = None,
     n_jobs: int = 1,
     progress: Callable[[CellProgress], None] | None = None,
@@ -95,6 +98,8 @@ def benchmark(
         Multiples of the problem's sample time.
     seeds : int
         Repetitions, with other noise and other start values.
+    worlds : sequence of str
+        What the records hold that no model says, of :data:`oed_sysid.benchmark.world.WORLDS`.
     store : path, optional
         Folder that keeps finished runs; they are never run again.
     n_jobs : int
@@ -113,12 +118,15 @@ def benchmark(
         raise ProblemError("Give at least one seed, and sampling factors of 1 or more.")
     for name in estimators:
         contestant_by_name(name)
+    for name in worlds:
+        world_by_name(name)
     for name in problems:
         scenario = load_scenario(name)
         for level in noise:
             scenario.noise(level, noise_unit)
     cells = {
-        cell.key: cell for cell in _cells(problems, estimators, noise, noise_unit, sampling, seeds)
+        cell.key: cell
+        for cell in _cells(problems, estimators, noise, noise_unit, sampling, seeds, worlds)
     }
     outcomes = run_cells(run_cell, cells, store=store, n_jobs=n_jobs, progress=progress)
     return Benchmark(tuple(outcomes.values()))
@@ -131,11 +139,12 @@ def _cells(
     unit: str,
     sampling: Sequence[int],
     seeds: int,
+    worlds: Sequence[str],
 ) -> Iterator[Cell]:
     """First seed of everything first: a grid that is cut short is a smaller grid."""
     for seed in range(seeds):
         for problem in problems:
             for factor in sampling:
-                for level in noise:
+                for level, world in product(noise, worlds):
                     for name in estimators:
-                        yield Cell(problem, name, float(level), unit, factor, seed)
+                        yield Cell(problem, name, float(level), unit, factor, seed, world=world)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.benchmark.cell import Cell, Outcome
+from oed_sysid.benchmark.world import IDEAL
 
 # A parameter counts as determined where the data allow a standard error below this share.
 DETERMINED = 0.25
@@ -60,6 +61,8 @@ class Row:
         What the failures said, the commonest of them.
     by_seed : tuple of float
         ``rmse_determined`` of each run alone.
+    world : str
+        What the records hold that no model says.
     """
 
     problem: str
@@ -84,11 +87,12 @@ class Row:
     iterations: float
     reason: str
     by_seed: tuple[float, ...]
+    world: str = IDEAL
 
     @property
-    def setting(self) -> tuple[str, float, str, int]:
-        """Problem, noise, its unit and sampling."""
-        return self.problem, self.noise, self.noise_unit, self.sampling
+    def setting(self) -> tuple[str, float, str, int, str]:
+        """Problem, noise, its unit, sampling and world."""
+        return self.problem, self.noise, self.noise_unit, self.sampling, self.world
 
     def to_dict(self) -> dict[str, Any]:
         """Return the row as plain data."""
@@ -123,7 +127,7 @@ class Verdict:
 
 def measure(outcomes: Iterable[Outcome]) -> tuple[Row, ...]:
     """Aggregate runs over seeds; rows keep the order of settings, the best first in each."""
-    order: dict[tuple[str, int, float], int] = {}
+    order: dict[tuple[str, int, float, str], int] = {}
     for outcome in (several := tuple(outcomes)):
         order.setdefault(_setting(outcome.cell), len(order))
     several = tuple(sorted(several, key=lambda one: order[_setting(one.cell)]))
@@ -174,8 +178,8 @@ def _two_errors(logs: np.ndarray) -> float:
     return 2.0 * float(np.std(logs, ddof=1)) / np.sqrt(len(logs))
 
 
-def _setting(cell: Cell) -> tuple[str, int, float]:
-    return cell.problem, cell.sampling, cell.noise
+def _setting(cell: Cell) -> tuple[str, int, float, str]:
+    return cell.problem, cell.sampling, cell.noise, cell.world
 
 
 def _rank(row: Row) -> tuple[bool, float]:
@@ -217,6 +221,7 @@ def _row(runs: Sequence[Outcome]) -> Row:
         iterations=_over(runs, lambda run: float(run.iterations)),
         reason="" if refused else max(failures, key=failures.count, default=""),
         by_seed=tuple(_root_mean_square(run[known]) for run in errors),
+        world=cell.world,
     )
 
 

@@ -32,6 +32,7 @@ from oed_sysid.fitting.delays import clear_delay, estimate_delays
 from oed_sysid.fitting.filtered import disturbed_model
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import Progress, Solution, solve
+from oed_sysid.fitting.horizons import fit_horizons
 from oed_sysid.fitting.judgement import level_concerns, with_verdict
 from oed_sysid.fitting.noise_levels import (
     credible_levels,
@@ -115,6 +116,11 @@ class MultipleShooting:
         else; ``"none"`` takes residuals for sensor noise; ``"all"`` lets a force into
         every equation; or the equations, states or places that are disturbed, such as
         ``("Z", "M")`` or ``("actuator fin",)``. See :mod:`oed_sysid.noise`.
+    horizon : float or None
+        How far ahead the fit has to be right, s: records are predicted in windows of this
+        length, each from a start state of its own (:mod:`oed_sysid.fitting.horizons`). ``None``
+        predicts whole records. A short horizon keeps misfit of structure out of the
+        derivatives; random forces are then not looked for.
     constraints : sequence of str
         For IPOPT: comparisons among parameters, such as ``"M_uq < 0"`` or
         ``"Y_v*N_r > N_v*Y_r"``. Standard errors ignore them.
@@ -132,6 +138,7 @@ class MultipleShooting:
     hessian: str = "gauss-newton"
     constraints: Sequence[str] = ()
     disturbances: str | Sequence[str] = "auto"
+    horizon: float | None = None
 
     def __post_init__(self) -> None:
         if self.start not in ("auto", "near", "wide"):
@@ -156,10 +163,26 @@ class MultipleShooting:
         if not self.tolerance > 0:
             raise ModelError(f"tolerance is {self.tolerance}. Give a positive number.")
         loss_by_name(self.loss)
+        if self.horizon is not None:
+            self._check_horizon()
         if self.disturbances not in ("auto", "none") and self._white_only:
             raise ModelError(
                 f"disturbances={self.disturbances!r} goes with solver='gauss-newton' and "
                 "loss='square' or 'auto'. Drop the other setting, or take disturbances='none'."
+            )
+
+    def _check_horizon(self) -> None:
+        """Refuse settings that short predictions have no place for."""
+        if not (self.horizon is not None and self.horizon > 0):
+            raise ModelError(f"horizon is {self.horizon}. Give seconds above zero, or None.")
+        if self.disturbances not in ("auto", "none"):
+            raise ModelError(
+                f"disturbances={self.disturbances!r} needs whole records. Drop it or the horizon."
+            )
+        if self.solver != "gauss-newton" or self.loss != "square" or self.interval is not None:
+            raise ModelError(
+                "A horizon goes with solver='gauss-newton', loss='square' and interval=None: its "
+                "windows are the intervals."
             )
 
     @property
@@ -173,7 +196,8 @@ class MultipleShooting:
         interval = "" if self.interval is None else f", interval {self.interval:g} s"
         loss = "" if self.loss in ("auto", "square") else f", {self.loss} loss"
         solver = f", IPOPT with {self.hessian} Hessian" if self.solver == "ipopt" else ""
-        return f"multiple shooting{interval}{loss}{solver}"
+        horizon = "" if self.horizon is None else f", {self.horizon:g} s ahead"
+        return f"multiple shooting{interval}{loss}{solver}{horizon}"
 
     def fit(
         self,
@@ -243,6 +267,22 @@ class MultipleShooting:
             known_starts=known_starts,
         )
         check_enough_samples(shooting)
+        if self.horizon is not None:
+            if known_starts is not None:
+                raise ModelError(
+                    "start_states are those of whole records; windows of a horizon begin from "
+                    "states of their own. Drop one of the two."
+                )
+            return fit_horizons(
+                shooting,
+                self.horizon,
+                estimated,
+                estimator=self.name,
+                max_iterations=self.max_iterations,
+                tolerance=self.tolerance,
+                coloured=self.coloured,
+                progress=self.progress,
+            )
         if self.solver == "ipopt":
             shooting = shooting.with_intervals(shooting.interval_samples)
         point = shooting.start_point()

@@ -21,6 +21,8 @@ module                          subject
 ``start_guess``, ``beginning``  where to begin: measurements, kinematics, an earlier fit
 ``free_nodes``                  the wide way in: short intervals, all starts free
 ``shooting``, ``iterates``      white sensors: nodes, condensed derivatives
+``horizons``                    predictions a short time ahead, start states eliminated
+``captive``                     forces measured at given motion, in the same likelihood
 ``filtered``, ``random_forces`` random forces and coloured sensors: filter, levels, tests
 ``gauss_newton``                the search
 ``covariance``, ``summary``     what the end says about errors, as a :class:`~.fit.Fit`

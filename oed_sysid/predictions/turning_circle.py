@@ -20,12 +20,14 @@ from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.manoeuvres import TurningCircle
 from oed_sysid.manoeuvres.indices import TurningIndices, turning_indices
 from oed_sysid.model import Model
-from oed_sysid.simulate import simulate_batch
+from oed_sysid.predictions.draws import draw
+from oed_sysid.simulate import equilibrium, simulate_batch
 
 SIDES = ("starboard", "port")
 # Heading change that is simulated: a full turn, then half a turn to call steady.
 TURN = 3.0 * math.pi
 _DOUBLINGS = 12
+NEAR_AMIDSHIPS = math.radians(10.0)
 LENGTHS = ("advance", "transfer", "tactical_diameter", "steady_diameter")
 _UNITS = {**dict.fromkeys(LENGTHS, "m"), "time_90": "s", "time_180": "s", "speed_ratio": "1"}
 QUANTITIES: Mapping[str, str] = {**_UNITS, "drift": "rad"}
@@ -52,6 +54,9 @@ class TurningPrediction:
         The same for parameters drawn from the fit's covariance.
     unfinished : mapping of str to int
         Draws that never turned by 180 degrees; they are NaN in ``draws``.
+    neutral : float
+        Rudder angle of the straight approach at the fitted values, rad; zero where the approach
+        was asked to be amidships.
     """
 
     model: str
@@ -61,6 +66,7 @@ class TurningPrediction:
     nominal: Mapping[str, Mapping[str, float]]
     draws: Mapping[str, Mapping[str, np.ndarray]] = field(repr=False)
     unfinished: Mapping[str, int]
+    neutral: float = 0.0
 
     @property
     def sides(self) -> tuple[str, ...]:
@@ -83,12 +89,23 @@ class TurningPrediction:
         value = self.value(quantity, side)
         return value - half, value + half
 
+    def quantities(self, *names: str) -> dict[str, float]:
+        """Quantities at the fitted values, all or the named, by ``"quantity side"``.
+
+        What :func:`~oed_sysid.predictions.structures.average_structures` takes as a purpose.
+        """
+        chosen = names or tuple(QUANTITIES)
+        return {f"{q} {side}": self.value(q, side) for q in chosen for side in self.sides}
+
     def report(self) -> str:
         """Return the prediction as a table, in metres and in ship lengths."""
         lines = [
             f"turning circle, rudder {math.degrees(self.rudder):.3g} deg, {self.speed:.4g} m/s",
             f"  predicted by {self.model}",
         ]
+        if self.neutral:
+            neutral = math.degrees(self.neutral)
+            lines.append(f"  straight approach with the rudder at {neutral:.2f} deg")
         scaled = [] if self.length is None else [f"{side} [L]" for side in self.sides]
         rows = [("", *(f"{side}" for side in self.sides), "unit", *scaled)]
         for quantity, unit in QUANTITIES.items():
@@ -122,6 +139,7 @@ class TurningPrediction:
             "rudder": self.rudder,
             "speed": self.speed,
             "length": self.length,
+            "neutral": self.neutral,
             "sides": {
                 side: {
                     quantity: {
@@ -146,10 +164,16 @@ def turning_circle(
     rate: float | None = None,
     length: float | None = None,
     input: str | None = None,
+    approach: str = "neutral",
     n_draws: int = 100,
     rng: np.random.Generator | None = None,
 ) -> TurningPrediction:
     r"""Predict turning circles from a straight approach.
+
+    The approach is an equilibrium: at the given speed the rudder stands where nothing turns or
+    pushes the ship sideways, which for a single screw is not amidships. A model without such an
+    angle within ten degrees begins amidships, and so does every model with
+    ``approach="amidships"``. Draws begin from the approach at the fitted values.
 
     The model needs a state ``psi``. Its ``u`` and ``v`` carry the track; a model
     without them keeps its speed and does not drift, and says nothing about either.
@@ -171,6 +195,8 @@ def turning_circle(
         Ship length, m, for results in lengths.
     input : str, optional
         The rudder; by default the model's only input.
+    approach : str
+        ``"neutral"`` or ``"amidships"``.
     n_draws : int
         Parameter sets drawn from the fit's covariance, parameters that differ by
         record from their scatter over the records; values beyond a bound are set
@@ -209,21 +235,27 @@ def turning_circle(
     wanted = SIDES if side == "both" else (side,)
     if not set(wanted) <= set(SIDES):
         raise ModelError(f"side is {side!r}. Choose starboard, port or both.")
+    if approach not in ("neutral", "amidships"):
+        raise ModelError(f"approach is {approach!r}. Choose neutral or amidships.")
     if not speed > 0 or not rudder > 0:
         raise ModelError(f"speed is {speed} and rudder {rudder}; both have to be above zero.")
     tracked = _with_track(model, speed)
     steered = _rudder_input(model, input)
     values = [model.value_vector]
     if fit is not None and n_draws > 0:
-        values += list(_draw(fit, n_draws, rng or np.random.default_rng(0)))
+        values += list(draw(fit, n_draws, rng or np.random.default_rng(0)))
     kept = [model.parameter_names.index(name) for name in tracked.parameter_names]
     table = np.array(values)[:, kept]
     start = {"u": speed} if "u" in model.state_names else {}
+    trim = 0.0
+    if approach == "neutral":
+        trim, start = _approach(model, steered, start)
     nominal: dict[str, dict[str, float]] = {}
     draws: dict[str, dict[str, np.ndarray]] = {}
     unfinished: dict[str, int] = {}
     for sign in (1.0, -1.0):
-        order = TurningCircle(steered, sign * rudder, rate=rate)
+        # A circle's rudder is counted from amidships, wherever the approach had it.
+        order = TurningCircle(steered, sign * rudder - trim, rate=rate, neutral=trim)
         times, paths = _turn(tracked, order, table[:1], start)
         reached = "starboard" if paths[0, -1, 2] > paths[0, 0, 2] else "port"
         if reached not in wanted or reached in nominal:
@@ -254,7 +286,25 @@ def turning_circle(
             f"{missing[0]}. Check the sign and the size of its rudder force."
         )
     ordered = {name: nominal[name] for name in wanted}
-    return TurningPrediction(model.name, rudder, speed, length, ordered, draws, unfinished)
+    return TurningPrediction(model.name, rudder, speed, length, ordered, draws, unfinished, trim)
+
+
+def _approach(
+    model: Model, steered: str, start: Mapping[str, float]
+) -> tuple[float, dict[str, float]]:
+    """Neutral rudder and states of a straight course; amidships where there is none nearby."""
+    held = {"psi": 0.0, **start}
+    turning = [name for name in ("v", "r", "p", "phi") if name in model.state_names]
+    if "r" in turning:
+        held["r"] = 0.0
+    try:
+        found = equilibrium(model, fixed=held, free=(steered,), steady=turning)
+    except SimulationError:
+        return 0.0, dict(start)
+    trim = found.inputs[steered]
+    if not turning or not found.ok or abs(trim) > NEAR_AMIDSHIPS:
+        return 0.0, dict(start)
+    return trim, {name: found.states[name] for name in model.state_names if name != "psi"}
 
 
 def _rudder_input(model: Model, name: str | None) -> str:
@@ -290,27 +340,6 @@ def _with_track(model: Model, speed: float) -> Model:
         ),
         effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
     )
-
-
-def _draw(fit: Fit, n_draws: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw parameter sets ``(n_draws, n_parameters)`` from what the fit knows."""
-    if not np.all(np.isfinite(fit.covariance)):
-        unknown = [n for n, error in fit.std_errors.items() if not math.isfinite(error)]
-        raise ModelError(
-            f"The fit does not determine {', '.join(unknown)}: no uncertainty can be drawn. Fix "
-            "these parameters, or give them a prior, and fit again; or pass fit.model."
-        )
-    model = fit.model
-    table = np.tile(model.value_vector, (n_draws, 1))
-    position = {name: i for i, name in enumerate(model.parameter_names)}
-    shared = rng.multivariate_normal(fit.estimates, fit.covariance, size=n_draws, method="eigh")
-    table[:, [position[name] for name in fit.names]] = shared
-    for name in fit.local_values[0] if fit.local_values else ():
-        spread = np.std([local[name] for local in fit.local_values])
-        table[:, position[name]] += spread * rng.standard_normal(n_draws)
-    lower = [parameter.lower for parameter in model.all_parameters]
-    upper = [parameter.upper for parameter in model.all_parameters]
-    return np.clip(table, lower, upper)
 
 
 def _turn(

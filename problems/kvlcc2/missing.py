@@ -81,6 +81,16 @@ PROPELLER_RACE = Environment(
     source=SOURCE,
     needs="the speed loss of strong and weak zigzags, which tells it from the wake ratio epsilon",
 )
+# With the thrust that the propeller has in the turn instead of that of the straight course. Its
+# share is 1 where it is taken over whole; it is a part of a model, seldom a number to be found.
+RACE_FROM_THRUST = Environment(
+    "race_from_thrust",
+    {"K_W": "K_W + E_race_from_thrust*(thrust/(rho*n_P**2*D_P**4) - K_W)"},
+    (small("race_from_thrust", "1", 1.0),),
+    description="the race at the rudder is that of the thrust in the turn",
+    source=SOURCE,
+    needs="large drift, which changes the thrust",
+)
 STRAIGHTENING = Environment(
     "flow_straightening_by_side",
     {"gamma_R": "gamma_R*(1 + E_flow_straightening_by_side*tanh(beta_R/0.05))"},
@@ -125,6 +135,7 @@ def manoeuvring_effects() -> tuple[Effect, ...]:
         PROPELLER_WAKE,
         RUDDER_WAKE,
         PROPELLER_RACE,
+        RACE_FROM_THRUST,
         STRAIGHTENING,
         HULL_ASYMMETRY,
         EVEN_HULL,

@@ -1,0 +1,112 @@
+"""Estimators where records are not what the model simulates: one table of a page.
+
+python -m benchmarks.real_world [--seeds 20] [--problems ...] [--worlds ...] [--store out/worlds]
+
+Every estimator has its default settings and the same data, start values and declared levels; none
+is tuned. Finished runs stay in the store and are never run again, so that a run can be stopped,
+resumed and enlarged; the table in docs/benchmark_estimators.md is written from what is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from oed_sysid.benchmark import OURS, WORLDS, Row, benchmark
+from oed_sysid.benchmark.contestants import OURS_DISTURBED
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "benchmark_estimators.md"
+BEGIN, END = "<!-- real world: begin -->", "<!-- real world: end -->"
+PROBLEMS = ("online_ship", "auv_diving_plane", "remus_diving_plane")
+NOISE = 1.0  # per cent of the peak
+# Short searches that treat these problems; the populations take minutes a run.
+ESTIMATORS = (
+    OURS,
+    OURS_DISTURBED,
+    "output_error",
+    "equation_error",
+    "equation_error_simpson",
+    "total_least_squares",
+    "ls_svm",
+    "online_ls_svm",
+    "ekf",
+)
+FAMILY = (OURS, OURS_DISTURBED)
+NEAR = 1.10
+
+
+def table(rows: Sequence[Row], estimators: Sequence[str]) -> list[str]:
+    """One line per problem and world: errors of determined parameters, per cent."""
+    lines = [
+        "| problem | world | seeds | " + " | ".join(estimators) + " | family's place |",
+        "|" + "---|" * (len(estimators) + 4),
+    ]
+    for problem, world in dict.fromkeys((row.problem, row.world) for row in rows):
+        found = {r.estimator: r for r in rows if (r.problem, r.world) == (problem, world)}
+        shown = {name: row for name, row in found.items() if not row.refused}
+        errors = {name: _pooled(row) for name, row in shown.items()}
+        least = min(errors.values())
+        cells = []
+        for name in estimators:
+            if name not in errors:
+                cells.append("cannot")
+                continue
+            text = f"{100 * errors[name]:.3g}"
+            failed = f" ({shown[name].n_failed} failed)" if shown[name].n_failed else ""
+            cells.append((f"**{text}**" if errors[name] <= NEAR * least else text) + failed)
+        seeds = max(row.n_runs for row in found.values())
+        ours = min((errors[name] for name in FAMILY if name in errors), default=np.inf)
+        default = errors.get(OURS_DISTURBED, np.inf)
+        place = "first" if ours <= least else f"{ours / least:.2g} x the first"
+        if default > NEAR * ours:
+            place += f"; the disturbed fit {default / least:.2g} x"
+        title = WORLDS[world].title
+        lines.append(f"| {problem} | {title} | {seeds} | " + " | ".join(cells) + f" | {place} |")
+    return lines
+
+
+def _pooled(row: Row) -> float:
+    """Median over seeds of the error of determined parameters: one failure is no verdict."""
+    return float(np.median(row.by_seed))
+
+
+def written(page: str, lines: Sequence[str]) -> str:
+    """The page with the section between the marks written anew."""
+    body = "\n".join([BEGIN, *lines, END])
+    if BEGIN in page:
+        before, _, rest = page.partition(BEGIN)
+        return before + body + rest.partition(END)[2]
+    return page.rstrip() + "\n\n" + body + "\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the grid and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--problems", nargs="+", default=list(PROBLEMS))
+    parser.add_argument("--worlds", nargs="+", default=list(WORLDS))
+    parser.add_argument("--estimators", nargs="+", default=list(ESTIMATORS))
+    parser.add_argument("--store", default="out/worlds")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--output", type=Path, default=PAGE)
+    given = parser.parse_args(arguments)
+    result = benchmark(
+        given.problems,
+        given.estimators,
+        noise=[NOISE],
+        seeds=given.seeds,
+        worlds=given.worlds,
+        store=given.store,
+        n_jobs=given.jobs,
+    )
+    lines = table(result.rows, given.estimators)
+    print("\n".join(lines))
+    page = given.output.read_text(encoding="utf-8") if given.output.is_file() else ""
+    given.output.write_text(written(page, lines), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

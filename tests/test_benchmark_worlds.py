@@ -1,0 +1,110 @@
+"""Worlds that are not what the model says: each departs in what it names, and by how much."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.real_world import BEGIN, END, table, written
+from oed_sysid.benchmark import WORLDS, Benchmark, Cell, benchmark, load_scenario, run_cell
+from oed_sysid.errors import ProblemError
+
+PROBLEM = "nomoto_sparse_heading"
+
+
+def made(world: str, *, noise: bool = True, seed: int = 0) -> np.ndarray:
+    """Outputs of the first training run, and the noise-free ones beside them."""
+    scenario = load_scenario(PROBLEM)
+    model = scenario.with_noise(scenario.noise(1.0))
+    rng = np.random.default_rng(seed)
+    return WORLDS[world].record(model, scenario.train[0], rng=rng, noise=noise).outputs
+
+
+@pytest.fixture(scope="module")
+def clean() -> np.ndarray:
+    """The run without anything."""
+    return made("ideal", noise=False)
+
+
+@pytest.fixture(scope="module")
+def sigma() -> np.ndarray:
+    """Noise of 1 % of the peak."""
+    return load_scenario(PROBLEM).noise(1.0)
+
+
+def test_random_forces_scale_and_have_a_memory(clean: np.ndarray) -> None:
+    """Ten per cent moves the ship five times as far as two, on the same draws."""
+    two, ten = (made(name, noise=False) - clean for name in ("forces_2", "forces_10"))
+    assert np.std(ten) == pytest.approx(5 * np.std(two), rel=0.05)
+    assert np.std(two) > 0.003 * np.std(clean)
+
+
+def test_coloured_noise_has_the_same_size_and_a_memory(
+    clean: np.ndarray, sigma: np.ndarray
+) -> None:
+    """Noise of the same standard deviation that remembers five samples."""
+    errors = np.concatenate([made("coloured", seed=seed) - clean for seed in range(6)])[:, 0]
+    assert np.std(errors) == pytest.approx(sigma[0], rel=0.2)
+    neighbour = np.corrcoef(errors[1:], errors[:-1])[0, 1]
+    assert neighbour == pytest.approx(np.exp(-1 / 5), abs=0.08)
+
+
+def test_spikes_and_sparse_samples(clean: np.ndarray, sigma: np.ndarray) -> None:
+    """One sample in a hundred is far off; every fourth is kept."""
+    errors = np.concatenate([made("spikes", seed=seed) - clean for seed in range(6)])
+    assert np.mean(np.abs(errors) > 10 * sigma) == pytest.approx(0.01, abs=0.006)
+    assert np.mean(np.isfinite(made("sparse"))) == pytest.approx(0.25, abs=0.01)
+
+
+def test_what_is_believed_departs_and_truth_does_not() -> None:
+    """Declared levels and known numbers differ from the truth as stated; free ones do not."""
+    scenario = load_scenario("auv_diving_plane")
+    model = scenario.with_noise(scenario.noise(1.0))
+    half = WORLDS["declared_half"].believed(model, np.random.default_rng(0))
+    assert half.outputs[0].noise_std == pytest.approx(0.5 * model.outputs[0].noise_std)
+    wrong = WORLDS["wrong_model"].believed(model, np.random.default_rng(0))
+    known = [p.name for p in model.all_parameters if p.fixed and p.value]
+    off = np.array([wrong.values[name] / model.values[name] - 1 for name in known])
+    assert 0.0 < np.abs(off).max() <= 0.05
+    assert {n: wrong.values[n] for n in model.free_names} == {
+        n: model.values[n] for n in model.free_names
+    }
+
+
+def test_spikes_hurt_who_takes_them_for_motion(tmp_path: Path) -> None:
+    """The disturbed fit leaves spikes out; the plain one is bent by them; tables say so."""
+    result = benchmark(
+        [PROBLEM],
+        ["multiple_shooting", "multiple_shooting_disturbed"],
+        noise=[1.0],
+        seeds=2,
+        worlds=["ideal", "spikes"],
+        store=tmp_path,
+    )
+    assert isinstance(result, Benchmark)
+    rows = {(row.world, row.estimator): row for row in result.rows}
+    assert len(rows) == 4
+    assert rows["spikes", "multiple_shooting"].rmse_determined > (
+        2 * rows["spikes", "multiple_shooting_disturbed"].rmse_determined
+    )
+    lines = table(result.rows, ["multiple_shooting", "multiple_shooting_disturbed"])
+    assert len(lines) == 4
+    page = written(f"head\n{BEGIN}\nold\n{END}\ntail\n", lines)
+    assert page.startswith("head\n")
+    assert page.endswith("tail\n")
+    assert "old" not in page
+    assert lines[-1] in page
+
+
+def test_names_of_runs_without_a_world_are_what_they_were() -> None:
+    """A store from before there were worlds is still found; worlds have names of their own."""
+    plain, world = (
+        Cell(PROBLEM, "multiple_shooting", 1.0, world=name).key for name in ("ideal", "spikes")
+    )
+    assert "spikes" in world
+    assert plain.startswith(f"{PROBLEM} multiple_shooting noise 1 seed 0 sampling 1 ")
+    assert plain != world
+    with pytest.raises(ProblemError, match="no world"):
+        run_cell(Cell(PROBLEM, "multiple_shooting", 1.0, world="spike"))
