@@ -1,5 +1,6 @@
 """Experiments that tell most: criteria, families of commands, limits, search."""
 
+from oed_sysid.design.accuracy import AccuracyRange, accuracy_range
 from oed_sysid.design.assurance import Assurance, assess_limits
 from oed_sysid.design.campaign import Stage, campaign
 from oed_sysid.design.caution import Caution
@@ -43,6 +44,8 @@ __all__ = [
     "Discriminate",
     "Robust",
     "Caution",
+    "AccuracyRange",
+    "accuracy_range",
     "Assurance",
     "assess_limits",
     "Parametrisation",

@@ -24,7 +24,9 @@ from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import Information
 from oed_sysid.model import Model
-from oed_sysid.sensitivity.bound import information_of, prior_factor, triangle
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.sensitivity.bound import disturbed_noise, information_of, prior_factor, triangle
+from oed_sysid.sensitivity.innovations import checked_noise
 from oed_sysid.sensitivity.noise import Colour, Noise, noise_of
 from oed_sysid.sensitivity.noise import Levels as NoiseLevels
 from oed_sysid.simulate import simulate
@@ -51,6 +53,7 @@ class Plan:
     start: str | Mapping[str, float]
     noise: Noise
     coloured: Colour
+    sea: NoiseModel | None = None
     guards: tuple[Model, ...] = ()
     caution: Caution | None = None
     n_waived: int = 0
@@ -83,9 +86,22 @@ class Plan:
     def bound(self, experiment: Experiment) -> Information:
         """Information after an experiment, prior knowledge included."""
         return information_of(
-            self.model, experiment, noise=self.noise.sigma, coloured=self.coloured,
-            priors=self.prior, start=self.start,
+            self.model, experiment, noise=self.noise.sigma if self.sea is None else self.sea,
+            coloured=self.coloured, priors=self.prior, start=self.start,
         )  # fmt: skip
+
+    def worth(self, name: str, score: Score) -> float:
+        """Criterion of commands under the random forces that are expected.
+
+        A search sees white noise; what it found is chosen among with this.
+        """
+        if self.sea is None or isinstance(self.criterion, Discriminate):
+            return score.value
+        scales = np.array([p.magnitude for p in self.model.free_parameters if not p.per_record])
+        found = self.bound(self.experiment(name, score.commands))
+        setting = Setting(self.model, found.names, scales, self.noise)
+        matrix = found.matrix * scales[:, None] * scales
+        return self.criterion.bind(setting)(matrix)[0]
 
     def objective(self, shape: Shape | None, n_workers: int) -> Objective:
         """Return the function to maximise; without a shape only given commands can be scored."""
@@ -184,14 +200,20 @@ def plan_of(
     end: Mapping[str, tuple[float, float]] | None,
     prior: str | Information | None,
     start: str | Mapping[str, float],
-    noise: NoiseLevels,
+    noise: NoiseLevels | NoiseModel | Fit,
     coloured: Colour,
     caution: Caution | None = None,
 ) -> Plan:
     """Check a design task; the parameters are those of ``design_experiment``."""
     model = given.model if isinstance(given, Fit) else given
     if isinstance(given, Fit) and noise is None:
-        noise = given.sigma
+        noise = given
+    sea = disturbed_noise(noise)
+    if sea is not None:
+        sea = checked_noise(model, sea)
+        noise = sea.sensors
+    elif isinstance(noise, Fit):
+        noise = noise.sigma
     limits.check_names(model)
     held = {k: float(v) for k, v in (constants or {}).items()}
     names = tuple(inputs) if inputs is not None else tuple(
@@ -204,7 +226,7 @@ def plan_of(
             f"The start names {unknown[0]!r}, but model {model.name!r} has the states "
             f"{', '.join(model.state_names)}."
         )
-    levels = noise_of(model, noise, coloured)
+    levels = noise_of(model, noise, coloured)  # type: ignore[arg-type]
     # The levels in use belong to the model, so that reports and cards state them.
     model = replace(
         model,
@@ -236,6 +258,7 @@ def plan_of(
         start=start,
         noise=levels,
         coloured=coloured,
+        sea=None if sea is None or sea.is_white else sea,
         caution=caution,
         n_waived=caution.n_waived if caution else 0,
     )
