@@ -1,12 +1,13 @@
 r"""Realised over stated errors of planned runs under random forces.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.realised [--repetitions 20] [--forces 1.0] [--plan designed]
+    OMP_NUM_THREADS=1 python -m benchmarks.realised [--repetitions 20] [--forces 1.0]
+                                                    [--plan designed]
 
-The REMUS-like vehicle plays *plan* again and again under random forces of 0.1 N, 0.3 N, 0.06 N m and
-2 s (times ``--forces``) and white sensors; each repetition is integrated by the NumPy equations of
-:mod:`benchmarks.random_forces` (no code of the package) and estimated by
-``MultipleShooting(disturbances="auto")``, levels and times unknown, no priors. Stated are the errors of
-``information_of`` before the trial, for these forces and for white noise alone.
+The REMUS-like vehicle plays *plan* again and again under random forces of 0.1 N, 0.3 N, 0.06 N m
+and 2 s (times ``--forces``) and white sensors; each repetition is integrated by the NumPy
+equations of :mod:`benchmarks.random_forces` (no code of the package) and estimated by
+``MultipleShooting(disturbances="auto")``, levels and times unknown, no priors. Stated are the
+errors of ``information_of`` before the trial, for these forces and for white noise alone.
 
 With ``n`` repetitions a ratio has a standard error of about :math:`1/\sqrt{2n}`.
 """

@@ -6,8 +6,8 @@ The bound belongs to one set of values. On vehicles a few per cent off, realised
 .. math:: s_i(\theta) = \sqrt{[F(\theta)^{-1}]_{ii}}, \qquad \theta \sim p(\theta)
 
 and the range that eight in ten of them stay within is stated. Beyond ``TRUSTED`` a linear bound
-under random forces promises too much (calm fins with stated errors of 30 to 80 per cent realised 3.4
-times more), so that no number is given there.
+under random forces promises too much (calm fins with stated errors of 30 to 80 per cent realised
+3.4 times more), so that no number is given there.
 """
 
 from __future__ import annotations

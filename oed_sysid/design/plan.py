@@ -208,12 +208,6 @@ def plan_of(
     model = given.model if isinstance(given, Fit) else given
     if isinstance(given, Fit) and noise is None:
         noise = given
-    sea = disturbed_noise(noise)
-    if sea is not None:
-        sea = checked_noise(model, sea)
-        noise = sea.sensors
-    elif isinstance(noise, Fit):
-        noise = noise.sigma
     limits.check_names(model)
     held = {k: float(v) for k, v in (constants or {}).items()}
     names = tuple(inputs) if inputs is not None else tuple(
@@ -226,26 +220,18 @@ def plan_of(
             f"The start names {unknown[0]!r}, but model {model.name!r} has the states "
             f"{', '.join(model.state_names)}."
         )
-    levels = noise_of(model, noise, coloured)  # type: ignore[arg-type]
-    # The levels in use belong to the model, so that reports and cards state them.
-    model = replace(
-        model,
-        outputs=tuple(
-            replace(o, noise_std=float(s)) for o, s in zip(model.outputs, levels.sigma, strict=True)
-        ),
-    )
-    knowledge = _prior(given, model, prior)
+    model, sea, sigma = believed_noise(model, noise)
+    levels = noise_of(model, sigma, coloured)
+    known = knowledge(given, model, prior)
     robust = criterion if isinstance(criterion, Robust) else None
     return Plan(
         model=model,
         models=(
-            (model, *draw_models(model, robust.spread, robust.n_sets, knowledge, rng))
+            (model, *draw_models(model, robust.spread, robust.n_sets, known, rng))
             if robust
             else (model,)
         ),
-        guards=(
-            draw_models(model, caution.spread, caution.n_sets, knowledge, rng) if caution else ()
-        ),
+        guards=(draw_models(model, caution.spread, caution.n_sets, known, rng) if caution else ()),
         limits=limits,
         grid=_grid(model, limits, names, neutral or {}, duration, sample_time),
         corridor=Corridor.of(model, limits, end or {}, kernel(model).n_full),
@@ -254,11 +240,11 @@ def plan_of(
         positions=np.array([model.input_names.index(n) for n in names]),
         constants=held,
         initial=own_start,
-        prior=knowledge,
+        prior=known,
         start=start,
         noise=levels,
         coloured=coloured,
-        sea=None if sea is None or sea.is_white else sea,
+        sea=sea,
         caution=caution,
         n_waived=caution.n_waived if caution else 0,
     )
@@ -315,7 +301,29 @@ def _grid(
     return Grid(np.arange(n_steps + 1) * sample_time, names, lower, upper, rest, rates * (1 - 1e-9))
 
 
-def _prior(given: Model | Fit, model: Model, prior: str | Information | None) -> Information | None:
+def believed_noise(
+    model: Model, noise: NoiseLevels | NoiseModel | Fit
+) -> tuple[Model, NoiseModel | None, np.ndarray]:
+    """Return the model with the sensors' levels in use, what is not white, and these levels.
+
+    The levels belong to the model, so that reports and cards state them.
+    """
+    sea = disturbed_noise(noise)
+    if sea is not None:
+        sea = checked_noise(model, sea)
+        noise = sea.sensors
+    elif isinstance(noise, Fit):
+        noise = noise.sigma
+    sigma = noise_of(model, noise).sigma  # type: ignore[arg-type]
+    outputs = tuple(
+        replace(o, noise_std=float(s)) for o, s in zip(model.outputs, sigma, strict=True)
+    )
+    return replace(model, outputs=outputs), None if sea is None or sea.is_white else sea, sigma
+
+
+def knowledge(
+    given: Model | Fit, model: Model, prior: str | Information | None
+) -> Information | None:
     """What is known before the experiment, on all shared free parameters."""
     shared = [p for p in model.free_parameters if not p.per_record]
     names = tuple(p.name for p in shared)

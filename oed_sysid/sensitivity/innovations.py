@@ -149,4 +149,3 @@ def checked_noise(model: Model, noise: NoiseModel) -> NoiseModel:
             "without it: give its standard deviation."
         )
     return noise
-

@@ -3,11 +3,12 @@ r"""How rough the sea is: random forces before anybody has measured them.
 A word stands for forces that, within their time :math:`\tau`, would on their own move each
 velocity by a share :math:`\kappa` of what a reference manoeuvre moves it by:
 
-.. math:: \sigma_j = \frac{\kappa\; \mathrm{rms}(x_j - \bar x_j)}{\tau\; \partial \dot x_j/\partial w_j}
+.. math:: \sigma_j =
+    \frac{\kappa\; \mathrm{rms}(x_j - \bar x_j)}{\tau\; \partial \dot x_j/\partial w_j}
 
-with :math:`\kappa` of 1, 5 and 15 per cent for *calm*, *moderate* and *rough*. This compares the sea
-with the manoeuvre and knows nothing of wave heights: a fit of an earlier record, whose levels are
-estimated, is better wherever there is one.
+with :math:`\kappa` of 1, 5 and 15 per cent for *calm*, *moderate* and *rough*. This compares the
+sea with the manoeuvre and knows nothing of wave heights: a fit of an earlier record, whose levels
+are estimated, is better wherever there is one.
 """
 
 from __future__ import annotations
@@ -118,7 +119,7 @@ def natural_forces(
     """
     if not runs:
         raise DesignError("A sea in words is compared with a manoeuvre. Give one, or levels.")
-    states = [model.axes[p.signal] if p.signal in model.axes else p.signal for p in found]
+    states = [model.axes.get(p.signal, p.signal) for p in found]
     motion = np.zeros(len(found))
     for play in plays(model, runs):
         run = simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial)
