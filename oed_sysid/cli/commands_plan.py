@@ -15,6 +15,7 @@ from oed_sysid.cli.options import (
     JsonFile,
     PictureFile,
     ProblemName,
+    Sea,
     Variant,
 )
 from oed_sysid.cli.terminal import journal, note, progress, say, store, write
@@ -166,6 +167,7 @@ def design(
             show_default=False,
         ),
     ] = None,
+    sea: Sea = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -196,7 +198,7 @@ def design(
     import numpy as np
 
     from oed_sysid.cli.limit_words import with_limits
-    from oed_sysid.design import Caution, assess_limits, design_experiment
+    from oed_sysid.design import Caution, accuracy_range, assess_limits, design_experiment
     from oed_sysid.fitting.fit import Fit
     from oed_sysid.problem import load_problem
 
@@ -208,10 +210,12 @@ def design(
     spread = None if after else uncertainty
     caution = None if certainty is None else Caution(certainty, spread)
     n_starts, n_candidates, n_steps = _choice("effort", effort, EFFORTS)
+    believed = Fit.load(after) if after else chosen.model
+    noise = _noise(chosen, believed, sea)
     with journal(kept_in, fresh) as keep:
         with progress("Designing") as show:
             found = design_experiment(
-                Fit.load(after) if after else chosen.model,
+                believed,
                 limits=limits,
                 duration=float(pattern.duration or 0.0) if duration is None else duration,
                 sample_time=pattern.sample_time,
@@ -220,6 +224,7 @@ def design(
                 parametrisation=_family(family, avoid or []),
                 constants=pattern.constants,
                 initial=pattern.initial,
+                noise=noise,
                 caution=caution,
                 n_starts=n_starts,
                 n_candidates=n_candidates,
@@ -236,6 +241,14 @@ def design(
                     prior=found.prior, rng=np.random.default_rng(seed), n_vehicles=200,
                 )  # fmt: skip
                 found = replace(found, assurance=keep.once("assurance", stated))
+            if found.sea is not None:
+                show.say("accuracy on other vehicles")
+                other = partial(
+                    accuracy_range, found.model, found.experiment,
+                    rng=np.random.default_rng(seed), noise=found.sea, spread=spread,
+                    prior=found.prior,
+                )  # fmt: skip
+                found = replace(found, spread=keep.once("accuracy", other))
         say(found.report() if card is not None else found.sea_trial_card())
         if out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)
@@ -268,6 +281,19 @@ def _pattern(problem: Problem, name: str | None) -> Experiment:
     if not problem.experiments:
         raise ProblemError(f"Problem {problem.name!r} has no experiment to take settings from.")
     return next(iter(problem.experiments.values()))
+
+
+def _noise(problem: Problem, believed: Any, sea: str | None) -> Any:
+    """Noise of a sea in words; None leaves it to the fit, or to the declared levels."""
+    if sea is None:
+        return None
+    from oed_sysid.fitting.fit import Fit
+    from oed_sysid.sensitivity import sea_noise, sea_words
+
+    model = believed.model if isinstance(believed, Fit) else believed
+    found = sea_noise(model, sea, problem.experiments.values())
+    note(f"Random forces: {sea_words(found)}.")
+    return found
 
 
 def _criterion(problem: Problem, name: str, rivals: list[str]) -> Any:

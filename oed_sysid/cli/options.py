@@ -40,6 +40,16 @@ Variant = Annotated[
         show_default=False,
     ),
 ]
+Sea = Annotated[
+    str | None,
+    typer.Option(
+        "--sea",
+        metavar="STATE",
+        help="Random forces to expect: still, calm, moderate, rough, or levels by equation as "
+        "Z=0.3,M=0.06,time=2; with a fit those that it found.",
+        show_default=False,
+    ),
+]
 JsonFile = Annotated[
     Path | None,
     typer.Option(

@@ -1,5 +1,6 @@
 """Experiments that tell most: criteria, families of commands, limits, search."""
 
+from oed_sysid.design.accuracy import AccuracyRange, accuracy_range
 from oed_sysid.design.assurance import Assurance, assess_limits
 from oed_sysid.design.campaign import Stage, campaign
 from oed_sysid.design.caution import Caution
@@ -16,17 +17,25 @@ from oed_sysid.design.criteria import (
 )
 from oed_sysid.design.discrimination import Discriminate
 from oed_sysid.design.experiment_design import design_experiment, design_series
+from oed_sysid.design.library import Candidate, candidate_runs
 from oed_sysid.design.multisines import Multisines
 from oed_sysid.design.parametrisation import Grid, Levels, Parametrisation, Pulses
+from oed_sysid.design.programme import design_programme
 from oed_sysid.design.reference import Reference
 from oed_sysid.design.result import Design
 from oed_sysid.design.robust import Robust
+from oed_sysid.design.schedule import Programme, Standard
 from oed_sysid.design.search import Progress
 from oed_sysid.design.zigzags import ZigZags
 
 __all__ = [
     "design_experiment",
     "design_series",
+    "design_programme",
+    "Programme",
+    "Standard",
+    "Candidate",
+    "candidate_runs",
     "campaign",
     "Stage",
     "Design",
@@ -43,6 +52,8 @@ __all__ = [
     "Discriminate",
     "Robust",
     "Caution",
+    "AccuracyRange",
+    "accuracy_range",
     "Assurance",
     "assess_limits",
     "Parametrisation",

@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from oed_sysid.design.accuracy import TRUSTED
 from oed_sysid.design.quantities import quantity, span, units_of
 from oed_sysid.model import Model
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.sensitivity.sea import sea_words
 from oed_sysid.simulate import Trajectory
 
 if TYPE_CHECKING:
@@ -53,7 +56,7 @@ def sea_trial_card(design: Design) -> str:
     else:
         lines += _orders(model, design.trajectory, units)
     lines += ["", *_motion(design, units), "", "WATCH", *_watch(design)]
-    lines += ["", *_accuracy(design), "", *_noise(model)]
+    lines += ["", *_accuracy(design), "", *_noise(model, design.sea)]
     return "\n".join(lines)
 
 
@@ -154,7 +157,8 @@ def _watch(design: Design) -> list[str]:
 
 
 def _accuracy(design: Design) -> list[str]:
-    lines = ["ACCURACY TO EXPECT (standard error / value; white noise as below)"]
+    kind = "white noise" if design.sea is None else "noise and random forces"
+    lines = [f"ACCURACY TO EXPECT (standard error / value; {kind} as below)"]
     for reference in design.references:
         mean, worst = design.gain(reference)
         note = f", {reference.note}" if reference.note else ""
@@ -164,10 +168,11 @@ def _accuracy(design: Design) -> list[str]:
         )
     lines += design.accuracy_table(sort=True)
     errors = dict(zip(design.names, design.relative_errors, strict=True))
+    usable = _USABLE if design.sea is None else TRUSTED
     for title, low, high in (
         (f"Found to {_GOOD:.0%} or better", 0.0, _GOOD),
-        (f"Found to {_USABLE:.0%}", _GOOD, _USABLE),
-        ("NOT found by this run; hold at believed values, or add runs", _USABLE, np.inf),
+        (f"Found to {usable:.0%}", _GOOD, usable),
+        ("NOT found by this run; hold at believed values, or add runs", usable, np.inf),
     ):
         names = [n for n, error in errors.items() if low < error <= high]
         if names:
@@ -176,7 +181,7 @@ def _accuracy(design: Design) -> list[str]:
     return lines
 
 
-def _noise(model: Model) -> list[str]:
+def _noise(model: Model, sea: NoiseModel | None) -> list[str]:
     levels = ", ".join(
         f"{o.name} {quantity(o.noise_std, o.unit)}"
         for o in model.outputs
@@ -184,5 +189,6 @@ def _noise(model: Model) -> list[str]:
     )
     return [
         *wrap(f"Noise assumed: {levels}.", _WIDTH),
+        *([] if sea is None else wrap(f"Random forces assumed: {sea_words(sea)}.", _WIDTH)),
         "Write down wind, sea, current, loading, battery, and anything touched during the run.",
     ]

@@ -24,7 +24,9 @@ from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import Information
 from oed_sysid.model import Model
-from oed_sysid.sensitivity.bound import information_of, prior_factor, triangle
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.sensitivity.bound import disturbed_noise, information_of, prior_factor, triangle
+from oed_sysid.sensitivity.innovations import checked_noise
 from oed_sysid.sensitivity.noise import Colour, Noise, noise_of
 from oed_sysid.sensitivity.noise import Levels as NoiseLevels
 from oed_sysid.simulate import simulate
@@ -51,6 +53,7 @@ class Plan:
     start: str | Mapping[str, float]
     noise: Noise
     coloured: Colour
+    sea: NoiseModel | None = None
     guards: tuple[Model, ...] = ()
     caution: Caution | None = None
     n_waived: int = 0
@@ -83,9 +86,22 @@ class Plan:
     def bound(self, experiment: Experiment) -> Information:
         """Information after an experiment, prior knowledge included."""
         return information_of(
-            self.model, experiment, noise=self.noise.sigma, coloured=self.coloured,
-            priors=self.prior, start=self.start,
+            self.model, experiment, noise=self.noise.sigma if self.sea is None else self.sea,
+            coloured=self.coloured, priors=self.prior, start=self.start,
         )  # fmt: skip
+
+    def worth(self, name: str, score: Score) -> float:
+        """Criterion of commands under the random forces that are expected.
+
+        A search sees white noise; what it found is chosen among with this.
+        """
+        if self.sea is None or isinstance(self.criterion, Discriminate):
+            return score.value
+        scales = np.array([p.magnitude for p in self.model.free_parameters if not p.per_record])
+        found = self.bound(self.experiment(name, score.commands))
+        setting = Setting(self.model, found.names, scales, self.noise)
+        matrix = found.matrix * scales[:, None] * scales
+        return self.criterion.bind(setting)(matrix)[0]
 
     def objective(self, shape: Shape | None, n_workers: int) -> Objective:
         """Return the function to maximise; without a shape only given commands can be scored."""
@@ -184,14 +200,14 @@ def plan_of(
     end: Mapping[str, tuple[float, float]] | None,
     prior: str | Information | None,
     start: str | Mapping[str, float],
-    noise: NoiseLevels,
+    noise: NoiseLevels | NoiseModel | Fit,
     coloured: Colour,
     caution: Caution | None = None,
 ) -> Plan:
     """Check a design task; the parameters are those of ``design_experiment``."""
     model = given.model if isinstance(given, Fit) else given
     if isinstance(given, Fit) and noise is None:
-        noise = given.sigma
+        noise = given
     limits.check_names(model)
     held = {k: float(v) for k, v in (constants or {}).items()}
     names = tuple(inputs) if inputs is not None else tuple(
@@ -204,26 +220,18 @@ def plan_of(
             f"The start names {unknown[0]!r}, but model {model.name!r} has the states "
             f"{', '.join(model.state_names)}."
         )
-    levels = noise_of(model, noise, coloured)
-    # The levels in use belong to the model, so that reports and cards state them.
-    model = replace(
-        model,
-        outputs=tuple(
-            replace(o, noise_std=float(s)) for o, s in zip(model.outputs, levels.sigma, strict=True)
-        ),
-    )
-    knowledge = _prior(given, model, prior)
+    model, sea, sigma = believed_noise(model, noise)
+    levels = noise_of(model, sigma, coloured)
+    known = knowledge(given, model, prior)
     robust = criterion if isinstance(criterion, Robust) else None
     return Plan(
         model=model,
         models=(
-            (model, *draw_models(model, robust.spread, robust.n_sets, knowledge, rng))
+            (model, *draw_models(model, robust.spread, robust.n_sets, known, rng))
             if robust
             else (model,)
         ),
-        guards=(
-            draw_models(model, caution.spread, caution.n_sets, knowledge, rng) if caution else ()
-        ),
+        guards=(draw_models(model, caution.spread, caution.n_sets, known, rng) if caution else ()),
         limits=limits,
         grid=_grid(model, limits, names, neutral or {}, duration, sample_time),
         corridor=Corridor.of(model, limits, end or {}, kernel(model).n_full),
@@ -232,10 +240,11 @@ def plan_of(
         positions=np.array([model.input_names.index(n) for n in names]),
         constants=held,
         initial=own_start,
-        prior=knowledge,
+        prior=known,
         start=start,
         noise=levels,
         coloured=coloured,
+        sea=sea,
         caution=caution,
         n_waived=caution.n_waived if caution else 0,
     )
@@ -292,7 +301,29 @@ def _grid(
     return Grid(np.arange(n_steps + 1) * sample_time, names, lower, upper, rest, rates * (1 - 1e-9))
 
 
-def _prior(given: Model | Fit, model: Model, prior: str | Information | None) -> Information | None:
+def believed_noise(
+    model: Model, noise: NoiseLevels | NoiseModel | Fit
+) -> tuple[Model, NoiseModel | None, np.ndarray]:
+    """Return the model with the sensors' levels in use, what is not white, and these levels.
+
+    The levels belong to the model, so that reports and cards state them.
+    """
+    sea = disturbed_noise(noise)
+    if sea is not None:
+        sea = checked_noise(model, sea)
+        noise = sea.sensors
+    elif isinstance(noise, Fit):
+        noise = noise.sigma
+    sigma = noise_of(model, noise).sigma  # type: ignore[arg-type]
+    outputs = tuple(
+        replace(o, noise_std=float(s)) for o, s in zip(model.outputs, sigma, strict=True)
+    )
+    return replace(model, outputs=outputs), None if sea is None or sea.is_white else sea, sigma
+
+
+def knowledge(
+    given: Model | Fit, model: Model, prior: str | Information | None
+) -> Information | None:
     """What is known before the experiment, on all shared free parameters."""
     shared = [p for p in model.free_parameters if not p.per_record]
     names = tuple(p.name for p in shared)

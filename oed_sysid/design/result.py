@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.csv_table import write_table
+from oed_sysid.design.accuracy import AccuracyRange, stated
 from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.card import sea_trial_card
 from oed_sysid.design.quantities import percent
@@ -16,6 +17,8 @@ from oed_sysid.design.reference import Reference
 from oed_sysid.experiment import Experiment
 from oed_sysid.information import Information
 from oed_sysid.model import Model
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.sensitivity.sea import sea_words
 from oed_sysid.simulate import Trajectory
 
 
@@ -52,6 +55,11 @@ class Design:
     seconds : float
     assurance : Assurance or None
         How surely limits are kept although the parameters are uncertain, if asked for.
+    sea : NoiseModel or None
+        Random forces and coloured sensors that the accuracy takes into account; None
+        where noise is white.
+    spread : AccuracyRange or None
+        Accuracy on other vehicles that are possible, if asked for.
     """
 
     experiment: Experiment
@@ -69,6 +77,8 @@ class Design:
     n_evaluations: int
     seconds: float
     assurance: Assurance | None = None
+    sea: NoiseModel | None = None
+    spread: AccuracyRange | None = None
 
     # -- accuracy ------------------------------------------------------------------
 
@@ -127,6 +137,7 @@ class Design:
             *([f"  certainty    {self.assurance.report()}"] if self.assurance else []),
             f"  effort       {self.n_evaluations} trajectories, {self.seconds:.1f} s",
             "",
+            *([f"  random forces {sea_words(self.sea)}", ""] if self.sea is not None else []),
             *self.accuracy_table(),
         ]
         for reference in self.references:
@@ -149,15 +160,22 @@ class Design:
         known = bool(np.isfinite(self.prior_errors).any())
         head = f"  {'parameter':<20} {'value':>11}" + (f" {'before':>9}" if known else "")
         head += f" {'this run':>9}"
+        if self.spread is not None:
+            head += f" {'other vehicles':>15}"
         lines = [head + "".join(f" {reference.name:>14}" for reference in self.references)]
         columns = [r.information.std_errors / self.sizes for r in self.references]
         for i in np.argsort(self.relative_errors) if sort else range(len(self.names)):
             row = f"  {self.names[i]:<20} {self.model.values[self.names[i]]:>11.4g}"
             if known:
                 row += f" {percent(self.prior_errors[i]):>9}"
-            row += f" {percent(self.relative_errors[i]):>9}"
-            lines.append(row + "".join(f" {percent(column[i]):>14}" for column in columns))
+            row += f" {self._percent(self.relative_errors[i]):>9}"
+            if self.spread is not None:
+                row += f" {self.spread.words(self.names[i]):>15}"
+            lines.append(row + "".join(f" {self._percent(column[i]):>14}" for column in columns))
         return lines
+
+    def _percent(self, error: float) -> str:
+        return stated(error, self.sea)
 
     def sea_trial_card(self) -> str:
         """Return one page for the people who run the trial."""
@@ -192,6 +210,8 @@ class Design:
                 }
                 for r, (mean, worst) in zip(self.references, gains, strict=True)
             ],
+            "sea": None if self.sea is None else self.sea.to_dict(),
+            "accuracy_range": None if self.spread is None else self.spread.to_dict(),
             "active_limits": list(self.active),
             "assurance": None if self.assurance is None else self.assurance.to_dict(),
             "misfits": [[a, b, value] for (a, b), value in self.misfits.items()],

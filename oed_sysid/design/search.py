@@ -52,11 +52,14 @@ class Found:
         Smallest excess met, for words about what cannot be kept.
     values : tuple of float
         Criterion reached from each start.
+    others : tuple of Score
+        What was reached from each start and keeps the limits, the best included.
     """
 
     best: Score | None
     nearest: Score
     values: tuple[float, ...]
+    others: tuple[Score, ...] = ()
 
 
 def refine(
@@ -280,4 +283,4 @@ def search(
         found, _ = refined(len(begin) + index, inner, 2 * n_steps)
         if found is not None and found.value > best.value:
             best = found
-    return Found(best, nearest, tuple(values))
+    return Found(best, nearest, tuple(values), (*rough, best))

@@ -21,10 +21,14 @@ from oed_sysid.sensitivity.nomoto import Nomoto, nomoto, nomoto_of
 from oed_sysid.sensitivity.ranking import Sensitivity, SensitivityRanking, rank_parameters
 from oed_sysid.sensitivity.reduction import Drop, Reduction, reduce_model
 from oed_sysid.sensitivity.response import Play, Response, plays, respond
+from oed_sysid.sensitivity.sea import SEAS, sea_noise, sea_words
 from oed_sysid.sensitivity.structure import Structure, structural_identifiability
 
 __all__ = [
     "information_of",
+    "sea_noise",
+    "sea_words",
+    "SEAS",
     "Noise",
     "noise_of",
     "fitted_colour",

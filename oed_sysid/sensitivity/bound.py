@@ -9,8 +9,11 @@ from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DesignError
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import Information
 from oed_sysid.model import Model
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.sensitivity.innovations import innovation_rows
 from oed_sysid.sensitivity.noise import Colour, Levels, Noise, noise_of
 from oed_sysid.sensitivity.response import Response, Run, plays, respond
 
@@ -23,11 +26,12 @@ def information_of(
     model: Model,
     runs: Run | Dataset | Iterable[Run],
     *,
-    noise: Levels = None,
+    noise: Levels | NoiseModel | Fit = None,
     coloured: Colour = None,
     priors: str | Mapping[str, float] | Information | None = "model",
     start: str | Mapping[str, float] = "unknown",
     initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
+    outputs: Sequence[str] | None = None,
 ) -> Information:
     r"""Information that manoeuvres hold on a model's free parameters.
 
@@ -35,7 +39,11 @@ def information_of(
 
     with the start states of every run, and parameters that differ from run to
     run, eliminated: the bound is the one of an estimator that has to find them
-    too. Values of the model are taken as true, noise as Gaussian.
+    too. Values of the model are taken as true, noise as Gaussian. Under random
+    forces or coloured sensors (a noise model, or that of a fit) it is the
+    information of the innovations (:mod:`oed_sysid.sensitivity.innovations`):
+    residuals of disturbed records are far from white, and a bound that takes
+    them for white promises errors several times too small.
 
     Parameters
     ----------
@@ -43,8 +51,9 @@ def information_of(
         The model, at the values in question.
     runs : Experiment, Record, Dataset or iterable of these
         Planned manoeuvres, records in hand, or both.
-    noise : mapping or sequence of float, optional
-        Standard deviations of the outputs' noise; ``noise_std`` by default.
+    noise : mapping or sequence of float, NoiseModel or Fit, optional
+        Standard deviations of the outputs' noise, ``noise_std`` by default; or
+        a noise model with random forces, or a fit that found one.
     coloured : mapping of str to float or sequence of float, optional
         Autoregression of an output's noise (one number: lag-one correlation);
         the Jacobian is prewhitened with it.
@@ -56,6 +65,8 @@ def information_of(
         standard deviations (those left out are unknown).
     initial_states : sequence, optional
         See :func:`~oed_sysid.sensitivity.response.plays`.
+    outputs : sequence of str, optional
+        Outputs that are measured; by default all.
 
     Returns
     -------
@@ -81,12 +92,27 @@ def information_of(
     >>> print(known.names, known.std_errors.round(5))
     ('K', 'T') [0.00056 0.08128]
     """
+    disturbed = disturbed_noise(noise)
+    for name in outputs or ():
+        if name not in model.output_names:
+            raise DesignError(
+                f"There is no output {name!r} in model {model.name!r}; it has "
+                f"{', '.join(model.output_names)}."
+            )
+    if isinstance(noise, Fit):
+        noise = noise.sigma
     factors = []
     for play in plays(model, runs, initial_states=initial_states):
+        if disturbed is not None:
+            rows, _ = innovation_rows(model, play, disturbed, outputs=outputs)
+            factors.append(_eliminated(model, rows, start))
+            continue
         response = respond(model, play)
-        factors.append(
-            run_factor(model, response, noise_of(model, noise, coloured, changed=play.noise), start)
-        )
+        if outputs is not None:
+            left_out = [name not in outputs for name in model.output_names]
+            response.present[:, left_out] = False
+        sigma = noise_of(model, noise, coloured, changed=play.noise)  # type: ignore[arg-type]
+        factors.append(run_factor(model, response, sigma, start))
     shared = [p for p in model.free_parameters if not p.per_record]
     names = tuple(p.name for p in shared)
     rows = np.vstack([*factors, prior_factor(model, names, priors)])
@@ -102,6 +128,22 @@ def run_factor(
     Start states and per-record parameters, with their priors, are eliminated
     by triangularisation with them in front.
     """
+    white = noise.whiten(response.jacobian, response.present)
+    return _eliminated(model, white.reshape(-1, white.shape[2]), start)
+
+
+def disturbed_noise(noise: Levels | NoiseModel | Fit) -> NoiseModel | None:
+    """Noise with random forces or colour, if that is what is given; None for white levels."""
+    found = noise.noise if isinstance(noise, Fit) else noise
+    if not isinstance(found, NoiseModel):
+        return None
+    return None if isinstance(noise, Fit) and found.is_white else found
+
+
+def _eliminated(
+    model: Model, white: np.ndarray, start: str | Mapping[str, float] = "unknown"
+) -> np.ndarray:
+    """Factor on the shared parameters of whitened rows ``(n_rows, n_own + n_free)``."""
     own_weights = start_weights(model, start)
     n_own = len(model.states)
     free = model.free_parameters
@@ -109,11 +151,9 @@ def run_factor(
     shared = [n_own + i for i, p in enumerate(free) if not p.per_record]
     unknown = np.flatnonzero(np.isfinite(own_weights)).tolist()
     columns = [*unknown, *local, *shared]
-    flat = response.jacobian.reshape(-1, n_own + len(free))
     # In the usual order nothing has to be copied.
-    kept = flat if columns == list(range(flat.shape[1])) else np.ascontiguousarray(flat[:, columns])
-    rows = noise.whiten(kept.reshape(*response.outputs.shape, -1), response.present)
-    rows = rows.reshape(-1, len(columns))
+    ordered = columns == list(range(white.shape[1]))
+    rows = white if ordered else np.ascontiguousarray(white[:, columns])
     weights = np.zeros(len(columns))
     weights[: len(unknown)] = own_weights[unknown]
     for position, index in enumerate(local, start=len(unknown)):

@@ -1,0 +1,158 @@
+r"""Realised over stated errors of planned runs under random forces.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.realised [--repetitions 20] [--forces 1.0]
+                                                    [--plan designed]
+
+The REMUS-like vehicle plays *plan* again and again under random forces of 0.1 N, 0.3 N, 0.06 N m
+and 2 s (times ``--forces``) and white sensors; each repetition is integrated by the NumPy
+equations of :mod:`benchmarks.random_forces` (no code of the package) and estimated by
+``MultipleShooting(disturbances="auto")``, levels and times unknown, no priors. Stated are the
+errors of ``information_of`` before the trial, for these forces and for white noise alone.
+
+With ``n`` repetitions a ratio has a standard error of about :math:`1/\sqrt{2n}`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.random_forces.scenarios import MEDIUM
+from benchmarks.random_forces.simulator import gauss_markov
+from benchmarks.random_forces.vehicles import REMUS
+from oed_sysid import Dataset, Experiment, Model, MultipleShooting, Record, load_problem
+from oed_sysid.design import DOptimal, Levels, design_experiment
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.sensitivity import information_of
+from oed_sysid.simulate import simulate
+
+TIME = 2.0
+PLANS = ("zigzags", "designed", "calm")
+
+
+def believed() -> Model:
+    """The vehicle without priors, at the values that the simulator has."""
+    model = load_problem("remus_diving_plane").model
+    for parameter in model.free_parameters:
+        model = model.with_parameter(replace(parameter, prior_mean=None, prior_std=None))
+    return model.with_values(REMUS.believed)
+
+
+def sea(model: Model, factor: float) -> NoiseModel:
+    """Noise of the sensors, and random forces."""
+    white = np.array(REMUS.noise_std)
+    return NoiseModel(
+        white, np.zeros_like(white), factor * np.array(MEDIUM), force_time=TIME,
+        outputs=model.output_names, places=tuple(f"force {axis}" for axis in REMUS.forces),
+    )  # fmt: skip
+
+
+def plan(model: Model, name: str, noise: NoiseModel) -> list[Experiment]:
+    """Runs as open-loop commands at 0.1 s."""
+    problem = load_problem("remus_diving_plane")
+    if name == "zigzags":
+        chosen = [problem.experiment(n) for n in ("zigzag_5_5", "zigzag_10_10", "zigzag_15_12")]
+        return [replace(one, duration=60.0, feedback="true") for one in chosen]
+    pattern = problem.experiment("zigzag_10_10")
+    largest = math.radians(20.0 if name == "designed" else 1.0)
+    limits = replace(problem.limits, inputs={"fin_command": (-largest, largest)})
+    found = design_experiment(
+        model, limits=limits, duration=62.0, sample_time=0.1, rng=np.random.default_rng(1),
+        criterion=DOptimal(), parametrisation=Levels(20), constants=pattern.constants,
+        initial={**pattern.initial, "z": 25.0}, noise=noise, n_starts=2, n_candidates=30,
+        n_steps=10, n_workers=1,
+    )  # fmt: skip
+    return [found.experiment]
+
+
+def repeated(
+    model: Model, run: Experiment, noise: NoiseModel, rng: np.random.Generator, number: int
+) -> Record:
+    """One run with forces and sensor noise, integrated in NumPy at 0.01 s."""
+    nominal = simulate(model, run, noise=False)
+    inputs, n = nominal.inputs, nominal.n_samples
+    steps = REMUS.substeps
+    h = REMUS.sample_time / steps
+    memory = math.exp(-h / TIME)
+    force = gauss_markov(rng.standard_normal(((n - 1) * steps + 1, 3)), noise.force, memory)
+    values = {name: np.array([value]) for name, value in REMUS.believed.items()}
+    state = np.array([[run.initial.get(name, 0.0)] for name in REMUS.states])
+    outputs = np.empty((n, len(state)))
+    for k in range(n):
+        outputs[k] = state[:, 0]
+        if k + 1 == n:
+            break
+        command = inputs[k][:, None]
+        for sub in range(k * steps, (k + 1) * steps):
+            before, after = force[sub][:, None], force[sub + 1][:, None]
+            middle = 0.5 * (before + after)
+            first = REMUS.rate(state, command, before, values)
+            second = REMUS.rate(state + h / 2 * first, command, middle, values)
+            third = REMUS.rate(state + h / 2 * second, command, middle, values)
+            fourth = REMUS.rate(state + h * third, command, after, values)
+            state = state + h / 6 * (first + 2 * second + 2 * third + fourth)
+    outputs += rng.standard_normal(outputs.shape) * noise.white
+    return Record(f"{run.name}_{number}", nominal.times, inputs, outputs, model.channels)
+
+
+def realised(
+    model: Model, runs: Sequence[Experiment], noise: NoiseModel, n: int, seed: int
+) -> tuple[np.ndarray, int]:
+    """Root mean square errors over repetitions, and how many of them converged."""
+    rng = np.random.default_rng(seed)
+    truth = np.array([model.values[name] for name in model.free_names])
+    errors, converged = [], 0
+    for number in range(n):
+        data = Dataset(tuple(repeated(model, run, noise, rng, number) for run in runs))
+        fit = MultipleShooting(disturbances="auto").fit(model, data)
+        converged += fit.status.ok
+        errors.append(fit.estimates - truth)
+    return np.sqrt(np.mean(np.square(errors), axis=0)), converged
+
+
+def main(argv: Sequence[str] | None = None) -> list[dict]:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repetitions", type=int, default=20)
+    parser.add_argument("--forces", type=float, nargs="+", default=[1.0])
+    parser.add_argument("--plan", nargs="+", choices=PLANS, default=["designed"])
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path)
+    chosen = parser.parse_args(argv)
+    model, rows = believed(), []
+    sizes = np.abs([model.values[name] for name in model.free_names])
+    for factor in chosen.forces:
+        noise = sea(model, factor)
+        for name in chosen.plan:
+            runs = plan(model, name, noise)
+            stated = information_of(model, runs, noise=noise, priors=None).std_errors
+            white = information_of(model, runs, noise=noise.white, priors=None).std_errors
+            began = time.perf_counter()
+            found, converged = realised(model, runs, noise, chosen.repetitions, chosen.seed)
+            print(f"\n{name}, forces x {factor:g}: {chosen.repetitions} repetitions, {converged} "
+                  f"converged, {time.perf_counter() - began:.0f} s")  # fmt: skip
+            print(f"  {'parameter':<10} {'stated':>8} {'realised':>9} {'ratio':>6} {'to white':>9}")
+            for i, parameter in enumerate(model.free_names):
+                row = {
+                    "plan": name, "forces": factor, "parameter": parameter,
+                    "stated": stated[i] / sizes[i], "realised": found[i] / sizes[i],
+                    "ratio": found[i] / stated[i], "ratio_white": found[i] / white[i],
+                    "repetitions": chosen.repetitions, "converged": converged,
+                }  # fmt: skip
+                rows.append(row)
+                print(f"  {parameter:<10} {row['stated']:>8.2%} {row['realised']:>9.2%} "
+                      f"{row['ratio']:>6.2f} {row['ratio_white']:>9.2f}", flush=True)  # fmt: skip
+    if chosen.json is not None:
+        chosen.json.write_text(json.dumps(rows, indent=1) + "\n")
+    return rows
+
+
+if __name__ == "__main__":
+    main()

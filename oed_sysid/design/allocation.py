@@ -1,0 +1,390 @@
+r"""How much of which run: convex weights with a certificate, and whole runs by exchange.
+
+With information ``F_i`` of run ``i`` (in relative units, on vehicles ``s`` drawn from what is
+known), its cost ``c_i``, and knowledge ``F_0``, a programme with ``x_i`` repetitions is worth
+
+.. math:: \Phi(x) = \frac1S \sum_s \varphi\Big(F_{0s} + \sum_i x_i F_{is}\Big), \qquad
+    d_i = \frac{\partial \Phi}{\partial x_i} = \frac1S \sum_s \mathrm{tr}(G_s F_{is}), \quad
+    G_s = \varphi'(\cdot)
+
+All criteria here are logarithms of positive, concave, homogeneous functions (``log det``,
+``-log tr C``; Pukelsheim 2006, *Optimal design of experiments*, ch. 6), so :math:`\Phi` is concave
+and
+
+.. math:: \Phi(x^*) \le \Phi(x) + \max_y \sum_i d_i (y_i - x_i)
+
+over all :math:`y \ge 0` within the budget: the equivalence theorem (Kiefer & Wolfowitz 1960) as a
+bound, ``gap`` being the last term. It holds for every programme made of *these* runs, whole or not;
+commands that are not in the library may do better.
+
+Weights: the multiplicative algorithm :math:`w_i \leftarrow w_i d_i^\lambda / \sum_j w_j
+d_j^\lambda` per share of the budget (Silvey, Titterington & Torsney 1978; :math:`\lambda` 1 for
+D, 1/2 else). With a limit both on time and on the number of runs, the two are summed with a
+multiplier :math:`\theta`: every :math:`\theta` gives a valid bound, and the smallest is taken.
+
+Whole runs: greedy, by gain per cost and by gain, from nothing and from every single run, and
+rounded weights; the best are improved by exchange (Fedorov 1972): leave out one run or two, add
+one of those that tell most, fill up, as long as that helps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from oed_sysid.design.criteria import AOptimal, Criterion, DOptimal, Measure
+from oed_sysid.design.elimination import NOTHING
+from oed_sysid.errors import DesignError
+
+GAP = 2e-4
+_MOST_SWEEPS = 6000
+_CHECK = 20
+_BISECTIONS = 8
+# Runs tried in an exchange, and starts that are exchanged.
+_TRIED = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Library:
+    """Information and cost of candidate runs, on several vehicles.
+
+    Attributes
+    ----------
+    information : ndarray (n_vehicles, n_runs, n, n)
+        In relative units of the parameters; the believed vehicle first.
+    prior : ndarray (n, n)
+        Known before, in the same units.
+    costs : ndarray (n_runs,)
+        Positive.
+    criterion : Criterion
+    measure : Measure
+        The criterion, bound.
+    """
+
+    information: np.ndarray
+    prior: np.ndarray
+    costs: np.ndarray
+    criterion: Criterion
+    measure: Measure
+
+    def __post_init__(self) -> None:
+        if not np.all(self.costs > 0):
+            raise DesignError("A run without cost would be repeated for ever. Give costs above 0.")
+
+    @property
+    def n_runs(self) -> int:
+        """Number of candidates."""
+        return len(self.costs)
+
+    def total(self, x: np.ndarray) -> np.ndarray:
+        """Information of a programme on every vehicle, ``(n_vehicles, n, n)``."""
+        return self.prior + np.einsum("i,siab->sab", x, self.information)
+
+    def slope(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Worth of a programme and its derivatives by the repetitions, ``(n_runs,)``."""
+        matrices = self.total(x)
+        parts = [self.measure(matrix) for matrix in matrices]
+        gradient = np.stack([part[1] for part in parts]) / len(parts)
+        by_run = np.einsum("sab,siab->i", gradient, self.information)
+        return float(np.mean([part[0] for part in parts])), by_run
+
+    def values(self, stack: np.ndarray) -> np.ndarray:
+        """Worth of many programmes, ``stack`` is ``(n_programmes, n_vehicles, n, n)``."""
+        n = stack.shape[-1]
+        if isinstance(self.criterion, DOptimal):
+            found = np.linalg.slogdet(stack + NOTHING * np.eye(n))[1]
+        elif isinstance(self.criterion, AOptimal):
+            bounds = np.linalg.inv(stack + NOTHING * np.eye(n))
+            found = -np.log(np.maximum(np.trace(bounds, axis1=-2, axis2=-1), 1e-300) / n)
+        else:
+            flat = [self.measure(matrix)[0] for matrix in stack.reshape(-1, n, n)]
+            found = np.array(flat).reshape(stack.shape[:2])
+        return np.mean(found, axis=1)
+
+    def value(self, counts: np.ndarray) -> float:
+        """Worth of whole or broken numbers of runs."""
+        return float(self.values(self.total(counts)[None])[0])
+
+    def factor(self, difference: float) -> float:
+        """How many times the information a difference of the criterion is worth."""
+        n = self.prior.shape[0] if isinstance(self.criterion, DOptimal) else 1
+        return float(np.exp(difference / n))
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Solution of the relaxed problem.
+
+    Attributes
+    ----------
+    repetitions : ndarray (n_runs,)
+        May be broken.
+    value : float
+        Worth reached.
+    bound : float
+        No programme of these runs within the budget is worth more.
+    sweeps : int
+    """
+
+    repetitions: np.ndarray
+    value: float
+    bound: float
+    sweeps: int
+
+    @property
+    def gap(self) -> float:
+        """How far the value may be below the best of all weights."""
+        return self.bound - self.value
+
+
+def relaxed(library: Library, costs: np.ndarray, *, tolerance: float = GAP) -> Weights:
+    """Maximise the worth over weights, ``sum(costs * x) = 1``.
+
+    Parameters
+    ----------
+    library : Library
+    costs : ndarray (n_runs,)
+        As shares of the budget.
+    tolerance : float
+        Gap at which the sweeps end, in units of the criterion per parameter.
+
+    Returns
+    -------
+    Weights
+    """
+    scale = library.prior.shape[0] if isinstance(library.criterion, DOptimal) else 1
+    power = 1.0 if isinstance(library.criterion, DOptimal) else 0.5
+    w = np.full(library.n_runs, 1.0 / library.n_runs)
+    best: Weights | None = None
+    ceiling, sweep = np.inf, 0
+    for sweep in range(1, _MOST_SWEEPS + 1):
+        value, by_run = library.slope(w / costs)
+        d = np.maximum(by_run / costs, 0.0)
+        if sweep % _CHECK == 1 or sweep == _MOST_SWEEPS:
+            # Every sweep gives a bound; the smallest counts.
+            ceiling = min(ceiling, value + float(d.max() - w @ d))
+            if best is None or value > best.value:
+                best = Weights(w / costs, value, ceiling, sweep)
+            if ceiling - best.value < tolerance * scale:
+                break
+            # A run of hardly any weight cannot come back unless its slope says so.
+            w = np.where((w < 1e-10) & (d < w @ d), 0.0, w)
+        grown = w * d**power
+        w = grown / grown.sum()
+    assert best is not None
+    return Weights(best.repetitions, best.value, ceiling, sweep)
+
+
+def weights(
+    library: Library, *, budget: float | None, n_runs: int | None, tolerance: float = GAP
+) -> Weights:
+    """Best weights within a budget of cost, of runs, or of both, with a bound.
+
+    Parameters
+    ----------
+    library : Library
+    budget : float, optional
+        Largest sum of costs.
+    n_runs : int, optional
+        Largest number of runs.
+    tolerance : float
+        See :func:`relaxed`.
+    """
+    time = None if budget is None else library.costs / budget
+    count = None if n_runs is None else np.full(library.n_runs, 1.0 / n_runs)
+    if time is None or count is None:
+        only = time if time is not None else count
+        if only is None:
+            raise DesignError("A programme needs an end. Give hours, a number of runs, or both.")
+        return relaxed(library, only, tolerance=tolerance)
+    first = relaxed(library, time, tolerance=tolerance)
+    if count @ first.repetitions <= 1 + 1e-9:
+        return first
+    last = relaxed(library, count, tolerance=tolerance)
+    if time @ last.repetitions <= 1 + 1e-9:
+        return last
+    low, high = 0.0, 1.0
+    found = [first, last]
+    for _ in range(_BISECTIONS):
+        theta = 0.5 * (low + high)
+        middle = relaxed(library, theta * time + (1 - theta) * count, tolerance=tolerance)
+        found.append(middle)
+        # More weight on whichever limit is passed.
+        if time @ middle.repetitions > count @ middle.repetitions:
+            low = theta
+        else:
+            high = theta
+    bound = min(one.bound for one in found)
+    inside = [
+        Weights(x, library.value(x), bound, one.sweeps)
+        for one in found
+        for x in [one.repetitions / max(time @ one.repetitions, count @ one.repetitions, 1.0)]
+    ]
+    return max(inside, key=lambda one: one.value)
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Whole runs.
+
+    Attributes
+    ----------
+    counts : ndarray of int (n_runs,)
+    value : float
+    greedy : float
+        What the greedy selection alone is worth.
+    """
+
+    counts: np.ndarray
+    value: float
+    greedy: float
+
+
+class _Search:
+    """Greedy and exchange within a budget."""
+
+    def __init__(self, library: Library, budget: float | None, n_runs: int | None) -> None:
+        self.library = library
+        self.budget = np.inf if budget is None else budget * (1 + 1e-9)
+        self.n_runs = np.inf if n_runs is None else n_runs
+
+    def fits(self, counts: np.ndarray) -> np.ndarray:
+        """Runs that may be added."""
+        if counts.sum() + 1 > self.n_runs:
+            return np.zeros(0, dtype=int)
+        left = self.budget - counts @ self.library.costs
+        return np.flatnonzero(self.library.costs <= left)
+
+    def added(self, counts: np.ndarray, runs: np.ndarray) -> np.ndarray:
+        """Worth with each of some runs added."""
+        base = self.library.total(counts.astype(float))
+        stack = base[None] + self.library.information[:, runs].transpose(1, 0, 2, 3)
+        return self.library.values(stack)
+
+    def filled(self, counts: np.ndarray, *, per_cost: bool) -> np.ndarray:
+        """Add the most telling run until the budget is used."""
+        counts = counts.copy()
+        value = self.library.value(counts)
+        while len(runs := self.fits(counts)):
+            gain = self.added(counts, runs) - value
+            rank = gain / self.library.costs[runs] if per_cost else gain
+            best = int(np.argmax(rank))
+            counts[runs[best]] += 1
+            value += float(gain[best])
+        return counts
+
+    def exchanged(self, counts: np.ndarray) -> np.ndarray:
+        """Replace runs, or leave one out and fill up, as long as that helps."""
+        counts = self.filled(counts, per_cost=True)
+        value = self.library.value(counts)
+        while True:
+            options = [
+                self.filled(trial, per_cost=flag)
+                for fewer in self._fewer(counts)
+                for trial in (fewer, *self._best_added(fewer))
+                for flag in (True, False)
+            ]
+            found = [self.library.value(option) for option in options]
+            if not found or max(found) <= value + 1e-9:
+                return counts
+            counts = options[int(np.argmax(found))]
+            value = max(found)
+
+    def _fewer(self, counts: np.ndarray) -> list[np.ndarray]:
+        """One run left out, or two."""
+        chosen = np.repeat(np.arange(len(counts)), counts)
+        out = {(int(i),) for i in chosen}
+        out |= {(int(i), int(j)) for n, i in enumerate(chosen) for j in chosen[n + 1 :]}
+        return [counts - np.bincount(pick, minlength=len(counts)) for pick in out]
+
+    def _best_added(self, fewer: np.ndarray) -> list[np.ndarray]:
+        """With the few runs added that tell most on their own."""
+        runs = self.fits(fewer)
+        if not len(runs):
+            return []
+        best = runs[np.argsort(-self.added(fewer, runs))[:_TRIED]]
+        return [fewer + np.bincount([run], minlength=len(fewer)) for run in best]
+
+
+def select(
+    library: Library,
+    shares: Weights,
+    *,
+    budget: float | None,
+    n_runs: int | None,
+    begin: Sequence[np.ndarray] = (),
+) -> Selection:
+    """Choose whole runs: greedy ways and rounded weights, each improved by exchange.
+
+    Parameters
+    ----------
+    library : Library
+    shares : Weights
+        Of the relaxed problem with the same limits.
+    budget, n_runs : optional
+        As for :func:`weights`.
+    begin : sequence of ndarray of int (n_runs,)
+        Further selections to improve.
+
+    Raises
+    ------
+    DesignError
+        If not even one run fits.
+    """
+    search = _Search(library, budget, n_runs)
+    none = np.zeros(library.n_runs, dtype=int)
+    if not len(search.fits(none)):
+        raise DesignError(
+            f"Not even the shortest run ({library.costs.min() / 60:.3g} min with its turnaround) "
+            "fits. Give more time."
+        )
+    greedy = [search.filled(none, per_cost=flag) for flag in (True, False)]
+    rounded = np.floor(shares.repetitions + 1e-6).astype(int)
+    ones = np.eye(library.n_runs, dtype=int)[search.fits(none)]
+    filled = [search.filled(one, per_cost=flag) for one in ones for flag in (True, False)]
+    filled.sort(key=library.value, reverse=True)
+    starts = [*greedy, rounded, *begin, *filled[:_TRIED]]
+    distinct = {tuple(start): start for start in starts}.values()
+    found = [*greedy, *map(search.exchanged, distinct)]
+    best = max(found, key=library.value)
+    return Selection(best, library.value(best), max(map(library.value, greedy)))
+
+
+def enumerated(library: Library, *, budget: float | None, n_runs: int) -> Selection:
+    """Best of all selections; for small libraries only.
+
+    Parameters
+    ----------
+    library : Library
+    budget : float, optional
+    n_runs : int
+        Largest number of runs.
+    """
+    best, best_value = np.zeros(library.n_runs, dtype=int), -np.inf
+    for size in range(1, n_runs + 1):
+        for chosen in combinations_with_replacement(range(library.n_runs), size):
+            counts = np.bincount(chosen, minlength=library.n_runs)
+            if budget is not None and counts @ library.costs > budget * (1 + 1e-9):
+                continue
+            value = library.value(counts)
+            if value > best_value:
+                best, best_value = counts, value
+    return Selection(best, best_value, best_value)
+
+
+def order(library: Library, counts: Sequence[int]) -> list[int]:
+    """Sequence of runs: each the one that tells most per cost after those before it."""
+    left, done = np.array(counts), np.zeros(len(counts), dtype=int)
+    search = _Search(library, None, None)
+    sequence = []
+    while left.any():
+        runs = np.flatnonzero(left)
+        gain = (search.added(done, runs) - library.value(done)) / library.costs[runs]
+        chosen = int(runs[int(np.argmax(gain))])
+        sequence.append(chosen)
+        left[chosen] -= 1
+        done[chosen] += 1
+    return sequence

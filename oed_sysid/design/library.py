@@ -1,0 +1,340 @@
+r"""Candidate runs of a programme: what a crew would know how to run, within the limits.
+
+Every kind is made at several sizes and at every *pattern* (a speed, a start, constant inputs) and
+is shrunk until all limits of the motion hold on the believed vehicle and on vehicles drawn from
+what is known. Circles and spirals are for vehicles with a heading. Commands of open-loop kinds
+keep range and rate of the actuator by construction. With :math:`\bar\delta` the range of the
+input,
+
+.. math:: \delta(t) = \delta_0 + s\,\bar\delta\, g(t), \qquad s \in \{1, 0.6, 0.35, 0.2, 0.1, 0.05\}
+
+with ``g`` between -1 and 1; zigzags are closed over the vehicle's attitude instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from math import degrees, radians
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.design.corridor import Corridor
+from oed_sysid.design.parametrisation import Grid
+from oed_sysid.design.reference import ATTITUDES, _side, as_piecewise
+from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.experiment import Experiment, Limits
+from oed_sysid.manoeuvres import ZigZag, schroeder_phases
+from oed_sysid.model import Model
+from oed_sysid.simulate import simulate, simulate_inputs
+
+KINDS = ("straight", "zigzag", "3-2-1-1", "multisine", "levels", "circle", "spiral")
+# Amplitudes tried, as shares of the range, until the limits hold; the largest and a gentler one
+# are kept.
+SHARES = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
+_GENTLER = 0.4
+ZIGZAGS = (5.0, 10.0, 20.0)  # degrees, both of the control and of the attitude
+_PACES = (0.25, 0.6)  # of quick and slow variants, relative to a tenth of the run
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One run that may become part of a programme.
+
+    Attributes
+    ----------
+    experiment : Experiment
+    kind : str
+        One of ``KINDS``, or ``"designed"``.
+    cost : float
+        Time that it takes with everything around it, s.
+    kept : float
+        Share of the drawn vehicles on which it kept its limits.
+    """
+
+    experiment: Experiment
+    kind: str
+    cost: float
+    kept: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """Name of the run."""
+        return self.experiment.name
+
+
+def candidate_runs(
+    model: Model,
+    patterns: Experiment | Iterable[Experiment],
+    *,
+    limits: Limits,
+    rng: np.random.Generator,
+    vehicles: Sequence[Model] = (),
+    durations: Sequence[float] | None = None,
+    turnaround: float = 600.0,
+    kinds: Sequence[str] = KINDS,
+    kept: float = 0.95,
+) -> tuple[Candidate, ...]:
+    """Return the library of runs that keep the limits.
+
+    Parameters
+    ----------
+    model : Model
+        What is believed.
+    patterns : Experiment or iterable of Experiment
+        Each lends its constant inputs (a speed), start state and sampling.
+    limits : Limits
+        Range and rate of the inputs, corridor of the motion.
+    rng : numpy.random.Generator
+        Source of random levels.
+    vehicles : sequence of Model
+        Others that are possible: a run is kept if its limits hold on enough of them.
+    durations : sequence of float, optional
+        Lengths, s; by default those of the patterns.
+    turnaround : float
+        Time between two runs, s: it counts in the cost of each.
+    kinds : sequence of str
+        Of :data:`KINDS`.
+    kept : float
+        Smallest share of the vehicles on which all limits have to hold.
+
+    Returns
+    -------
+    tuple of Candidate
+
+    Raises
+    ------
+    DesignError
+        If no run keeps the limits.
+    """
+    listed = [patterns] if isinstance(patterns, Experiment) else list(patterns)
+    for kind in kinds:
+        if kind not in KINDS:
+            raise DesignError(f"There is no kind of run {kind!r}. Kinds are {', '.join(KINDS)}.")
+    if not listed or turnaround < 0:
+        raise DesignError("Give one pattern or more, and a turnaround that is not negative.")
+    found: list[Candidate] = []
+    for number, pattern in enumerate(_speeds(listed)):
+        for length in durations or (float(pattern.duration or 0.0),):
+            stand = _Stand(model, limits, pattern, float(length), tuple(vehicles), kept)
+            speed = "" if len(_speeds(listed)) == 1 else f" at {_label(model, pattern, number)}"
+            tail = speed if durations is None or len(durations) == 1 else f"{speed}, {length:g} s"
+            for experiment, kind, share in stand.runs(kinds, rng):
+                named = replace(experiment, name=f"{experiment.name}{tail}")
+                found.append(Candidate(named, kind, float(length) + turnaround, share))
+    if not found:
+        raise DesignError(
+            "No run of any kind keeps the limits on the vehicles that are possible. Widen the "
+            "limits, shorten the runs, or begin with a gentle run and plan from its fit."
+        )
+    return tuple(found)
+
+
+def _speeds(patterns: Sequence[Experiment]) -> list[Experiment]:
+    """Patterns that differ in constants or start."""
+    kept: dict[tuple, Experiment] = {}
+    for pattern in patterns:
+        key = (tuple(sorted(pattern.constants.items())), tuple(sorted(pattern.initial.items())))
+        kept.setdefault(key, pattern)
+    return list(kept.values())
+
+
+def _label(model: Model, pattern: Experiment, number: int) -> str:
+    for state in model.states:
+        if state.name == "u" and pattern.initial.get("u"):
+            return f"{pattern.initial['u']:.3g} {state.unit}"
+    return f"start {number + 1}"
+
+
+class _Stand:
+    """One pattern and length on which all kinds are tried."""
+
+    def __init__(
+        self,
+        model: Model,
+        limits: Limits,
+        pattern: Experiment,
+        length: float,
+        vehicles: tuple[Model, ...],
+        kept: float,
+    ) -> None:
+        held = dict(pattern.constants)
+        names = [n for n in model.input_names if n in limits.inputs and n not in held]
+        if not names:
+            raise DesignError(
+                f"Pattern {pattern.name!r} leaves no input with a range to command. Give "
+                "Limits(inputs={'rudder': (-0.3, 0.3)})."
+            )
+        self.model, self.limits, self.pattern = model, limits, pattern
+        self.vehicles, self.kept = vehicles, kept
+        self.name = names[0]
+        lower, upper = limits.inputs[self.name]
+        rest = min(max(0.0, lower), upper)
+        n = int(np.floor(length / pattern.sample_time + 1e-9))
+        one = np.ones(1)
+        self.grid = Grid(
+            np.arange(n + 1) * pattern.sample_time, (self.name,), lower * one, upper * one,
+            rest * one, limits.rates.get(self.name, np.inf) * (1 - 1e-9) * one,
+        )  # fmt: skip
+        others = {n: float(np.clip(0.0, *limits.inputs[n])) for n in names[1:]}
+        self.held = held | others
+        self.corridor = Corridor.of(model, limits, {}, kernel(model).n_full)
+        self.turns = bool({"psi", "r"} & {*model.state_names, *model.output_names})
+
+    def runs(
+        self, kinds: Sequence[str], rng: np.random.Generator
+    ) -> Iterable[tuple[Experiment, str, float]]:
+        """Every kind at its largest size that keeps the limits, and at a gentler one."""
+        for kind in kinds:
+            if kind == "straight":
+                still = self.table("straight", np.zeros(len(self.grid.times)))
+                share = self.keeps(still)
+                if share is not None:
+                    yield still, kind, share
+            elif kind in ("circle", "spiral") and not self.turns:
+                continue
+            elif kind == "zigzag":
+                yield from self.zigzags()
+            else:
+                for variant, wave in self.waves(kind, rng):
+                    yield from self.sized(kind, variant, wave)
+
+    def waves(self, kind: str, rng: np.random.Generator) -> Iterable[tuple[str, np.ndarray]]:
+        """Shapes between -1 and 1 of an open-loop kind."""
+        times = self.grid.times
+        share = times / times[-1]
+        if kind == "circle":
+            yield "", np.ones(len(times))
+            yield " to the other side", -np.ones(len(times))
+        elif kind == "spiral":
+            steps = np.array([1.0, 0.75, 0.5, 0.25, 0.0, -0.25, -0.5, -0.75, -1.0])
+            yield "", steps[np.minimum((share * len(steps)).astype(int), len(steps) - 1)]
+        for word, pace in zip(("quick", "slow"), _PACES, strict=True):
+            unit = max(int(pace * len(times) / 10), 2)
+            if kind == "3-2-1-1":
+                block = np.repeat([1.0, -1.0, 1.0, -1.0], np.array([3, 2, 1, 1]) * unit)
+                yield f" {word}", np.resize(np.concatenate([block, -block]), len(times))
+            elif kind == "multisine":
+                cycles = np.arange(1, 9) * (2.0 if word == "quick" else 1.0)
+                phases = schroeder_phases(np.ones(len(cycles)))
+                wave = np.cos(2 * np.pi * np.outer(share, cycles) + phases).sum(axis=1)
+                yield f" {word}", wave / np.abs(wave).max()
+            elif kind == "levels":
+                drawn = rng.uniform(-1, 1, len(times) // unit + 1)
+                yield f" {word}", np.repeat(drawn / np.abs(drawn).max(), unit)[: len(times)]
+
+    def sized(
+        self, kind: str, variant: str, wave: np.ndarray
+    ) -> Iterable[tuple[Experiment, str, float]]:
+        """Return the largest size that keeps the limits, then a gentler one."""
+        for size in SHARES:
+            run = self.table(self.title(f"{kind}{variant}", size), size * wave)
+            share = self.keeps(run)
+            if share is None:
+                continue
+            yield run, kind, share
+            small = _GENTLER * size
+            yield self.table(self.title(f"{kind}{variant}", small), small * wave), kind, 1.0
+            return
+
+    def title(self, kind: str, size: float) -> str:
+        span = size * float(self.grid.upper[0] - self.grid.neutral[0])
+        channel = next(i for i in self.model.inputs if i.name == self.name)
+        angle = channel.unit == "rad"
+        return f"{kind} {degrees(span):.2g} deg" if angle else f"{kind} {span:.3g} {channel.unit}"
+
+    def table(self, name: str, wave: np.ndarray) -> Experiment:
+        """Commands of one shape, within range and rate."""
+        grid = self.grid
+        width = np.where(wave > 0, grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0])
+        orders = (grid.neutral[0] + width * wave)[None, :, None]
+        commands = grid.limited(orders)[0, :, 0]
+        return Experiment(
+            name, as_piecewise(self.name, grid.times, commands), duration=float(grid.times[-1]),
+            sample_time=grid.step, constants=self.held, initial=self.pattern.initial,
+            limits=self.limits,
+        )  # fmt: skip
+
+    def zigzags(self) -> Iterable[tuple[Experiment, str, float]]:
+        """Zigzags on the attitude; angles made smaller together until the limits hold."""
+        known = (*self.model.output_names, *self.model.state_names)
+        attitude = next((a for a in ATTITUDES if a in known), None)
+        if attitude is None:
+            return
+        grid = self.grid
+        largest = float(min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0]))
+        sign = _side(self.model, grid, attitude, self.held, dict(self.pattern.initial))
+        rate = None if not np.isfinite(grid.rates[0]) else float(grid.rates[0])
+        seen: set[float] = set()
+        for angle in ZIGZAGS:
+            for share in SHARES[:4]:
+                size = round(share * angle, 3)
+                if size in seen or radians(size) > largest:
+                    continue
+                run = Experiment(
+                    f"zigzag {size:g}/{size:g}",
+                    ZigZag(
+                        self.name, radians(size), radians(size), feedback=(attitude,), rate=rate,
+                        sign=sign, neutral=float(grid.neutral[0]),
+                    ),
+                    duration=float(grid.times[-1]), sample_time=grid.step, constants=self.held,
+                    initial=self.pattern.initial, feedback="true", limits=self.limits,
+                )  # fmt: skip
+                held = self.keeps(run)
+                if held is None:
+                    continue
+                seen.add(size)
+                yield run, "zigzag", held
+                break
+
+    def keeps(self, run: Experiment) -> float | None:
+        """Share of the vehicles that keep the limits; None where it is too small."""
+        return kept_on(run, (self.model, *self.vehicles), self.corridor, self.kept)
+
+
+def kept_on(
+    run: Experiment, vehicles: Sequence[Model], corridor: Corridor, wanted: float
+) -> float | None:
+    """Share of the vehicles on which a run keeps its limits; the first has to.
+
+    Parameters
+    ----------
+    run : Experiment
+    vehicles : sequence of Model
+        The believed one first.
+    corridor : Corridor
+    wanted : float
+        Below this share of the others nothing is returned.
+    """
+    allowed = int((1 - wanted) * len(vehicles) + 1e-9)
+    failed = 0
+    free = replace(run, limits=Limits())
+    commands = None
+    for number, vehicle in enumerate(vehicles):
+        if _inside(vehicle, free, corridor, commands):
+            if number == 0 and not run.reacts:
+                commands = free.commands(vehicle.input_names)
+            continue
+        failed += 1
+        if number == 0 or failed > allowed:
+            return None
+    return 1.0 - failed / len(vehicles)
+
+
+def _inside(
+    vehicle: Model, run: Experiment, corridor: Corridor, commands: np.ndarray | None
+) -> bool:
+    try:
+        if commands is None:
+            commands = simulate(vehicle, run, noise=False).inputs
+        motion = simulate_inputs(vehicle, run.times, inputs=commands, initial=run.initial)
+    except OedSysidError:
+        return False
+    n_full = corridor.n_full
+    for index, column in enumerate(corridor.columns):
+        state = column < n_full
+        values = motion.states[:, column] if state else motion.outputs[:, column - n_full]
+        if values.min() < corridor.lower[index] or values.max() > corridor.upper[index]:
+            return False
+    return True

@@ -1,0 +1,447 @@
+r"""Several runs together: which, how often, in which order, measured with what.
+
+For each of a library of runs the information :math:`F_i(\theta_s)` is taken, random forces
+included, on the believed vehicle and on others drawn from what is known; weights with a
+certificate and whole runs by exchange follow :mod:`oed_sysid.design.allocation`. Then the
+commands of the chosen runs are refined (column generation): with everything but run ``j``
+
+.. math:: F_{-j} = F_0 + \sum_{i \ne j} x_i F_i
+
+as knowledge before, :func:`~oed_sysid.design.design_experiment` looks for the command that
+completes it; what it finds joins the library if it keeps its limits on enough vehicles, and the
+weights are solved again. A search sees white noise, so its levels are raised by one factor until
+a run is worth to it what it is worth under the forces,
+
+.. math:: \kappa^2 = (\det F^{white}_j / \det F_j)^{1/n}
+
+The certificate covers the library, refined commands included, the criterion, the drawn vehicles and
+the noise assumed. It does not cover commands that nobody proposed, nor a model of wrong structure.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from oed_sysid.batch.threads import single_threaded
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.design.accuracy import AccuracyRange
+from oed_sysid.design.allocation import Library, Selection, Weights, order, select, weights
+from oed_sysid.design.assurance import Assurance, assess_limits
+from oed_sysid.design.corridor import Corridor
+from oed_sysid.design.criteria import AOptimal, Criterion, Setting
+from oed_sysid.design.elimination import inverse
+from oed_sysid.design.experiment_design import design_experiment
+from oed_sysid.design.library import KINDS, Candidate, candidate_runs, kept_on
+from oed_sysid.design.parametrisation import Levels
+from oed_sysid.design.plan import believed_noise, knowledge
+from oed_sysid.design.robust import draw_models
+from oed_sysid.design.schedule import Programme, Standard
+from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.experiment import Experiment, Limits
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.information import Information
+from oed_sysid.model import Model
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.sensitivity.bound import information_of
+from oed_sysid.sensitivity.noise import Levels as NoiseLevels
+from oed_sysid.sensitivity.noise import noise_of
+
+# Shares of the corridor within which commands are refined: room for vehicles that differ.
+_ROOM = (0.75, 0.5)
+_LEVELS = 20
+# Fresh vehicles that judge the runs chosen, and those that judge a refined command before.
+_CHECKED, _SCREENED = 60, 60
+_SAMPLES = 150  # of a refined command while it is searched
+STANDARD = ("zigzag 10/10", "zigzag 20/20", "circle")
+
+
+@single_threaded
+def design_programme(
+    model: Model | Fit,
+    patterns: Experiment | Iterable[Experiment],
+    *,
+    limits: Limits,
+    rng: np.random.Generator,
+    hours: float | None = None,
+    n_runs: int | None = None,
+    criterion: Criterion = AOptimal(),  # noqa: B008 (frozen)
+    noise: NoiseLevels | NoiseModel | Fit = None,
+    spread: float | None = None,
+    prior: str | Information | None = "auto",
+    turnaround: float = 600.0,
+    durations: Sequence[float] | None = None,
+    kinds: Sequence[str] = KINDS,
+    sensors: Mapping[str, float] | None = None,
+    n_draws: int = 4,
+    n_vehicles: int = 12,
+    n_rounds: int = 1,
+    certainty: float = 0.95,
+    progress: Callable[[str], None] | None = None,
+) -> Programme:
+    """Design the programme of runs that tells most for the time that there is.
+
+    Parameters
+    ----------
+    model : Model or Fit
+        What is believed; a fit brings its values, noise and information.
+    patterns : Experiment or iterable of Experiment
+        Each lends its constant inputs (a speed), start state, sampling and length.
+    limits : Limits
+        Range and rate of the inputs, corridor of the motion.
+    rng : numpy.random.Generator
+    hours : float, optional
+        Time for everything, turnarounds and sensors included, h.
+    n_runs : int, optional
+        Largest number of runs. Give hours, a number of runs, or both.
+    criterion : Criterion
+        Smooth: D, A, Ds or V.
+    noise : optional
+        Levels, a noise model with random forces, or a fit; see
+        :func:`~oed_sysid.sensitivity.information_of`.
+    spread : float or None
+        Relative half-width of uniform draws of possible vehicles; None draws from what
+        is known (prior standard deviations, or the fit).
+    prior : {"auto", None} or Information
+        Known before; see :func:`~oed_sysid.design.design_experiment`.
+    turnaround : float
+        Between two runs, s.
+    durations, kinds
+        See :func:`~oed_sysid.design.library.candidate_runs`.
+    sensors : mapping of str to float, optional
+        Outputs that need not be measured, and what each costs, h. All subsets are tried.
+    n_draws : int
+        Vehicles besides the believed one that the worth is averaged over.
+    n_vehicles : int
+        Vehicles on which limits are checked.
+    n_rounds : int
+        Rounds of refined commands.
+    certainty : float
+        Share of the vehicles on which the limits of a run have to hold.
+    progress : callable, optional
+        Called with what is being done, in words.
+
+    Returns
+    -------
+    Programme
+
+    Raises
+    ------
+    DesignError
+        If no run keeps the limits, or none fits.
+    """
+    began = time.perf_counter()
+    tell = progress or (lambda words: None)
+    given = model
+    believed = given.model if isinstance(given, Fit) else given
+    if isinstance(given, Fit) and noise is None:
+        noise = given
+    believed, sea, levels = believed_noise(believed, noise)
+    known = knowledge(given, believed, prior)
+    vehicles = draw_models(believed, spread, max(n_vehicles, n_draws, _SCREENED), known, rng)
+    listed = [patterns] if isinstance(patterns, Experiment) else list(patterns)
+    tell("making candidate runs")
+    runs = list(
+        candidate_runs(
+            believed, listed, limits=limits, rng=rng, vehicles=vehicles[:n_vehicles],
+            durations=durations, turnaround=turnaround, kinds=kinds, kept=certainty,
+        )
+    )  # fmt: skip
+    task = _Task(
+        believed, (believed, *vehicles[:n_draws]), known, criterion,
+        levels if sea is None else sea, hours, n_runs,
+    )  # fmt: skip
+    optional = dict(sensors or {})
+    tell(f"information of {len(runs)} candidate runs")
+    options = {
+        subset: task.solve(runs, task.measured(subset, optional), _spent(subset, optional))
+        for subset in _subsets(optional)
+    }
+    subset = max(options, key=lambda key: options[key][2].value)
+    library, shares, chosen = options[subset]
+    outputs, spent = task.measured(subset, optional), _spent(subset, optional)
+    runs = task.kept
+    for number in range(n_rounds):
+        tell(f"refining commands, round {number + 1}")
+        fresh = [
+            found
+            for j in np.argsort(-chosen.counts * library.costs)[:_most(chosen)]
+            if (found := _refined(task, library, chosen, runs[int(j)], int(j), limits, vehicles,
+                                  certainty, rng, f"designed {number + 1}{chr(97 + int(j) % 26)}"))
+        ]  # fmt: skip
+        if not fresh:
+            break
+        runs = [*runs, *fresh]
+        # What was chosen before stays among the starts, so that nothing is lost.
+        library, shares, better = task.solve(runs, outputs, spent, begin=chosen.counts)
+        runs = task.kept
+        gained = better.value - chosen.value
+        chosen = better
+        if gained < 1e-3:
+            break
+    safe: dict[str, Assurance] = {}
+    while True:
+        tell("checking limits on other vehicles")
+        for i in np.flatnonzero(chosen.counts):
+            run = runs[int(i)]
+            if run.name not in safe:
+                safe[run.name] = assess_limits(
+                    believed, run.experiment, rng=rng, limits=limits, spread=spread, prior=known,
+                    n_vehicles=_CHECKED, wanted=certainty,
+                )  # fmt: skip
+        kept = [run for run in runs if _is_safe(safe.get(run.name), certainty)]
+        if len(kept) == len(runs) or not kept:
+            break
+        library, shares, chosen = task.solve(kept, outputs, spent)
+        runs = task.kept
+    plain = [run for run in runs if run.kind != "designed"]
+    first = chosen if len(plain) == len(runs) else task.solve(plain, outputs, spent)[2]
+    sequence = [runs[i] for i in order(library, chosen.counts)]
+    totals = library.total(chosen.counts.astype(float))
+    names, scales = task.names, task.scales
+    bound = Information.from_matrix(names, totals[0] / scales[:, None] / scales, scales)
+    errors = np.array([np.sqrt(np.diag(inverse(matrix))) for matrix in totals])
+    spread_of_errors = AccuracyRange(
+        names, errors.min(axis=0), errors.max(axis=0), len(errors), sea
+    )
+    return Programme(
+        model=believed,
+        runs=tuple(sequence),
+        candidates=tuple(runs),
+        weights=shares.repetitions,
+        information=bound,
+        prior=known,
+        criterion=criterion.name,
+        value=chosen.value,
+        bound=shares.bound,
+        relaxed=shares.value,
+        share=min(1.0, library.factor(chosen.value - shares.bound)),
+        greedy_share=library.factor(first.greedy - first.value),
+        refined_factor=library.factor(chosen.value - first.value),
+        n_library=len(plain),
+        assurances={run.name: safe[run.name] for run in sequence},
+        sea=sea,
+        spread=spread_of_errors,
+        standard=_standard(task, runs, library, chosen),
+        outputs=outputs,
+        sensor_hours=spent,
+        sensor_options={
+            ", ".join(key) or "none": (option[2].value, library.factor(
+                option[2].value - options[subset][2].value))
+            for key, option in options.items()
+        } if optional else {},
+        turnaround=turnaround,
+        budget=(hours, n_runs),
+        seconds=time.perf_counter() - began,
+    )  # fmt: skip
+
+
+def _is_safe(found: Assurance | None, certainty: float) -> bool:
+    return found is None or not found.limited or found.probability >= certainty
+
+
+def _most(chosen: Selection) -> int:
+    """Runs whose commands are refined in one round."""
+    return min(3, int(np.count_nonzero(chosen.counts)))
+
+
+def _subsets(optional: Mapping[str, float]) -> list[tuple[str, ...]]:
+    names = tuple(optional)
+    return [pick for size in range(len(names) + 1) for pick in combinations(names, size)]
+
+
+def _spent(subset: Sequence[str], optional: Mapping[str, float]) -> float:
+    return float(sum(optional[name] for name in subset))
+
+
+class _Task:
+    """Information of runs on every vehicle, kept, and the two problems solved on it."""
+
+    def __init__(
+        self,
+        model: Model,
+        vehicles: Sequence[Model],
+        known: Information | None,
+        criterion: Criterion,
+        noise: NoiseModel | np.ndarray,
+        hours: float | None,
+        n_runs: int | None,
+    ) -> None:
+        shared = [p for p in model.free_parameters if not p.per_record]
+        self.model, self.vehicles, self.noise = model, tuple(vehicles), noise
+        self.names = tuple(p.name for p in shared)
+        self.scales = np.array([abs(p.value) or p.magnitude for p in shared])
+        self.criterion, self.hours, self.n_runs = criterion, hours, n_runs
+        self.known = known
+        setting = Setting(model, self.names, self.scales, noise_of(model, _sigma(noise)))
+        self.measure = criterion.bind(setting)
+        self.prior = np.zeros((len(shared),) * 2)
+        if known is not None:
+            self.prior = known.matrix * self.scales[:, None] * self.scales
+        self.kept: list[Candidate] = []
+        self._cache: dict[tuple[int, tuple[str, ...]], np.ndarray | None] = {}
+
+    def measured(self, subset: Sequence[str], optional: Mapping[str, float]) -> tuple[str, ...]:
+        """Outputs that are measured with some of the optional sensors."""
+        for name in optional:
+            if name not in self.model.output_names:
+                raise DesignError(
+                    f"The sensor {name!r} is no output of model {self.model.name!r}; it has "
+                    f"{', '.join(self.model.output_names)}."
+                )
+        return tuple(n for n in self.model.output_names if n not in optional or n in subset)
+
+    def information(self, run: Candidate, outputs: tuple[str, ...]) -> np.ndarray | None:
+        """Relative information on every vehicle, ``(n_vehicles, n, n)``; None if one diverges."""
+        key = (id(run), outputs)
+        if key not in self._cache:
+            try:
+                self._cache[key] = np.stack([
+                    information_of(
+                        vehicle, run.experiment, noise=self.noise, priors=None, outputs=outputs
+                    ).matrix * self.scales[:, None] * self.scales
+                    for vehicle in self.vehicles
+                ])  # fmt: skip
+            except OedSysidError:
+                self._cache[key] = None
+        return self._cache[key]
+
+    def solve(
+        self,
+        runs: Sequence[Candidate],
+        outputs: tuple[str, ...],
+        spent: float,
+        begin: np.ndarray | None = None,
+    ) -> tuple[Library, Weights, Selection]:
+        """Weights and whole runs; ``kept`` then holds the runs in the library's order."""
+        found = [(run, self.information(run, outputs)) for run in runs]
+        there = [(run, matrix) for run, matrix in found if matrix is not None]
+        self.kept = [run for run, _ in there]
+        if not there:
+            raise DesignError("No candidate run stays finite on all vehicles. Make them gentler.")
+        library = Library(
+            np.stack([matrix for _, matrix in there], axis=1), self.prior,
+            np.array([run.cost for run in self.kept]), self.criterion, self.measure,
+        )  # fmt: skip
+        budget = None if self.hours is None else 3600.0 * (self.hours - spent)
+        if budget is not None and budget <= 0:
+            raise DesignError("The sensors alone take longer than there is time. Give more hours.")
+        shares = weights(library, budget=budget, n_runs=self.n_runs)
+        before = [] if begin is None else [np.append(begin, np.zeros(len(there) - len(begin), int))]
+        chosen = select(library, shares, budget=budget, n_runs=self.n_runs, begin=before)
+        return library, shares, chosen
+
+
+def _sigma(noise: NoiseModel | np.ndarray) -> np.ndarray:
+    return noise.sensors if isinstance(noise, NoiseModel) else noise
+
+
+def _refined(
+    task: _Task,
+    library: Library,
+    chosen: Selection,
+    run: Candidate,
+    j: int,
+    limits: Limits,
+    vehicles: Sequence[Model],
+    certainty: float,
+    rng: np.random.Generator,
+    name: str,
+) -> Candidate | None:
+    """Command that completes what all other runs tell; None where none is found."""
+    counts = chosen.counts.astype(float)
+    counts[j] -= 1
+    rest = library.total(counts)[0]
+    scales = task.scales
+    before = Information.from_matrix(task.names, rest / scales[:, None] / scales, scales)
+    n = len(scales)
+    white = information_of(task.model, run.experiment, noise=_sigma(task.noise), priors=None)
+    ratio = np.linalg.slogdet(white.matrix * scales[:, None] * scales + 1e-9 * np.eye(n))[1]
+    ratio -= np.linalg.slogdet(library.information[0, j] + 1e-9 * np.eye(n))[1]
+    raised = _sigma(task.noise) * np.exp(0.5 * max(ratio, 0.0) / n)
+    pattern = run.experiment
+    duration = float(pattern.duration or 0.0)
+    # Fewer samples in the search than at sea: levels are lowered to tell as much.
+    coarse = max(pattern.sample_time, duration / _SAMPLES)
+    coarse = pattern.sample_time * np.ceil(coarse / pattern.sample_time - 1e-9)
+    raised = raised * np.sqrt(pattern.sample_time / coarse)
+    corridor = Corridor.of(task.model, limits, {}, kernel(task.model).n_full)
+    for room in _ROOM:
+        tight = replace(limits, signals=_tightened(limits, pattern.initial, room))
+        try:
+            found = design_experiment(
+                task.model, limits=tight, duration=duration, sample_time=float(coarse), rng=rng,
+                criterion=task.criterion, parametrisation=Levels(_LEVELS), prior=before,
+                constants=pattern.constants, initial=pattern.initial, noise=raised, n_starts=2,
+                n_candidates=30, n_steps=10, n_workers=1, name=name,
+            )  # fmt: skip
+        except OedSysidError:
+            continue
+        experiment = replace(
+            found.experiment, sample_time=pattern.sample_time, limits=limits,
+            name=f"{name} {_ending(run.name)}".strip(),
+        )  # fmt: skip
+        kept = kept_on(experiment, (task.model, *vehicles), corridor, certainty)
+        if kept is not None:
+            return Candidate(experiment, "designed", run.cost, kept)
+    return None
+
+
+def _ending(name: str) -> str:
+    """What a run's name says of speed and length."""
+    _, found, tail = name.partition(" at ")
+    return found.strip() + " " + tail if found else ""
+
+
+def _tightened(
+    limits: Limits, initial: Mapping[str, float], room: float
+) -> dict[str, tuple[float, float]]:
+    """Corridor drawn in towards the start."""
+    tight = {}
+    for name, (lower, upper) in limits.signals.items():
+        start = initial.get(name, 0.0)
+        middle = min(max(start, lower), upper)
+        tight[name] = (middle + room * (lower - middle), middle + room * (upper - middle))
+        if not tight[name][0] < tight[name][1] or middle in (lower, upper):
+            tight[name] = (lower, upper)
+    return tight
+
+
+def _standard(
+    task: _Task, runs: Sequence[Candidate], library: Library, chosen: Selection
+) -> Standard | None:
+    """The standard programme within the same limits, and how long it would take."""
+    picked = []
+    for word in STANDARD:
+        kind = word.partition(" ")[0]
+        same = [i for i, run in enumerate(runs) if run.kind == kind]
+        exact = [i for i in same if runs[i].name.startswith(word)]
+        found = exact or same
+        if found and found[-1] not in picked:
+            picked.append(found[-1])
+    if not picked:
+        return None
+    counts = np.zeros(len(runs))
+    counts[picked] = 1.0
+    cost = float(counts @ library.costs)
+    target = chosen.value
+    low, high = 0.0, 1.0
+    if library.value(1e4 * counts) < target:
+        factor = np.inf
+    else:
+        while library.value(high * counts) < target:
+            low, high = high, 2 * high
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if library.value(middle * counts) < target else (low, middle)
+        factor = high
+    own = float(chosen.counts @ library.costs)
+    errors = np.sqrt(np.diag(np.linalg.pinv(library.total(counts * own / cost)[0])))
+    return Standard(
+        tuple(runs[i].name for i in picked), factor * cost / 3600.0, own / 3600.0,
+        dict(zip(task.names, map(float, errors), strict=True)),
+    )  # fmt: skip

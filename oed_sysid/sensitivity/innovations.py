@@ -1,0 +1,151 @@
+r"""Information of a run under random forces and coloured sensors, before any data exist.
+
+The likelihood of a disturbed record is that of the innovations of a filter
+(:mod:`oed_sysid.compiled.filtering`). Along the *nominal* trajectory, the one without noise, every
+innovation is zero, and what is left of the filter are its gains and the columns ``X``, derivatives
+of its state by start states and parameters:
+
+.. math::
+    S = h' P h + r, \quad g = P h, \quad
+    \partial e = -(h' X + D), \quad X \leftarrow X + \frac{g}{S}\,\partial e, \quad
+    H = \sum_k \frac{\partial e\,\partial e'}{S}
+
+.. math:: F = H_{pp} - H_{p0} H_{00}^{-1} H_{0p}
+
+``p`` are the parameters that all runs share, ``0`` start states and parameters of the run. Start
+states have a covariance of zero and a column each. Levels and times of the noise are not
+correlated with parameters along the nominal trajectory, where the mean of a disturbance is zero
+whatever its level; derivatives of the gain are left out. The rows of ``H`` are kept and
+triangularised, so that null directions stay null.
+
+Information must not be averaged over noisy filtered paths: their regressors hold noise, which
+counts as information that is not there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed_sysid.compiled.filtering import Disturbed, filter_kernel
+from oed_sysid.errors import DesignError
+from oed_sysid.fitting.filtered import disturbed_model
+from oed_sysid.model import Model
+from oed_sysid.noise.disturbances import chosen_places, disturbance
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.sensitivity.response import Play
+
+
+def innovation_rows(
+    model: Model,
+    play: Play,
+    noise: NoiseModel,
+    *,
+    outputs: Sequence[str] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the innovations of one run, in units of their standard deviations.
+
+    Parameters
+    ----------
+    model : Model
+        At the values in question, without disturbances of its own or with them.
+    play : Play
+        Inputs and start of the run.
+    noise : NoiseModel
+        Levels and times of sensors and forces; sensors in the order of the model's outputs.
+    outputs : sequence of str, optional
+        Outputs that are measured; by default all.
+
+    Returns
+    -------
+    rows : ndarray (n_rows, n_own + n_free)
+        By own start states, then by free parameters; samples that are not measured left out.
+    nominal : ndarray (n_times, n_outputs)
+        Outputs without noise.
+
+    Raises
+    ------
+    DesignError
+        If the noise does not fit the model, or the run diverges.
+    """
+    noise = checked_noise(model, noise)
+    acting = noise.force > 0
+    found = chosen_places(model, [p for p, a in zip(noise.places, acting, strict=True) if a])
+    names = tuple(disturbance(place).parameters[0].name for place in found)
+    white = noise.white.copy()
+    for name, std in play.noise.items():
+        white[model.output_names.index(name)] = std
+    coloured = np.flatnonzero(noise.colour > 0)
+    random = Disturbed(
+        names,
+        noise.force[acting] ** 2,
+        noise.force_time[acting],
+        white**2,
+        coloured,
+        noise.colour[coloured] ** 2,
+        noise.colour_time[coloured],
+    )
+    wide = disturbed_model(model, names)
+    kernel = filter_kernel(wide)
+    free = tuple(name for name in model.free_names if name not in names)
+    values = wide.value_vector
+    nominal, _, ok = kernel.simulate(play.times, play.inputs, values, play.initial)
+    if not ok:
+        raise DesignError(
+            f"Run {play.name!r} diverges under model {model.name!r}. Make it smaller or shorter."
+        )
+    measured = np.where(play.present, nominal, np.nan)
+    if outputs is not None:
+        measured[:, [name not in outputs for name in model.output_names]] = np.nan
+    swept = kernel.filter(
+        play.times, play.inputs, values, play.initial, measured, random, names=free, rows=True
+    )
+    if not swept.ok or swept.rows is None:
+        raise DesignError(
+            f"The filter of run {play.name!r} leaves the numbers. Check levels and times of the "
+            "random forces, or shorten the run."
+        )
+    n_columns = len(model.states) + len(free)
+    rows = swept.rows[np.isfinite(measured)][:, :n_columns]
+    return rows, nominal
+
+
+def checked_noise(model: Model, noise: NoiseModel) -> NoiseModel:
+    """Return the noise model with its sensors in the order of a model's outputs.
+
+    Raises
+    ------
+    DesignError
+        If sensors are missing, have no level, or a place is none of the model.
+    """
+    names = model.output_names
+    if noise.outputs and tuple(noise.outputs) != names:
+        missing = [name for name in names if name not in noise.outputs]
+        if missing:
+            raise DesignError(
+                f"The noise says nothing of the output(s) {', '.join(missing)} of model "
+                f"{model.name!r}; it knows {', '.join(noise.outputs)}. Add their levels."
+            )
+        order = [noise.outputs.index(name) for name in names]
+        noise = NoiseModel(
+            noise.white[order], noise.colour[order], noise.force, noise.colour_time[order],
+            noise.force_time, names, noise.places,
+        )  # fmt: skip
+    if len(noise.white) != len(names):
+        raise DesignError(
+            f"The noise has {len(noise.white)} sensors, model {model.name!r} has {len(names)} "
+            "outputs. Give one level each."
+        )
+    if len(noise.places) != len(noise.force):
+        raise DesignError(
+            f"The noise has {len(noise.force)} random forces at {len(noise.places)} places. Name "
+            "the place of each, such as 'force Z'."
+        )
+    if not np.all(noise.white > 0):
+        poor = [n for n, level in zip(names, noise.white, strict=True) if not level > 0]
+        raise DesignError(
+            f"The white noise of {', '.join(poor)} is not above zero. Accuracy cannot be predicted "
+            "without it: give its standard deviation."
+        )
+    return noise

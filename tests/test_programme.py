@@ -1,0 +1,169 @@
+"""Several runs together: weights with a certificate, exchange, and whole programmes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_design import LIMITS, ship
+
+from oed_sysid import Experiment, NoiseModel
+from oed_sysid.design import AOptimal, DOptimal, Programme, candidate_runs, design_programme
+from oed_sysid.design.allocation import Library, enumerated, select, weights
+from oed_sysid.design.criteria import Setting
+from oed_sysid.design.robust import draw_models
+from oed_sysid.errors import DesignError
+from oed_sysid.sensitivity import information_of
+from oed_sysid.sensitivity.noise import noise_of
+from oed_sysid.simulate import simulate
+
+PATTERN = Experiment("pattern", duration=40.0, sample_time=0.5, constants={})
+SEA = NoiseModel(
+    np.array([5e-3, 2e-3]), np.zeros(2), np.array([0.005]), force_time=3.0,
+    outputs=("psi", "r"), places=("force r",),
+)  # fmt: skip
+
+
+def library(rng: np.random.Generator, criterion: object, *, prior: float = 0.0) -> Library:
+    """Ten random runs of four parameters that see few directions each, on three vehicles."""
+    base = rng.standard_normal((10, 3, 4)) * np.exp(rng.normal(0, 1, (10, 1, 4)))
+    rows = base[None] * (1 + 0.1 * rng.standard_normal((3, 10, 3, 4)))
+    information = np.einsum("sika,sikb->siab", rows, rows)
+    costs = rng.uniform(0.5, 2.0, 10)
+    setting = Setting(ship(), ("b",), np.ones(1), noise_of(ship()))
+    measure = criterion.bind(setting)  # type: ignore[attr-defined]
+    return Library(information, prior * np.eye(4), costs, criterion, measure)
+
+
+@pytest.mark.parametrize("criterion", [DOptimal(), AOptimal()], ids=lambda c: c.name)
+@pytest.mark.parametrize(("budget", "n_runs"), [(4.0, None), (None, 4), (4.0, 4)])
+def test_no_programme_exceeds_the_bound_and_the_gap_is_small(
+    criterion: object, budget: float | None, n_runs: int | None
+) -> None:
+    """The certificate holds for random weights and whole runs, and weights come near it."""
+    rng = np.random.default_rng(3)
+    runs = library(rng, criterion, prior=0.1)
+    found = weights(runs, budget=budget, n_runs=n_runs)
+    assert found.gap >= -1e-9
+    if budget is None or n_runs is None:
+        assert found.gap <= 1e-3
+    used = found.repetitions
+    assert budget is None or used @ runs.costs <= budget * (1 + 1e-9)
+    assert n_runs is None or used.sum() <= n_runs * (1 + 1e-9)
+    for _ in range(200):
+        x = rng.dirichlet(np.full(10, 0.2))
+        room = [np.inf if budget is None else budget / (x @ runs.costs)]
+        room.append(np.inf if n_runs is None else n_runs)
+        assert runs.value(min(room) * x) <= found.bound + 1e-9
+    best = enumerated(runs, budget=budget, n_runs=n_runs or 4)
+    assert best.value <= found.bound + 1e-9
+
+
+def test_exchange_is_within_a_per_cent_of_enumeration_and_never_below_greedy() -> None:
+    """On small random libraries the exchange finds the best programme, where greedy does not."""
+    worse = 0
+    for seed in range(5):
+        for criterion in (DOptimal(), AOptimal()):
+            runs = library(np.random.default_rng(seed), criterion, prior=1e-3)
+            shares = weights(runs, budget=4.0, n_runs=3)
+            found = select(runs, shares, budget=4.0, n_runs=3)
+            best = enumerated(runs, budget=4.0, n_runs=3)
+            assert runs.factor(best.value - found.value) <= 1.01
+            assert found.value >= found.greedy - 1e-12
+            assert found.counts @ runs.costs <= 4.0 * (1 + 1e-9)
+            worse += runs.factor(best.value - found.greedy) > 1.01
+    assert worse >= 1
+
+
+def test_candidates_keep_the_limits_on_all_vehicles_shown() -> None:
+    """Every candidate keeps range, rate and heading, also on vehicles that differ."""
+    rng = np.random.default_rng(0)
+    vehicles = draw_models(ship(), 0.2, 6, None, rng)
+    runs = candidate_runs(ship(), PATTERN, limits=LIMITS, rng=rng, vehicles=vehicles)
+    kinds = {run.kind for run in runs}
+    assert {"straight", "zigzag", "3-2-1-1", "multisine", "levels"} <= kinds
+    assert len({run.name for run in runs}) == len(runs)
+    for run in runs:
+        assert run.cost == 640.0
+        for vehicle in (ship(), *vehicles):
+            record = simulate(vehicle, run.experiment, noise=False)
+            assert np.abs(record.output("psi")).max() <= 0.6 * (1 + 1e-9)
+            assert np.abs(np.diff(record.input("rudder"))).max() <= 0.1 * (1 + 1e-6)
+
+
+@pytest.fixture(name="programme", scope="module")
+def _programme() -> Programme:
+    """A programme of half an hour and four runs at most, under random forces."""
+    return design_programme(
+        ship(), PATTERN, limits=LIMITS, rng=np.random.default_rng(1), hours=0.5, n_runs=4,
+        noise=SEA, spread=0.1, turnaround=300.0, n_draws=2, n_vehicles=6,
+    )  # fmt: skip
+
+
+def test_programme_keeps_to_its_budget_and_states_what_it_is_worth(programme: Programme) -> None:
+    """Time and runs are kept, the bound is above, the errors are those of all runs together."""
+    assert len(programme.runs) <= 4
+    assert programme.hours <= 0.5 + 1e-9
+    assert programme.value <= programme.bound + 1e-9
+    assert 0.9 < programme.share <= 1.0
+    assert programme.refined_factor >= 1 - 1e-9
+    together = information_of(
+        programme.model, [run.experiment for run in programme.runs], noise=SEA, priors=None
+    )
+    np.testing.assert_allclose(programme.information.std_errors, together.std_errors, rtol=1e-5)
+    assert programme.spread is not None
+    assert np.all(programme.spread.lowest <= programme.relative_errors * (1 + 1e-5))
+
+
+def test_programme_beats_standard_trials(programme: Programme) -> None:
+    """Zigzags need longer for the same criterion, and the report says how much longer."""
+    assert programme.standard is not None
+    assert programme.standard.ratio > 1.05
+    words = programme.report()
+    assert f"{programme.standard.ratio:.3g} times the ship" in words.replace("\n  ", " ")
+    assert "DANGER" not in words
+    stored = programme.to_dict()
+    assert [run["name"] for run in stored["runs"]] == [run.name for run in programme.runs]
+    assert Experiment.from_dict(stored["runs"][0]["experiment"]).duration == 40.0
+
+
+def test_programme_writes_every_run(programme: Programme, tmp_path) -> None:
+    """One table of commands for each run, in order, playable as it stands."""
+    paths = programme.write(tmp_path / "runs")
+    assert [path.name[:2] for path in paths] == [f"{i + 1:02d}" for i in range(len(paths))]
+    for path, run in zip(paths, programme.runs, strict=True):
+        table = np.genfromtxt(path, delimiter=",", skip_header=1)
+        planned = simulate(programme.model, run.experiment, noise=False)
+        np.testing.assert_allclose(table[:, 1], planned.input("rudder"), atol=1e-9)
+
+
+def test_sensors_are_chosen_by_what_they_cost() -> None:
+    """A gyro that costs nothing is taken, one that costs all the time is not."""
+    settings = {
+        "limits": LIMITS, "hours": 0.5, "noise": SEA, "spread": 0.1, "turnaround": 300.0,
+        "n_draws": 1, "n_vehicles": 4, "n_rounds": 0, "kinds": ("zigzag", "3-2-1-1"),
+    }  # fmt: skip
+    found = [
+        design_programme(
+            ship(), PATTERN, rng=np.random.default_rng(1), sensors={"r": cost}, **settings
+        )
+        for cost in (0.0, 0.4)
+    ]
+    assert found[0].outputs == ("psi", "r")
+    assert found[1].outputs == ("psi",)
+    assert found[0].sensor_options["none"][1] < 1.0 < found[1].sensor_options["none"][1] + 1e-9
+
+
+def test_impossible_programmes_are_named() -> None:
+    """No time, no kind, no end: each is said with what to do."""
+    settings = {"limits": LIMITS, "rng": np.random.default_rng(0), "spread": 0.1, "n_vehicles": 2}
+    with pytest.raises(DesignError, match="Not even the shortest run"):
+        design_programme(ship(), PATTERN, hours=0.1, kinds=("zigzag",), **settings)
+    with pytest.raises(DesignError, match="Give hours, a number of runs"):
+        design_programme(ship(), PATTERN, kinds=("zigzag",), **settings)
+    with pytest.raises(DesignError, match="no kind of run 'crash'"):
+        design_programme(ship(), PATTERN, hours=1.0, kinds=("crash",), **settings)
+    narrow = replace(LIMITS, signals={"psi": (0.1, 0.2)})
+    with pytest.raises(DesignError, match="No run of any kind"):
+        design_programme(ship(), PATTERN, hours=1.0, **{**settings, "limits": narrow})
