@@ -7,6 +7,7 @@ python -m benchmarks.bad_input --write        # puts the messages into docs/erro
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import tempfile
 import warnings
@@ -52,8 +53,15 @@ def problem_message(source: str | dict[str, str | bytes]) -> str:
         try:
             load_problem(place)
         except OedSysidError as error:
-            return f"{type(error).__name__}: {error}".replace(str(place.parent), "…")
+            return _without_places(f"{type(error).__name__}: {error}", place.parent)
         return ""
+
+
+def _without_places(message: str, folder: Path) -> str:
+    """The message without folders and names that differ from one machine to the next."""
+    for place in (folder, ROOT):
+        message = message.replace(str(place), "…")
+    return re.sub(r"(oed_sysid_problem_ferry)_\w+", r"\1", message)
 
 
 def table(rows: Iterable[tuple[str, str]]) -> str:
