@@ -38,6 +38,6 @@ named = [
 kinds = [found.remains.kind for found in (linear, torricelli)]
 print(
     f"Conclusion: from the linear model {named[0]} is added, from Torricelli's {named[1]}; the "
-    f"verdicts are '{kinds[0]}' and '{kinds[1]}'. With one level measured, a random force in a tank "
-    "does what an overflow does: the scoreboard's choice, by masked blocks, gets further."
+    f"verdicts are '{kinds[0]}' and '{kinds[1]}'. With one level measured, a random force in a "
+    "tank does what an overflow does: the scoreboard's choice, by masked blocks, gets further."
 )

@@ -3,7 +3,7 @@
 Twelve measured runs of a 3 m model of Esso Osaka. Seven are there to learn from, five nobody
 touches. A model without wind is fitted; `diagnose` is asked what it lacks, among sensors,
 rudder, hull, current and wind; the answer is added and fitted, and both models predict the
-untouched runs in windows of 100 s, each from its first measured sample.
+validation runs in windows of 100 s, each from its first measured sample.
 """
 
 import numpy as np
@@ -11,11 +11,11 @@ import numpy as np
 from oed_sysid import Dataset, MultipleShooting, diagnose, load_problem
 from oed_sysid.simulate import simulate_inputs
 
-UNTOUCHED = ("zigzag_12_30", "zigzag_12_20", "turn_10_port_35", "turn_10_starboard_20", "random_6")
+VALIDATION = ("zigzag_12_30", "zigzag_12_20", "turn_10_port_35", "turn_10_starboard_20", "random_6")
 PUBLISHED = np.array([0.044, 0.029, np.radians(0.97)])  # rms u, v, r: simulator of the source
 
 problem = load_problem("esso_osaka")
-train, test = problem.data().split(test=UNTOUCHED)
+train, test = problem.data().split(test=VALIDATION)
 
 
 def pieces(runs, duration):
@@ -50,7 +50,7 @@ for name in first.amplitude_names:
     low, high = found.interval(name)
     print(f"  {name:12}{found.values[name]:7.3f}, 95 % interval {low:6.3f} to {high:6.3f}")
 print()
-print("error 100 s ahead on untouched runs, over that of the published simulator: u, v, r")
+print("error 100 s ahead on validation runs, over that of the published simulator: u, v, r")
 before, after = errors(calm.model, test), errors(found.model, test)
 for name in before:
     pair = ["  ".join(f"{share:.2f}" for share in one[name]) for one in (before, after)]

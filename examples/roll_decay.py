@@ -37,6 +37,6 @@ print(f"From the last five periods alone: {', '.join(nonlinear) or 'no nonlinear
 
 before, after = (degrees(fit.predict(test).rms["phi"]) for fit in (linear, better))
 print(
-    f"Conclusion: {', '.join(step.added for step in found.steps)} make the error on untouched "
+    f"Conclusion: {', '.join(step.added for step in found.steps)} make the error on validation "
     f"angles {before / after:.1f} times smaller."
 )

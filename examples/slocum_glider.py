@@ -2,7 +2,7 @@
 
 A glider's log gives pitch, pumped volume and density of the water; pressure and
 the speed through the water are to be explained. The steady model is fitted to
-three dives, what is missing is sought, and eight untouched dives judge. Then the
+three dives, what is missing is sought, and eight validation dives judge. Then the
 rivals for the second place are fitted in turn: are they different answers?
 """
 
@@ -33,7 +33,7 @@ for rival in RIVALS:
         problem.model + pair, train
     )
 
-print("error                        pressure      speed, untouched dives")
+print("error                        pressure      speed, validation dives")
 for name, fit in fits.items():
     error = fit.predict(test).rms
     print(f"{name:26} {error['pressure']:8.0f} Pa {error['speed']:10.4f} m/s")

@@ -108,7 +108,7 @@ def simulate(
 
 
 def records(seed: int, extra: Extra = nothing, **options) -> tuple[Dataset, Dataset, dict]:  # type: ignore[no-untyped-def, type-arg]
-    """Two training records, an untouched one and the true derivatives."""
+    """Two training records, a validation one and the true derivatives."""
     true = derivatives(np.random.default_rng(seed))
     train = Dataset(
         (

@@ -85,7 +85,7 @@ def _ship(tmp_path_factory) -> Path:
 
 @pytest.fixture(name="study")
 def _study(ship: Path) -> Study:
-    """Its records, the last one untouched."""
+    """Its records, the last one validation."""
     problem = load_problem(ship)
     train, test = problem.data().split(test="zigzag_20_20")
     return Study(str(ship), "default", problem, train, test)

@@ -38,7 +38,7 @@ def _improved(ship: Path, tmp_path_factory) -> tuple[dict, str]:
 
 
 def test_improve_finds_what_was_hidden(improved: tuple[dict, str]) -> None:
-    """The hidden effect is added, and the error on the untouched circle falls to the noise."""
+    """The hidden effect is added, and the error on the validation circle falls to the noise."""
     stored, _ = improved
     assert stored["verdict"] == "missing"
     assert [step["added"] for step in stored["steps"]] == [HIDDEN]
@@ -60,7 +60,7 @@ def test_improve_report_says_the_same(improved: tuple[dict, str]) -> None:
 
 
 def test_improve_without_untouched_records_makes_no_claim_on_them(ship: Path, tmp_path) -> None:
-    """Without --test the search still runs; errors on untouched records are absent."""
+    """Without --test the search still runs; errors on validation records are absent."""
     given = split(ship)
     stored = tmp_path / "out.json"
     arguments = ["improve", str(ship), *given[: given.index("--test")], "--json", str(stored)]
@@ -80,7 +80,7 @@ def test_improve_needs_candidates(ship: Path, tmp_path: Path, capsys) -> None:
 
 
 def test_compare_judges_models_on_untouched_records(ship: Path, tmp_path: Path, capsys) -> None:
-    """The believed model misses the circle; with the right effect only noise is left."""
+    """The nominal model misses the circle; with the right effect only noise is left."""
     stored = tmp_path / "compare.json"
     page = tmp_path / "compare.html"
     extra = [
@@ -94,7 +94,7 @@ def test_compare_judges_models_on_untouched_records(ship: Path, tmp_path: Path, 
     ]
     assert main(["compare", str(ship), *split(ship), *extra]) == DONE
     models = {one["label"]: one for one in json.loads(stored.read_text())["models"]}
-    assert models["as believed"]["relative"] > 3.0
+    assert models["nominal"]["relative"] > 3.0
     assert models[f"with {HIDDEN}"]["relative"] < 1.1
     assert models[f"with rudder_offset and {HIDDEN}"]["relative"] < 1.2
     assert f"Closest: with {HIDDEN}" in capsys.readouterr().out

@@ -38,7 +38,7 @@ def _told(tmp_path_factory) -> tuple[Path, str, float]:
 
 @pytest.mark.slow
 def test_story_names_an_effect_and_ends_in_noise(told) -> None:
-    """The error on untouched records falls to the noise, and a verdict is printed."""
+    """The error on validation records falls to the noise, and a verdict is printed."""
     _, printed, _ = told
     assert "Missing was " in printed
     assert "Verdict: the remaining misfit is noise" in printed

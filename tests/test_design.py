@@ -343,7 +343,7 @@ def test_discrimination_raises_the_misfit_between_rivals() -> None:
         ("restoring", "small ship"),
         ("restoring", "cubic"),
     }
-    # Refit of the believed model to noise-free data of the rival: the real misfit.
+    # Refit of the nominal model to noise-free data of the rival: the real misfit.
     truth = ship() + rivals[0].with_values({"E_cubic": 2.0})
     data = Dataset((simulate(truth, found.experiment, noise=False),))
     fit = MultipleShooting(noise="given", coloured="never", disturbances="none").fit(ship(), data)

@@ -19,7 +19,7 @@ NOISE = np.array([0.01, 0.004])
 CUBIC = Force(
     "cubic", {"r": "n3*r**3"}, (Parameter("n3", 0.0, "s/rad^2"),), description="cubic damping"
 )
-BELIEVED = Model(
+NOMINAL = Model(
     "turning ship",
     states=(State("psi", "rad", "heading"), State("r", "rad/s", "yaw rate", scale=0.1)),
     inputs=(Input("rudder", "rad", "rudder"),),
@@ -49,7 +49,7 @@ def record(
     outputs += NOISE * rng.standard_normal(outputs.shape)
     if gap:
         outputs[50:80, 1] = np.nan
-    return Record(name, t, rudder[:, None], outputs, BELIEVED.channels)
+    return Record(name, t, rudder[:, None], outputs, NOMINAL.channels)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def both() -> Comparison:
     test = Dataset((record("c", 3, -20.0, gap=True), record("d", 5, -20.0)))
     fits = [
         MultipleShooting(disturbances="none").fit(model, train)
-        for model in (BELIEVED, BELIEVED + CUBIC)
+        for model in (NOMINAL, NOMINAL + CUBIC)
     ]
     return compare(fits, test)
 
@@ -117,13 +117,13 @@ def test_forecasts_of_a_right_model_leave_what_is_expected(both: Comparison) -> 
 def test_short_records_give_no_forecast() -> None:
     """A record shorter than one and a half horizons yields none, and nothing breaks."""
     short = Dataset((record("a", 1, 0.0).window(0.0, 10.0),))
-    assert forecasts(BELIEVED, short, NOISE, horizon=10.0).n_forecasts == 0
-    assert compare(BELIEVED, short, horizon=10.0).report()
+    assert forecasts(NOMINAL, short, NOISE, horizon=10.0).n_forecasts == 0
+    assert compare(NOMINAL, short, horizon=10.0).report()
 
 
 def test_a_model_that_diverges_is_a_verdict_not_a_crash() -> None:
     """An unstable model is reported as leaving the numbers."""
-    wild = BELIEVED + CUBIC.with_values({"n3": 500.0})
+    wild = NOMINAL + CUBIC.with_values({"n3": 500.0})
     found = compare(wild, Dataset((record("a", 1, 0.0),)))
     assert found[0].relative == np.inf
     assert "leaves the numbers" in found.verdict
@@ -190,7 +190,7 @@ def test_empty_comparisons_are_refused() -> None:
     with pytest.raises(DataError, match="at least one fit"):
         compare([], data)
     with pytest.raises(DataError, match="above zero"):
-        compare(BELIEVED, data, horizon=0.0)
+        compare(NOMINAL, data, horizon=0.0)
 
 
 def test_what_differs_from_record_to_record_is_estimated_on_each() -> None:
@@ -201,7 +201,7 @@ def test_what_differs_from_record_to_record_is_estimated_on_each() -> None:
     first = record("a", 1, 0.0)
     second = record("b", 2, 0.0)
     shifted = second.with_outputs(second.outputs + np.array([0.0, 0.02]))
-    found = compare({"biased": BELIEVED + bias, "plain": BELIEVED}, Dataset((first, shifted)))
+    found = compare({"biased": NOMINAL + bias, "plain": NOMINAL}, Dataset((first, shifted)))
     assert found["biased"].is_noise
     assert found["biased"].forecasts.overall == pytest.approx(1.0, abs=0.08)
     assert not found["plain"].is_noise

@@ -59,7 +59,7 @@ def test_quadratic_damping_as_published(problem: Problem, split: tuple[Dataset, 
 def test_stiffness_and_damping_are_both_missing(
     problem: Problem, split: tuple[Dataset, Dataset]
 ) -> None:
-    """Restoring and damping are found, and the untouched error falls below 0.03 degrees."""
+    """Restoring and damping are found, and the validation error falls below 0.03 degrees."""
     train, test = split
     found = improve(problem.model, train, test, candidates=problem.effects)
     added = " ".join(step.added for step in found.steps)

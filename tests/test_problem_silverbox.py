@@ -29,7 +29,7 @@ def split(problem: Problem) -> tuple[Dataset, Dataset]:
 
 
 def _error(fit: Fit, test: Dataset) -> float:
-    """Error on untouched samples in mV."""
+    """Error on validation samples in mV."""
     return 1e3 * fit.predict(test).rms["y"]
 
 

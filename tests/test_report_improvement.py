@@ -27,7 +27,7 @@ def _story(tmp_path_factory) -> tuple[Improvement, Comparison, Dataset]:
     train, test = problem.data().split(test=["turning_circle"])
     found = improve(problem.model, train, test, candidates=problem.effects, known_noise=True)
     fits = {
-        "as believed": MultipleShooting().fit(problem.model, train),
+        "nominal": MultipleShooting().fit(problem.model, train),
         "improved": MultipleShooting().fit(found.model, train),
     }
     return found, compare(fits, test), train
@@ -62,13 +62,13 @@ def test_located_plot_shows_the_evidence(story) -> None:
 
 
 def test_error_plot_falls_to_one(story) -> None:
-    """The errors on the untouched records are drawn from the believed model to the last step."""
+    """The errors on the validation records are drawn from the nominal model to the last step."""
     found = story[0]
     ax = report.plot_error_fall(found)
-    (line,) = [one for one in ax.get_lines() if one.get_label() == "untouched records"]
+    (line,) = [one for one in ax.get_lines() if one.get_label() == "validation records"]
     expected = [found.base_error["test"], *(step.test_error for step in found.steps)]
     np.testing.assert_allclose(line.get_ydata(), expected)
-    assert ax.get_xticklabels()[0].get_text() == "as believed"
+    assert ax.get_xticklabels()[0].get_text() == "nominal"
 
 
 def test_residual_force_plot_has_its_band(story) -> None:
@@ -133,7 +133,7 @@ def test_report_tells_the_story(story) -> None:
     assert titles[:4] == [
         "What is missing",
         "What to believe, and what to do next at sea",
-        "Where the believed model fails",
+        "Where the nominal model fails",
         "Evidence",
     ]
     assert all(

@@ -1,4 +1,4 @@
-"""One case of the benchmark: improve the believed model, and compare with the truth."""
+"""One case of the benchmark: improve the nominal model, and compare with the truth."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def datasets(problem: Problem, records: Sequence[Records]) -> tuple[Dataset, Dat
 
 
 def judge(draw: Draw, case: Case, records: Sequence[Records]) -> dict[str, Any]:
-    """Improve the believed model on one case, and compare with the truth."""
+    """Improve the nominal model on one case, and compare with the truth."""
     problem = _problem()
     train, test = datasets(problem, records)
     entry: dict[str, Any] = {

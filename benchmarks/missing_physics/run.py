@@ -33,8 +33,8 @@ BY_HAND = "<!-- by hand -->\n"
 PAGE = """# How often missing physics is found
 
 Simulated records of a small AUV in the diving plane hide one effect, two, none, or one that
-is in no vocabulary; `oed_sysid.diagnosis.improve` gets the believed model, 40 candidate effects,
-three training records and two untouched ones. The simulator (`benchmarks/missing_physics/`)
+is in no vocabulary; `oed_sysid.diagnosis.improve` gets the nominal model, 40 candidate effects,
+three training records and two validation ones. The simulator (`benchmarks/missing_physics/`)
 shares no code with the package: Runge-Kutta at 0.01 s in plain NumPy, commands from a relay on
 the pitch angle or from steps, true derivatives 9 % about the believed ones, amplitudes from a
 fifth to three times typical. It reproduces the records of another simulator to their noise.

@@ -67,7 +67,7 @@ def true_structure(
 ) -> Truth:
     """Fit the true structure, from the nominal model's fit and from the truth."""
     effects = [_effect(problem, name) for name in case.effects]
-    if not effects:  # the believed structure is the true one
+    if not effects:  # the nominal structure is the true one
         error = found.base_error
         return Truth(0.0, {}, threshold(len(problem.effects), 1), error["train"], error["test"])
     known = [effect for effect in problem.effects if effect not in effects]

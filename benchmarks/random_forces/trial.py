@@ -81,7 +81,7 @@ class Outcome:
 
 @lru_cache(maxsize=2)
 def _model(vehicle: str) -> Model:
-    """The believed model without priors."""
+    """The nominal model without priors."""
     if vehicle == "remus":
         model = load_problem("remus_diving_plane").model
         for parameter in model.free_parameters:

@@ -27,7 +27,7 @@ Public benchmarks with their official splits, beside the published figures. Each
 by `python -m benchmarks.scoreboard NAME`, all of them without a name. What says *missing* is
 scored as soon as its file lies in the data folder (`OED_SYSID_DATA`). No parameter was
 fitted to a record that is scored as a test, and official test records chose no structure either;
-where an untouched part of our own confirmed the effects (`improve`), the note says so.
+where a validation part of our own confirmed the effects (`improve`), the note says so.
 """
 TABLE = "| benchmark | ours | published | note |\n|---|---|---|---|\n"
 

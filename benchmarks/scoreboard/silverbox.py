@@ -68,7 +68,7 @@ def simulated_error(fit: Fit, record: Record) -> float:
 
 
 def score() -> list[Row]:
-    """Three columns, and the untouched realisation that is at hand."""
+    """Three columns, and the validation realisation that is at hand."""
     fit, added = learn()
     note = f"linear + {', '.join(added)}; fitted to 3,500 samples of the multisine"
     problem = load_problem("silverbox")

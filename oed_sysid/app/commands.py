@@ -22,7 +22,7 @@ def check(study: Study) -> str:
 
 
 def fit(study: Study) -> str:
-    """Commands that fit, and write the report with predictions of the untouched records."""
+    """Commands that fit, and write the report with predictions of the validation records."""
     line = f"{_line('fit', study)} train{_noise(study)} --save fit.json --html fit.html"
     if study.test is not None:
         line += "\noed-sysid report fit.json --test test --out report.html"
@@ -30,7 +30,7 @@ def fit(study: Study) -> str:
 
 
 def compare(study: Study, groups: Iterable[tuple[str, ...]]) -> str:
-    """Command that compares models on the untouched records."""
+    """Command that compares models on the validation records."""
     added = " ".join("+".join(names) for names in groups)
     more = f" --with {added}" if added else ""
     return f"{_line('compare', study)} {_records(study)}{more}{_noise(study)} --html compare.html"

@@ -1,4 +1,4 @@
-"""Page 3: where the model fails, on untouched records and in the training records."""
+"""Page 3: where the model fails, on validation records and in the training records."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ def show(study: Study) -> None:
     st.header("Compare and diagnose")
     view = st.segmented_control(
         "View",
-        ("Untouched records", "Where it fails"),
+        ("Validation records", "Where it fails"),
         required=True,
-        key=choices.preset(choices.kept("view"), "Untouched records"),
+        key=choices.preset(choices.kept("view"), "Validation records"),
         label_visibility="collapsed",
     )
-    if view == "Untouched records":
+    if view == "Validation records":
         _compare(study)
     else:
         _diagnose(study)
 
 
 def _compare(study: Study) -> None:
-    study.training(), study.untouched()
+    study.training(), study.validation()
     added = st.multiselect(
         "Also with one effect added",
         [effect.name for effect in study.problem.effects],
@@ -37,7 +37,7 @@ def _compare(study: Study) -> None:
     )
     groups = tuple((name,) for name in added)
     line = commands.compare(study, groups)
-    about = Asked("Comparison on untouched records", "compare", line)
+    about = Asked("Comparison on validation records", "compare", line)
     key = ("compare", groups, *study.key)
     outcome = work("Compare", key, about, partial(tasks.compare, study, groups))
     if outcome is not None:

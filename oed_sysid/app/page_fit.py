@@ -1,4 +1,4 @@
-"""Page 2: estimate the parameters of the believed model."""
+"""Page 2: estimate the parameters of the nominal model."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ def show(study: Study) -> None:
     study.training()
     if study.test is None:
         st.warning(
-            "There is no untouched record, so what is found cannot be tested. Choose one on the "
+            "There is no validation record, so what is found cannot be tested. Choose one on the "
             "page Problem."
         )
     key = choices.preset(choices.kept("most", study.source, study.variant), 4)
@@ -61,7 +61,7 @@ def _step_back(study: Study, found: Improvement) -> None:
     key = choices.preset(choices.kept("effects", study.source, study.variant), added)
     effects = tuple(st.multiselect("Effects to keep", known, key=key))
     if not effects:
-        st.caption("Without an effect this is the believed model.")
+        st.caption("Without an effect this is the nominal model.")
         return
     groups = (effects,)
     line = commands.compare(study, groups)

@@ -26,7 +26,7 @@ class Study:
     problem : Problem
         The problem, that model believed.
     train, test : Dataset or None
-        Records to learn from; untouched records.
+        Records to learn from; validation records.
     known_noise : bool
         Whether the declared noise levels are trusted.
     """
@@ -79,8 +79,8 @@ class Study:
             return self.training() if self.test is None else self.test
         return together(self.train, self.test)
 
-    def untouched(self) -> Dataset:
-        """Return the untouched records.
+    def validation(self) -> Dataset:
+        """Return the validation records.
 
         Raises
         ------
@@ -88,7 +88,7 @@ class Study:
             If none were chosen.
         """
         if self.test is None:
-            raise DataError("There is no untouched record. Choose one on the page Problem.")
+            raise DataError("There is no validation record. Choose one on the page Problem.")
         return self.test
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from oed_sysid.model import Model
     from oed_sysid.report import Page
 
-BELIEVED = "as believed"
+NOMINAL = "nominal"
 DRAWING = "drawing"
 
 
@@ -53,7 +53,7 @@ def corrected(study: Study, found: LogCheck) -> bytes:
 
 
 def fit(study: Study, tell: Tell) -> Outcome:
-    """Estimate the parameters of the believed model."""
+    """Estimate the parameters of the nominal model."""
     from oed_sysid.report import fit_page
 
     log = quick_check(study.training(), study.problem.model)
@@ -63,26 +63,26 @@ def fit(study: Study, tell: Tell) -> Outcome:
 
 
 def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outcome:
-    """Fit the believed model, and with each group of effects added; judge on untouched records."""
+    """Fit the nominal model, and with each group of effects added; judge on validation records."""
     from oed_sysid.diagnosis.compare import compare as compare_models
     from oed_sysid.report import comparison_page
 
-    untouched = study.untouched()
-    models = {BELIEVED: study.problem.model}
+    validation = study.validation()
+    models = {NOMINAL: study.problem.model}
     for names in groups:
         effects = [study.problem.effect(name) for name in names]
         models[f"with {' and '.join(names)}"] = study.problem.model + effects
     fits = {name: fitted(study, model, tell) for name, model in models.items()}
-    tell("predicting the untouched records")
-    result = compare_models(fits, untouched)
-    records = together(study.training(), untouched)
+    tell("predicting the validation records")
+    result = compare_models(fits, validation)
+    records = together(study.training(), validation)
     log = quick_check(records, study.problem.model).without("duplicate")
     tell(DRAWING)
     return Outcome(result, comparison_page(result, title=study.problem.title, log=log))
 
 
 def diagnose(study: Study, tell: Tell) -> Outcome:
-    """Say where the believed model fails and what may be missing."""
+    """Say where the nominal model fails and what may be missing."""
     from oed_sysid.diagnosis.diagnose import diagnose as look
     from oed_sysid.report import diagnosis_page
 
@@ -94,7 +94,7 @@ def diagnose(study: Study, tell: Tell) -> Outcome:
 
 
 def improve(study: Study, max_effects: int, tell: Tell) -> Outcome:
-    """Find the effects that the believed model lacks."""
+    """Find the effects that the nominal model lacks."""
     from oed_sysid.diagnosis.compare import compare as compare_models
     from oed_sysid.diagnosis.improve import improve as search
     from oed_sysid.report import improvement_page
@@ -109,7 +109,7 @@ def improve(study: Study, max_effects: int, tell: Tell) -> Outcome:
         max_effects=max_effects,
         progress=tell,
     )
-    fits = {BELIEVED: result.base_fit} | ({"improved": result.fit} if result.steps else {})
+    fits = {NOMINAL: result.base_fit} | ({"improved": result.fit} if result.steps else {})
     tell("predicting")
     comparison = compare_models(fits, study.test or train)
     tell(DRAWING)

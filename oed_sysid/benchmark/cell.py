@@ -103,7 +103,7 @@ class Outcome:
         Least relative standard error that these data allow (Cramér-Rao), start
         states unknown; infinite where they say nothing.
     prediction : float
-        Root mean square error of the model on the untouched run, from the true
+        Root mean square error of the model on the validation run, from the true
         start state and against the truth, in units of the noise (of 0.1 % of
         the peak where there is none); infinite where it diverges.
     iterations : int

@@ -54,7 +54,7 @@ class Row:
     coverage : float
         Share of stated 95 % intervals that hold the truth; NaN without noise.
     prediction : float
-        Median over seeds of the error on the untouched run, units of noise.
+        Median over seeds of the error on the validation run, units of noise.
     seconds, iterations : float
         Medians over seeds.
     reason : str

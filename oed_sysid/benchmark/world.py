@@ -145,7 +145,7 @@ class World:
         return clean.with_outputs(path.outputs[::SUBSTEPS])
 
     def believed(self, model: Model, rng: np.random.Generator) -> Model:
-        """The model as an estimator is handed it: levels as declared, known numbers as believed."""
+        """The model as an estimator is handed it: levels as declared, known numbers nominal."""
         outputs = tuple(
             replace(output, noise_std=float(output.noise_std or 0.0) * self.declared)
             for output in model.outputs

@@ -53,7 +53,7 @@ def underwater_vehicle_effects(
     outputs : collection of str, optional
         Measured signals that may have errors; by default none is suspected.
     known : Force, optional
-        Hull forces of the believed model: candidates that only repeat a term whose
+        Hull forces of the nominal model: candidates that only repeat a term whose
         derivative is free there are left out.
     step : float
         Shortest integration step in s, for the register of a delay.
@@ -157,7 +157,7 @@ def catamaran_effects(
     outputs : collection of str, optional
         Measured signals that may have errors.
     known : Force, optional
-        Hull forces of the believed model, as above.
+        Hull forces of the nominal model, as above.
     step : float
         Shortest integration step in s.
     """
@@ -213,7 +213,7 @@ def catamaran_effects(
 
 
 def _beyond(known: Force | None, found: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Candidates that say more than a free derivative of the believed hull does."""
+    """Candidates that say more than a free derivative of the nominal hull does."""
     if known is None:
         return tuple(found)
     free = {parameter.name for parameter in known.parameters if not parameter.fixed}

@@ -126,14 +126,14 @@ def compare(
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
-    training, untouched = (read_csv(files, chosen.channels) for files in (train, test))
-    log = quick_check(together(training, untouched), chosen.model).without("duplicate")
+    training, validation = (read_csv(files, chosen.channels) for files in (train, test))
+    log = quick_check(together(training, validation), chosen.model).without("duplicate")
     noise = "given" if known_noise else "auto"
     with journal(kept_in, fresh) as keep:
         with progress("Fitting") as show:
             fits = _fits(_models(chosen, added or []), training, noise, keep, show)
             show.say("Predicting")
-            result = compare_models(fits, untouched)
+            result = compare_models(fits, validation)
         say_log(log)
         say(result.report())
         for name, fit in fits.items():
@@ -142,7 +142,7 @@ def compare(
             for concern in fit.grave:
                 note(f"Do not use the fit of {name}: {concern.text}")
         content = {**result.to_dict(), "log": log.to_dict()}
-        store(content, json_file, records=[training, untouched])
+        store(content, json_file, records=[training, validation])
         if html_file is not None:
             from oed_sysid.report import comparison_page
 
@@ -251,8 +251,8 @@ def report(
 
 
 def _models(problem: Problem, added: list[str]) -> dict[str, Model]:
-    """The believed model, and one for each group of candidates added to it."""
-    models = {"as believed": problem.model}
+    """The nominal model, and one for each group of candidates added to it."""
+    models = {"nominal": problem.model}
     for group in added:
         effects = [problem.effect(name.strip()) for name in group.split("+")]
         models[f"with {' and '.join(effect.name for effect in effects)}"] = problem.model + effects

@@ -87,13 +87,13 @@ def improve(
 
     chosen = load_problem(problem, variant=model)
     training = read_csv(train, chosen.channels)
-    untouched = read_csv(test, chosen.channels) if test else None
+    validation = read_csv(test, chosen.channels) if test else None
     with journal(kept_in, fresh) as keep:
         with progress("Starting") as show:
             result = improve(
                 chosen.model,
                 training,
-                untouched,
+                validation,
                 candidates=chosen.effects,
                 known_noise=known_noise,
                 max_effects=max_effects,
@@ -101,7 +101,7 @@ def improve(
                 journal=keep,
             )
         say(result.report())
-        store(result.to_dict(), json_file, records=[training, untouched])
+        store(result.to_dict(), json_file, records=[training, validation])
         if save is not None:
             result.fit.save(save)
             note(f"Written: {save}")
@@ -109,7 +109,7 @@ def improve(
             from oed_sysid.report import improvement_page
 
             fits = {"nominal": result.base_fit} | ({"improved": result.fit} if result.steps else {})
-            comparison = compare(fits, untouched or training)
+            comparison = compare(fits, validation or training)
             page = improvement_page(result, comparison, train=training, title=chosen.title)
             note(f"Written: {page.write(html_file)}")
         if result.remains.kind == "log suspect":

@@ -23,14 +23,14 @@ class Discriminate:
     r"""Maximise the misfit that remains when the wrong rival has been refitted.
 
     Every rival shifts the outputs by :math:`d_i` (whitened difference to the
-    believed model, at a nominal amplitude). The part of it that the free
+    nominal model, at a nominal amplitude). The part of it that the free
     parameters and start states could imitate is projected out, and, against
     another rival, the part that this rival could imitate at any amplitude:
 
     .. math:: T_{i|j} = d_i' P d_i - (d_i' P d_j)^2 / d_j' P d_j
 
     The criterion is the logarithm of the smallest :math:`T` over all pairs,
-    the believed model included. :math:`T` is the expected gain of
+    the nominal model included. :math:`T` is the expected gain of
     :math:`2 \Delta \log L` of the truth over its best rival, a noncentral
     chi-square's parameter: above 16 to 25 the choice is nearly certain.
 
@@ -68,7 +68,7 @@ class Discriminate:
         if not self.size > 0:
             raise DesignError(f"size is {self.size}. Give a share of the scale above zero.")
         if len(names) == 1 and not self.against_believed:
-            raise DesignError("One rival alone can only be told from the believed model.")
+            raise DesignError("One rival alone can only be told from the nominal model.")
 
     @property
     def rival_names(self) -> tuple[str, ...]:

@@ -187,7 +187,7 @@ def compare(
     initial: Initial = "fit",
     horizon: float = 10.0,
 ) -> Comparison:
-    """Compare models with records, best untouched ones.
+    """Compare models with records, best validation records.
 
     No shared parameter is estimated again; initial states (and parameters
     that differ from record to record) are, because no record starts from a

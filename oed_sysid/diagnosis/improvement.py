@@ -153,7 +153,7 @@ class Step:
     needed : float
         Gain that chance rarely exceeds, however many candidates were tried.
     test_gain : float
-        The same gain on the untouched records; NaN without any.
+        The same gain on the validation records; NaN without any.
     train_error, test_error : float
         Prediction errors after the step, in units of the noise.
     fit : Fit
@@ -203,7 +203,7 @@ class Improvement:
     yardstick : Yardstick
         Noise and spread of the signals, to compare errors with.
     rejected : tuple of str
-        Best candidates that the untouched records refused.
+        Best candidates that the validation records refused.
     """
 
     model: Model

@@ -28,7 +28,7 @@ ALIKE = 0.95
 # Of two such effects, the one that explains less by no more than this share is not refuted: noise
 # models are never that exact.
 NEARLY = 0.015
-# Share of false claims over all candidates where no untouched record can be asked, and
+# Share of false claims over all candidates where no validation record can be asked, and
 # where one is: chance passes both once in several hundred searches.
 FALSE_CLAIMS, FALSE_CLAIMS_BEFORE_TEST = 0.01, 0.05
 

@@ -78,7 +78,7 @@ def shallow_water(
 ) -> Force:
     r"""Hull forces that grow in proportion where the water is shallow, :math:`E\,\tau_{hull}`.
 
-    ``terms`` holds the hull forces of the believed model, for instance
+    ``terms`` holds the hull forces of the nominal model, for instance
     ``{"Y": "Y_uv*u_r*v_r", "N": "N_ur*u_r*r"}``. Added masses grow as well: see
     :func:`~oed_sysid.effects.inertia.added_mass_factor`. One depth per data set.
     """

@@ -42,13 +42,13 @@ def diagnosis_page(diagnosis: Diagnosis, train: Dataset | None = None, *, title:
         sections=(
             located_section(diagnosis.location, train),
             evidence_section(diagnosis.ranking),
-            Section("Equations of the believed model", listing=diagnosis.model.equations()),
+            Section("Equations of the nominal model", listing=diagnosis.model.equations()),
         ),
     )
 
 
 def located_section(located: Located, train: Dataset | None) -> Section:
-    """Where the believed model fails, with residual forces where the records are given."""
+    """Where the nominal model fails, with residual forces where the records are given."""
     figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.3 * min(len(located.evidence), 14)))
     plot_located(located, ax=axes[0, 0])
     pictures = [
@@ -73,7 +73,7 @@ def located_section(located: Located, train: Dataset | None) -> Section:
             "A residual force is the part of the missing force that the free parameters could not "
             "absorb, not the missing force itself."
         )
-    return Section("Where the believed model fails", tuple(words), pictures=tuple(pictures))
+    return Section("Where the nominal model fails", tuple(words), pictures=tuple(pictures))
 
 
 def evidence_section(ranking: Ranking) -> Section:

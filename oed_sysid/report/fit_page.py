@@ -101,7 +101,7 @@ def fit_verdict(fit: Fit) -> tuple[str, ...]:
     far = [name for name in fit.names if _surprise(fit, name) > _SURPRISING]
     if far:
         says.append(
-            f"Further than {_SURPRISING:g} standard deviations from what was believed before: "
+            f"Further than {_SURPRISING:g} standard deviations from the prior: "
             f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
         )
     null = fit.information.null_directions()
@@ -128,14 +128,14 @@ def _estimates(fit: Fit) -> Section:
         interval = f"{low:.4g} to {high:.4g}" if np.isfinite(error) else "unbounded"
         rows.append((name, f"{value:.5g}", f"{error:.2g}", share, interval, prior, parameter.unit))
     headers = (
-        "parameter", "value", "std. error", "relative", "95 % interval", "believed before", "unit",
+        "parameter", "value", "std. error", "relative", "95 % interval", "prior", "unit",
     )  # fmt: skip
     figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.34 * len(fit.names)))
     plot_intervals(fit, ax=axes[0, 0])
     pictures = [
         Picture.of(
             figure,
-            "Estimates with 95 % intervals, divided by what was believed before (grey bars), or by "
+            "Estimates with 95 % intervals, divided by the prior (grey bars), or by "
             "themselves where nothing was.",
         )
     ]

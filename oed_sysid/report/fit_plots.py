@@ -198,7 +198,7 @@ def plot_intervals(
     ax.set_yticks(rows, [symbol_of(name) for name in names])
     parameters = [several[0].model.parameter(name) for name in names if name in several[0].names]
     believed = any(parameter.prior_mean is not None for parameter in parameters)
-    what = "what was believed before" if believed else "the estimate"
+    what = "the prior" if believed else "the estimate"
     ax.set(xlabel=f"value relative to {what} [-]", ylim=(-0.6, len(names) - 0.4))
     clean(ax)
     # Above: below, its distance from the axis' label would depend on the height.
@@ -300,7 +300,7 @@ def _draw_priors(
         centre = parameter.prior_mean / scale[name]
         half = TWO_SIDED_95 * parameter.prior_spread / abs(scale[name])
         ax.barh(row, 2 * half, left=centre - half, height=0.7, color=NEUTRAL, alpha=0.3,
-                lw=0, label="believed before (95 %)", zorder=0.5)  # fmt: skip
+                lw=0, label="prior (95 %)", zorder=0.5)  # fmt: skip
 
 
 __all__ = [

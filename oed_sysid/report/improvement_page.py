@@ -28,7 +28,7 @@ def improvement_page(
     improvement : Improvement
         The search.
     comparison : Comparison, optional
-        Of the believed and the improved model, best on untouched records.
+        Of the believed and the improved model, best on validation records.
     train : Dataset, optional
         The training records, to draw residual forces against their signals.
     title : str
@@ -36,7 +36,7 @@ def improvement_page(
     """
     before, after = improvement.base_error, improvement.final_error
     which = "test" if np.isfinite(after["test"]) else "train"
-    records = "untouched" if which == "test" else "training"
+    records = "validation" if which == "test" else "training"
     sections = [
         _steps(improvement),
         _advice(improvement),
@@ -54,7 +54,7 @@ def improvement_page(
         subtitle="What the model lacks, and what it predicts with it",
         verdict=improvement_verdict(improvement),
         numbers=(
-            (f"error on {records} records, as believed", f"{before[which]:.3g} × noise"),
+            (f"error on {records} records, nominal", f"{before[which]:.3g} × noise"),
             ("improved", f"{after[which]:.3g} × noise"),
             ("effects added", str(len(improvement.steps))),
             ("candidates", str(len(improvement.ranking.scores))),
@@ -70,7 +70,7 @@ def improvement_verdict(improvement: Improvement) -> tuple[str, ...]:
     records = "records that nothing was fitted to" if which == "test" else "training records"
     says = [
         *log_verdict(improvement.log),
-        f"As believed, the model predicts the {records} with an error of {before[which]:.3g} times "
+        f"The nominal model predicts the {records} with an error of {before[which]:.3g} times "
         "the noise.",
     ]
     known = {score.effect.name for score in improvement.ranking.scores}
@@ -93,7 +93,7 @@ def improvement_verdict(improvement: Improvement) -> tuple[str, ...]:
     else:
         says.append("No candidate is missing that these records could show.")
     if which == "train":
-        says.append("There were no untouched records, so the claim has not been tested.")
+        says.append("There were no validation records, so the claim has not been tested.")
     says.append(improvement.report().rstrip().splitlines()[-1])
     return tuple(says)
 
@@ -112,8 +112,8 @@ def _steps(improvement: Improvement) -> Section:
         for step in improvement.steps
     )
     headers = (
-        "added", "evidence", "needed", "on untouched records", "error, training",
-        "error, untouched", "cannot be told from it",
+        "added", "evidence", "needed", "on validation records", "error, training",
+        "error, validation", "cannot be told from it",
     )  # fmt: skip
     figure, axes = new_figure(1, 1, size=(7.6, 3.8))
     plot_error_fall(improvement, ax=axes[0, 0])
@@ -125,11 +125,11 @@ def _steps(improvement: Improvement) -> Section:
         "Evidence is the gain in twice the log-likelihood after all parameters and noise levels "
         "were estimated again; chance rarely exceeds the needed gain, however many candidates were "
         "tried. Errors are those of plain least squares on the training records. Nothing was "
-        "fitted to the untouched records but their initial states."
+        "fitted to the validation records but their initial states."
     ]
     if improvement.rejected:
         refused = ", ".join(dict.fromkeys(improvement.rejected))
-        words.append(f"Refused, because the untouched records became less likely: {refused}.")
+        words.append(f"Refused, because the validation records became less likely: {refused}.")
     tables = (*([Table(headers, rows, words=(6,))] if rows else []), _in_units(improvement))
     return Section("What is missing", tuple(words), tables=tables, pictures=(picture,))
 
@@ -169,7 +169,7 @@ def _estimates(improvement: Improvement) -> Section:
             )
         )
     headers = (
-        "parameter", "value", "std. error", "relative", "without the effects", "believed before",
+        "parameter", "value", "std. error", "relative", "without the effects", "prior",
         "unit",
     )  # fmt: skip
     added = {p.name for s in improvement.steps for p in _parameters(improvement, s.added)}

@@ -81,7 +81,7 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
 
 
 def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes:
-    """Plot the prediction error after each step, on training and untouched records.
+    """Plot the prediction error after each step, on training and validation records.
 
     Errors are over whole records, with nothing fitted but initial states. One
     is the error that a right model would have; the grey band is within five
@@ -97,7 +97,7 @@ def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes
     ax = new_axes(ax, size=(6.4, 3.6))
     steps = improvement.steps
     places = np.arange(len(steps) + 1)
-    words = ["as believed", *(f"+ {step.added.replace('_', ' ')}" for step in steps)]
+    words = ["nominal", *(f"+ {step.added.replace('_', ' ')}" for step in steps)]
     train = [improvement.base_error["train"], *(step.train_error for step in steps)]
     test = [improvement.base_error["test"], *(step.test_error for step in steps)]
     ax.axhspan(0.95, 1.05, color=NEUTRAL, alpha=0.3, lw=0)
@@ -106,7 +106,7 @@ def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes
         places, train, "s--", color=NEUTRAL, mfc="white", lw=1.2, ms=7, label="training records"
     )
     if np.isfinite(test).any():
-        ax.plot(places, test, "o-", color=_BEST, lw=1.8, ms=7, label="untouched records")
+        ax.plot(places, test, "o-", color=_BEST, lw=1.8, ms=7, label="validation records")
     shown = test if np.isfinite(test).any() else train
     for place, value in zip(places, shown, strict=True):
         if np.isfinite(value):

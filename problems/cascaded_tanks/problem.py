@@ -1,6 +1,6 @@
 """Cascaded tanks: a pump fills an upper tank, which drains into a lower one.
 
-Only the level of the lower tank is measured. The believed model is
+Only the level of the lower tank is measured. The nominal model is
 linear; water that drains by gravity is not, and tanks overflow.
 """
 

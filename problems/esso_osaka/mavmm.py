@@ -28,7 +28,7 @@ DERIVATIVES = tuple(
 )
 # Textbook values, which a fit of the MMG model may change and this one takes as they are.
 TAKEN = tuple(
-    known(p.name, p.value, "1", f"{p.description}, as believed")
+    known(p.name, p.value, "1", f"{p.description}, nominal")
     for p in (*INERTIA, *PROPELLER)
     if p.name in ("m_y_prime", "J_z_prime", "k_0", "k_1", "t_P", "w_P")
 )

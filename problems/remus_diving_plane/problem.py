@@ -180,6 +180,6 @@ problem = Problem(
         "autonomous underwater vehicle, MIT/WHOI (masses, added masses, order of derivatives)",
     ),
     description=(
-        "A believed model that may lack physics: find what the records show and it does not."
+        "A nominal model that may lack physics: find what the records show and it does not."
     ),
 )

@@ -1,7 +1,7 @@
 """Roll decay of a tanker model at zero speed: which damping, and is the spring straight?
 
 One test of the KVLCC2 at scale 1:68, from the first crest after the release on.
-The believed model is the textbook's: linear damping and a linear righting moment
+The nominal model is the textbook's: linear damping and a linear righting moment
 from the known displacement and metacentric height.
 """
 
@@ -70,7 +70,7 @@ model = Model(
     step=0.05,
 )
 
-# Linear damping and an error of inertia are free already in the believed model. There
+# Linear damping and an error of inertia are free already in the nominal model. There
 # are no waves in the basin, and one at the natural frequency would mimic any damping.
 LEFT_OUT = ("roll_linear_damping", "roll_added_inertia_error", "wave_roll_moment")
 effects = (

@@ -1,6 +1,6 @@
 """Silverbox: an electronic circuit made to behave like a mass on a hardening spring.
 
-The believed model is the linear one. The input is a multisine with power up to
+The nominal model is the linear one. The input is a multisine with power up to
 200 Hz, measured 610.35 times a second: between the samples it is neither held
 nor linear, so it is interpolated here as the band-limited signal that it is.
 """
