@@ -21,11 +21,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from xml.etree import ElementTree
 
-from oed_sysid import __version__
 from oed_sysid.errors import FileError
 from oed_sysid.export.c_code import header, source, template
 from oed_sysid.export.program import Program
 from oed_sysid.files import whole_file
+from oed_sysid.version import __version__
 
 _PLATFORMS = {
     ("linux", "x86_64"): ("linux64", ".so"),

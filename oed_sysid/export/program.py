@@ -27,13 +27,13 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from oed_sysid import __version__
 from oed_sysid.compiled.graph import build
 from oed_sysid.errors import ModelError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.language.callables import OPERATION_WORDS
 from oed_sysid.model import Model
 from oed_sysid.simulate.trajectory import simulate_inputs
+from oed_sysid.version import __version__
 
 # Samples of the trajectory that a self-test repeats.
 MOST_TESTED = 400

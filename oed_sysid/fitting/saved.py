@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oed_sysid import __version__
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
 from oed_sysid.files import write_text
 from oed_sysid.fitting.archive import decode
+from oed_sysid.version import __version__
 
 if TYPE_CHECKING:
     from oed_sysid.fitting.fit import Fit

@@ -12,7 +12,8 @@ import jinja2
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from oed_sysid import __version__, files
+from oed_sysid import files
+from oed_sysid.version import __version__
 
 _RESOLUTION = 110
 
