@@ -36,7 +36,7 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
         str(RECORDS / "test_steps.csv"),
     ),
     "design": (
-        *("design", "auv_diving_plane", "--duration", "90", "--effort", "normal"),
+        *("design", "auv_diving_plane", "--duration", "90", "--effort", "thorough"),
         *("--certainty", "0.9"),
     ),
 }

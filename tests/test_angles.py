@@ -94,3 +94,27 @@ def test_only_angles_wrap() -> None:
     """A length that wraps is refused where it is declared."""
     with pytest.raises(OedSysidError, match="only an angle"):
         Output("z", "m", wrap=True)
+
+
+def test_turns_within_a_gap_are_counted_by_the_rates_beside_it() -> None:
+    """A ship that turns on while its compass is silent for 80 s comes out where it is."""
+    t = np.arange(0.0, 200.0, 0.5)
+    rng = np.random.default_rng(0)
+    true = np.radians(6.0) * t
+    logged = np.mod(true + 0.005 * rng.standard_normal(t.size), 2.0 * np.pi)
+    logged[(t > 60.0) & (t < 140.0)] = np.nan
+    whole = unwrapped(logged, times=t)
+    assert np.nanmax(np.abs(whole - true)) < 0.03
+    assert np.nanmax(np.abs(unwrapped(logged) - true)) > 6.0
+
+
+def test_gap_between_unlike_rates_adds_no_turn() -> None:
+    """Where the rates beside a gap disagree, or nothing turns, no turn is invented."""
+    t = np.arange(0.0, 200.0, 0.5)
+    slow = 0.5 * np.sin(0.05 * t)
+    slow[(t > 60.0) & (t < 110.0)] = np.nan
+    np.testing.assert_array_equal(unwrapped(slow, times=t), slow)
+    turning = np.where(t < 60.0, 0.2 * t, 12.0)
+    turning[(t > 58.0) & (t < 140.0)] = np.nan
+    found = unwrapped(np.mod(turning, 2.0 * np.pi), times=t)
+    assert abs(found[-1] - found[110]) < np.pi

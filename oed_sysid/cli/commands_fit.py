@@ -92,7 +92,7 @@ def fit(
             from oed_sysid.report import fit_page
 
             note(f"Written: {fit_page(result, log=log).write(html_file)}")
-        _end([result], suspect=log.suspect)
+        _end([result], suspect=log.contradictory)
 
 
 def compare(
@@ -148,7 +148,7 @@ def compare(
 
             page = comparison_page(result, title=chosen.title, log=log)
             note(f"Written: {page.write(html_file)}")
-        _end(list(fits.values()), suspect=log.suspect)
+        _end(list(fits.values()), suspect=log.contradictory)
 
 
 def _fits(

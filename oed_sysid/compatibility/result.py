@@ -12,6 +12,10 @@ import numpy as np
 TWO_SIDED_95 = 1.96
 
 
+# Findings with which a fit must not be used whatever its residuals say.
+CONTRADICTIONS = ("sign", "unit", "swap", "frame", "offset", "dead", "duplicate", "clock")
+
+
 @dataclass(frozen=True)
 class Correction:
     """How to undo a finding in a copy of a record.
@@ -175,6 +179,14 @@ class LogCheck:
     def suspect(self) -> bool:
         """Whether the log contradicts itself and should not be used as it is."""
         return any(finding.suspect for finding in self.findings)
+
+    @property
+    def contradictory(self) -> bool:
+        """Whether signals contradict each other or the nominal model, beyond bad samples.
+
+        Spikes and the like cost accuracy; a wrong sign, unit or column costs the truth.
+        """
+        return any(finding.kind in CONTRADICTIONS for finding in self.serious)
 
     @property
     def ok(self) -> bool:

@@ -6,7 +6,9 @@ A heading is known up to full turns, and a log usually holds it within one of th
 
 so that the logged series jumps by one period where the vehicle passes the cut. Differential
 equations need the continuous angle: of all series that agree with the log up to full turns, the
-one that never moves by more than half a turn between two samples.
+one that never moves by more than half a turn between two samples. In a gap it may: there it is
+the one that comes nearest to the rate on both sides, :math:`\Delta\psi \approx
+\tfrac12(\dot\psi_- + \dot\psi_+)\Delta t`, if these agree well enough to tell.
 """
 
 from __future__ import annotations
@@ -22,11 +24,15 @@ RANGE_MARGIN = 0.04
 CLEAR = 0.08
 # ... and is not faster than this multiple of what the signal does around it.
 FASTER = 8.0
+# A gap is so many usual steps long; the rate beside it is from so many samples, at least LEAST.
+GAP, BESIDE, LEAST = 4.0, 12, 5
 # A signal that moves by more than this share of a turn between samples is too sparse to tell.
 SPARSE = 0.08
 
 
-def unwrapped(values: np.ndarray, period: float = TURN) -> np.ndarray:
+def unwrapped(
+    values: np.ndarray, period: float = TURN, times: np.ndarray | None = None
+) -> np.ndarray:
     """Continuous series of an angle; missing samples stay missing.
 
     Parameters
@@ -35,6 +41,9 @@ def unwrapped(values: np.ndarray, period: float = TURN) -> np.ndarray:
         Shape ``(n_samples,)``, NaN where not sampled.
     period : float
         One turn, in the unit of the values.
+    times : numpy.ndarray, optional
+        Shape ``(n_samples,)``, s. With them full turns within gaps are counted by the rates on
+        both sides.
 
     Examples
     --------
@@ -43,7 +52,37 @@ def unwrapped(values: np.ndarray, period: float = TURN) -> np.ndarray:
     """
     result = np.array(values, dtype=float)
     present = np.isfinite(result)
-    result[present] = np.unwrap(result[present], period=period)
+    series = np.unwrap(result[present], period=period)
+    if times is not None:
+        series = _with_turns_in_gaps(np.asarray(times, dtype=float)[present], series, period)
+    result[present] = series
+    return result
+
+
+def _with_turns_in_gaps(times: np.ndarray, series: np.ndarray, period: float) -> np.ndarray:
+    """Add the full turns that a steady motion makes while nothing is logged."""
+    steps = np.diff(times)
+    if steps.size < 2 * LEAST:
+        return series
+    gaps = np.flatnonzero(steps > GAP * np.median(steps))
+    edges = [0, *(gaps + 1), times.size]
+    result = series.copy()
+    for number, last in enumerate(gaps):
+        rates = []
+        for piece in (
+            slice(max(edges[number], last + 1 - BESIDE), last + 1),
+            slice(last + 1, min(edges[number + 2], last + 1 + BESIDE)),
+        ):
+            if piece.stop - piece.start >= LEAST:
+                rates.append(float(np.polyfit(times[piece], series[piece], 1)[0]))
+        if len(rates) < 2:
+            continue
+        duration = float(steps[last])
+        expected = 0.5 * sum(rates) * duration
+        if abs(rates[1] - rates[0]) * duration > 0.5 * period:
+            continue  # which of two turns it was, nobody knows
+        turns = round((expected - (series[last + 1] - series[last])) / period)
+        result[last + 1 :] += turns * period
     return result
 
 

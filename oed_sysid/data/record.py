@@ -137,7 +137,7 @@ class Record:
                 continue
             values = outputs[:, column]
             if output.wrap:
-                whole = unwrapped(values)
+                whole = unwrapped(values, times=self.times)
                 jumps = int(np.sum(np.abs(np.diff((whole - values)[np.isfinite(values)])) > 1.0))
                 if jumps:
                     turns = "turn" if jumps == 1 else "turns"
