@@ -27,6 +27,7 @@ test: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 -m "not slow" tests oed_sysid --doctest-modules --doctest-ignore-import-errors
+	$(BIN)/sphinx-build -q -W --keep-going -j auto -b html docs out/site
 
 test-slow: setup
 	$(BIN)/pytest -n 2 -m slow tests
@@ -35,8 +36,7 @@ benchmark: setup
 	$(BIN)/python -m benchmarks
 
 docs: setup
-	$(BIN)/python -m pip install --quiet pdoc
-	$(BIN)/pdoc --math --docformat numpy -o out/docs oed_sysid
+	$(BIN)/sphinx-build -q -W --keep-going -j auto -b html docs out/site
 
 clean:
 	rm -rf build dist out .pytest_cache .mypy_cache .ruff_cache

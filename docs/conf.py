@@ -1,0 +1,137 @@
+"""Sphinx configuration: the pages of this folder, and a reference of every public name.
+
+    make docs
+
+The reference is written anew at every build (``docs/reference/``): one page for each package with
+public names, and one for each name, from its docstring. Warnings are errors.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+
+from oed_sysid.version import __version__  # noqa: E402
+
+project = "oed_sysid"
+author = "the authors of oed_sysid"
+release = version = __version__
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+]
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
+myst_heading_anchors = 4
+# Links into the source tree are checked by tests/test_docs.py; the site has no page for them.
+suppress_warnings = ["myst.xref_missing", "myst.header"]
+exclude_patterns = ["_build", "README.md"]
+templates_path = ["_templates"]
+autosummary_generate = True
+autosummary_ignore_module_all = False
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+napoleon_use_ivar = True
+html_theme = "furo"
+html_title = f"oed_sysid {release}"
+html_show_sphinx = False
+
+PACKAGES = {
+    "oed_sysid": "At the top level",
+    "oed_sysid.effects": "Effects",
+    "oed_sysid.bodies": "Rigid bodies",
+    "oed_sysid.manoeuvres": "Manoeuvres",
+    "oed_sysid.simulate": "Simulation",
+    "oed_sysid.logs": "Logs in",
+    "oed_sysid.compatibility": "Checks of logs",
+    "oed_sysid.estimators": "Estimators",
+    "oed_sysid.noise": "Noise",
+    "oed_sysid.sensitivity": "Sensitivity",
+    "oed_sysid.design": "Design of trials",
+    "oed_sysid.diagnosis": "Missing physics",
+    "oed_sysid.export": "Models out",
+    "oed_sysid.testing": "Contracts for extensions",
+    "oed_sysid.benchmark": "Benchmark of estimators",
+    "oed_sysid.report": "Pictures and reports",
+}
+# Results and parts that users meet without importing them by name.
+RESULTS = {
+    "oed_sysid.diagnosis": (
+        "compare.Comparison",
+        "diagnose.Diagnosis",
+        "improvement.Improvement",
+        "improvement.Step",
+        "locate.Located",
+        "rank.Ranking",
+        "remainder.Remains",
+    ),
+    "oed_sysid.noise": ("model.NoiseModel", "disturbances.Place"),
+    "oed_sysid.fitting": (
+        "fit.Fit",
+        "fit.Status",
+        "judgement.Concern",
+        "prediction.Prediction",
+        "captive.CaptiveTests",
+    ),
+}
+MORE = {"oed_sysid.fitting": "Results of an estimation"}
+
+
+def public(package: str, taken: set[int]) -> list[str]:
+    """Public classes and functions of a package that no page has yet."""
+    module = import_module(package)
+    found = []
+    for name in [*getattr(module, "__all__", ()), *RESULTS.get(package, ())]:
+        part, _, last = name.rpartition(".")
+        thing = getattr(import_module(f"{package}.{part}") if part else module, last)
+        if callable(thing) and id(thing) not in taken:
+            taken.add(id(thing))
+            found.append(name)
+    return sorted(found, key=str.lower)
+
+
+def write_reference() -> None:
+    """One page for each package; a name stands on the page of the package that defines it."""
+    folder = HERE / "reference"
+    folder.mkdir(exist_ok=True)
+    taken: set[int] = set()
+    # The top level last: it only hands on what others define.
+    named = {package: public(package, taken) for package in reversed(PACKAGES | MORE)}
+    pages = []
+    for package, title in (PACKAGES | MORE).items():
+        if not named[package]:
+            continue
+        pages.append(package.replace(".", "_"))
+        heading = f"{title}: ``{package}``"
+        lines = [heading, "=" * len(heading), ""]
+        if package != "oed_sysid":
+            lines += [f".. automodule:: {package}", "   :no-members:", ""]
+        lines += [".. autosummary::", "   :toctree: names", "   :nosignatures:", ""]
+        prefix = "oed_sysid." if package == "oed_sysid" else ""
+        lines += [f"   {prefix}{name}" for name in named[package]]
+        _write(folder / f"{pages[-1]}.rst", [*lines, ""])
+    words = (
+        "Every public name: its arguments with shapes and units, what it raises, and an example."
+    )
+    words += " Most of them can be imported from ``oed_sysid`` itself."
+    toctree = [".. toctree::", "   :maxdepth: 1", "", *(f"   {page}" for page in pages)]
+    _write(folder / "index.rst", ["Reference", "=========", "", words, "", *toctree, ""])
+
+
+def _write(path: Path, lines: list[str]) -> None:
+    text = "\n".join(lines)
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
+# Before Sphinx looks for pages.
+write_reference()
