@@ -58,6 +58,8 @@ def read_dataflash(path: Path) -> Log:
                 if message is None:
                     break
                 _keep(message, rows, formats)
+            if reader.data_len - reader.offset > 0:
+                said.write("skipped: the last message is not whole")
             reader.close()
     except Exception as error:  # whatever a damaged file makes of the parser
         if not rows:
