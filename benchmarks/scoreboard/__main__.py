@@ -7,7 +7,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.scoreboard import boehm, circles, esso_osaka, glider, roll_decay, silverbox, tanks
+from benchmarks.scoreboard import (
+    boehm,
+    circles,
+    esso_osaka,
+    glider,
+    roll_decay,
+    silverbox,
+    tanks,
+    turns,
+)
 from benchmarks.scoreboard.row import Row
 from oed_sysid.errors import DataError
 
@@ -16,6 +25,7 @@ BOARDS: dict[str, Callable[[], list[Row]]] = {
     "tanks": tanks.score,
     "circles": circles.score,
     "esso_osaka": esso_osaka.score,
+    "turns": turns.score,
     "roll_decay": roll_decay.score,
     "glider": glider.score,
     "boehm": boehm.score,
