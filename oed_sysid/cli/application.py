@@ -14,6 +14,7 @@ from oed_sysid.cli import (
     commands_fit,
     commands_improve,
     commands_plan,
+    commands_programme,
 )
 
 EPILOG = (
@@ -59,6 +60,7 @@ for module in (
     commands_data,
     commands_check,
     commands_plan,
+    commands_programme,
     commands_fit,
     commands_improve,
     commands_app,

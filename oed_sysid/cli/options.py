@@ -18,6 +18,9 @@ SEVERAL = (
         "--discriminate",
         "--limit",
         "--avoid",
+        "--patterns",
+        "--goal",
+        "--sensor",
     ),
     *("--problems", "--estimators", "--noise", "--sampling"),
 )
