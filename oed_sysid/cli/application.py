@@ -16,6 +16,7 @@ from oed_sysid.cli import (
     commands_improve,
     commands_logs,
     commands_plan,
+    commands_programme,
 )
 
 EPILOG = (
@@ -62,6 +63,7 @@ for module in (
     commands_logs,
     commands_check,
     commands_plan,
+    commands_programme,
     commands_fit,
     commands_improve,
     commands_export,

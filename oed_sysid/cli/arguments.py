@@ -61,14 +61,14 @@ def spread(arguments: Sequence[str], options: Iterable[str]) -> list[str]:
 
 
 def limit_options(arguments: Sequence[str]) -> list[str]:
-    """Rewrite ``--max-NAME VALUE``, ``--min-NAME VALUE`` as ``--limit`` of the command design.
+    """Rewrite ``--max-NAME VALUE``, ``--min-NAME VALUE`` as ``--limit`` of commands that plan.
 
     Examples
     --------
     >>> limit_options(["design", "my_auv", "--max-fin", "10", "--min-depth=80"])
     ['design', 'my_auv', '--limit', 'max:fin=10', '--limit', 'min:depth=80']
     """
-    if not arguments or arguments[0] != "design":
+    if not arguments or arguments[0] not in ("design", "programme", "campaign"):
         return list(arguments)
     result: list[str] = []
     rest = list(arguments)

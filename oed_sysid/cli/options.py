@@ -19,6 +19,9 @@ SEVERAL = (
         "--limit",
         "--avoid",
         "--at",
+        "--patterns",
+        "--goal",
+        "--sensor",
     ),
     *("--problems", "--estimators", "--noise", "--sampling"),
 )

@@ -15,6 +15,14 @@ from oed_sysid.design.criteria import (
     Setting,
     VOptimal,
 )
+from oed_sysid.design.decision import (
+    Decision,
+    Goal,
+    ParameterGoal,
+    PredictionGoal,
+    decide,
+    goals_of,
+)
 from oed_sysid.design.discrimination import Discriminate
 from oed_sysid.design.experiment_design import design_experiment, design_series
 from oed_sysid.design.library import Candidate, candidate_runs
@@ -35,6 +43,12 @@ __all__ = [
     "Programme",
     "Standard",
     "Candidate",
+    "decide",
+    "Decision",
+    "Goal",
+    "ParameterGoal",
+    "PredictionGoal",
+    "goals_of",
     "candidate_runs",
     "campaign",
     "Stage",

@@ -46,6 +46,8 @@ from oed_sysid.report.prediction_plots import (
     plot_prediction,
     plot_prediction_error,
 )
+from oed_sysid.report.programme_page import programme_page
+from oed_sysid.report.programme_plots import figure_programme
 from oed_sysid.report.ranking_page import ranking_page
 from oed_sysid.report.record_plots import figure_record
 from oed_sysid.report.style import model_style, new_figure, save_figure
@@ -60,6 +62,8 @@ __all__ = [
     "check_page",
     "comparison_page",
     "design_page",
+    "programme_page",
+    "figure_programme",
     "diagnosis_page",
     "figure_check",
     "figure_design",

@@ -1,0 +1,305 @@
+"""Commands for a whole trial: plan several runs, then decide after each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from oed_sysid.cli.options import HtmlFile, JsonFile, PictureFile, ProblemName, Sea, Variant
+from oed_sysid.cli.terminal import note, progress, say, store
+from oed_sysid.errors import DesignError
+
+if TYPE_CHECKING:
+    from oed_sysid.experiment import Experiment, Limits
+    from oed_sysid.problem import Problem
+
+Patterns = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--patterns",
+        metavar="EXPERIMENT...",
+        help="Experiments that lend speeds, starts and sampling; by default all of the problem.",
+        show_default=False,
+    ),
+]
+Limit = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--limit",
+        metavar="NAME=VALUE...",
+        help="What must be kept, in degrees and SI units; also as --max-pitch 20, --min-depth 80.",
+        show_default="those of the problem",
+    ),
+]
+Duration = Annotated[
+    float | None,
+    typer.Option("--duration", metavar="S", help="Length of each run, s.", show_default=False),
+]
+Turnaround = Annotated[
+    float, typer.Option("--turnaround", metavar="MIN", help="Between two runs, min.")
+]
+Uncertainty = Annotated[
+    float | None,
+    typer.Option(
+        "--uncertainty",
+        metavar="SHARE",
+        help="How wrong coefficients may be; without it their priors or the fit's covariance.",
+        show_default=False,
+    ),
+]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of the search.")]
+
+
+def programme(
+    problem: ProblemName,
+    runs: Annotated[
+        int | None,
+        typer.Option("--runs", metavar="N", help="Largest number of runs.", show_default=False),
+    ] = None,
+    hours: Annotated[
+        float | None,
+        typer.Option("--hours", metavar="H", help="Time for everything, h.", show_default=False),
+    ] = None,
+    sea: Sea = None,
+    patterns: Patterns = None,
+    limit: Limit = None,
+    duration: Duration = None,
+    turnaround: Turnaround = 10.0,
+    criterion: Annotated[
+        str, typer.Option("--criterion", metavar="D|A", help="What is good: see docs.")
+    ] = "A",
+    uncertainty: Uncertainty = None,
+    sensor: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--sensor",
+            metavar="OUTPUT=H...",
+            help="Outputs that need not be measured, and the hours that each costs.",
+            show_default=False,
+        ),
+    ] = None,
+    rounds: Annotated[
+        int, typer.Option("--rounds", metavar="N", help="Rounds of refined commands.")
+    ] = 1,
+    after: Annotated[
+        Path | None,
+        typer.Option(
+            "--after",
+            metavar="FIT",
+            help="Complete what a fit knows already; its random forces are those expected.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="FOLDER",
+            help="Commands of every run as tables to play.",
+            show_default=False,
+        ),
+    ] = None,
+    model: Variant = None,
+    seed: Seed = 0,
+    json_file: JsonFile = None,
+    html_file: HtmlFile = None,
+    picture: PictureFile = None,
+) -> None:
+    """Plan several runs together: which, how often, in which order, and how near the optimum.
+
+    [bold]Example[/bold]: oed-sysid programme remus_diving_plane --runs 5 --hours 2 --sea moderate
+    """
+    import numpy as np
+
+    from oed_sysid.cli.commands_plan import _choice, _noise
+    from oed_sysid.design import AOptimal, DOptimal, design_programme
+    from oed_sysid.fitting.fit import Fit
+    from oed_sysid.problem import load_problem
+
+    chosen = load_problem(problem, variant=model)
+    believed = Fit.load(after) if after else chosen.model
+    with progress("Planning") as show:
+        found = design_programme(
+            believed,
+            _patterns(chosen, patterns or []),
+            limits=_limits(chosen, limit or []),
+            rng=np.random.default_rng(seed),
+            hours=hours,
+            n_runs=runs,
+            criterion=_choice("criterion", criterion, {"D": DOptimal(), "A": AOptimal()}),
+            noise=_noise(chosen, believed, sea),
+            spread=_spread(chosen, uncertainty, after),
+            turnaround=60.0 * turnaround,
+            durations=None if duration is None else (duration,),
+            sensors=_numbers("--sensor", sensor or []),
+            n_rounds=rounds,
+            progress=show.say,
+        )
+    say(found.report())
+    note(f"Planned in {found.seconds:.0f} s.")
+    if out is not None:
+        for path in found.write(out):
+            note(f"Written: {path}")
+    store(found.to_dict(), json_file)
+    if html_file is not None:
+        from oed_sysid.report import programme_page
+
+        note(f"Written: {programme_page(found, title=chosen.title).write(html_file)}")
+    if picture is not None:
+        from oed_sysid.report import figure_programme, save_figure
+
+        save_figure(figure_programme(found), picture, dpi=150, bbox_inches="tight")
+        note(f"Written: {picture}")
+
+
+def campaign(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER", help="Where the journal of the trial is kept.", show_default=False
+        ),
+    ],
+    problem: Annotated[
+        str | None,
+        typer.Option(
+            "--problem",
+            metavar="PROBLEM",
+            help="Begins a campaign: what is to be identified.",
+            show_default=False,
+        ),
+    ] = None,
+    goal: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--goal",
+            metavar="PARAMETER=PERCENT...",
+            help="What is to be known, such as M_uw=3 or all=5.",
+            show_default=False,
+        ),
+    ] = None,
+    hours: Annotated[
+        float | None,
+        typer.Option("--hours", metavar="H", help="Time for the whole trial.", show_default=False),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(
+            "--record", metavar="CSV", help="Log of the run just done.", show_default=False
+        ),
+    ] = None,
+    sea: Sea = None,
+    patterns: Patterns = None,
+    limit: Limit = None,
+    duration: Duration = None,
+    turnaround: Turnaround = 10.0,
+    uncertainty: Uncertainty = None,
+    model: Variant = None,
+    seed: Seed = 0,
+    json_file: JsonFile = None,
+) -> None:
+    """Say after each run whether to stop, or what to run next and what it would buy.
+
+    The state is a journal in FOLDER: the same command goes on after a break. Begin with --problem
+    and --goal, then give each log with --record; the commands of the next run are written as
+    next.csv.
+
+    [bold]Example[/bold]: oed-sysid campaign trial --problem remus_diving_plane --goal all=5
+    --hours 2
+    """
+    import numpy as np
+
+    from oed_sysid.cli.commands_plan import _noise
+    from oed_sysid.design import candidate_runs
+    from oed_sysid.design.logbook import Journal
+    from oed_sysid.design.robust import draw_models
+    from oed_sysid.problem import load_problem
+
+    if Journal.exists(folder):
+        if problem is not None or goal:
+            raise DesignError(
+                f"{str(folder)!r} holds a campaign already. Leave out --problem and --goal to go "
+                "on with it, or name another folder."
+            )
+        journal = Journal.open(folder)
+        chosen = load_problem(journal.problem, variant=journal.variant)
+        journal = journal.of(chosen.model)
+    else:
+        if problem is None or not goal:
+            raise DesignError(
+                f"There is no campaign in {str(folder)!r}. Begin one with --problem and --goal."
+            )
+        chosen = load_problem(problem, variant=model)
+        lent = _patterns(chosen, patterns or [])
+        limits = _limits(chosen, limit or [])
+        rng = np.random.default_rng(seed)
+        vehicles = draw_models(chosen.model, _spread(chosen, uncertainty, None), 12, None, rng)
+        with progress("Making candidate runs"):
+            runs = candidate_runs(
+                chosen.model, lent, limits=limits, rng=rng, vehicles=vehicles,
+                durations=None if duration is None else (duration,),
+                turnaround=60.0 * turnaround,
+            )  # fmt: skip
+        journal = Journal.begin(
+            folder, chosen.model, problem=problem, variant=model, candidates=runs, hours=hours,
+            goals={n: v / 100.0 for n, v in _numbers("--goal", goal).items()},
+            sea=_noise(chosen, chosen.model, sea), seed=seed,
+        )  # fmt: skip
+    if record is not None:
+        with progress("Estimating") as show:
+            journal = journal.with_record(record)
+            show.say("deciding")
+    decision = journal.decide()
+    say(f"After {len(journal.records)} runs, {journal.hours_used:.2g} h")
+    if journal.fit is not None:
+        concerns = "; ".join(str(one) for one in journal.fit.concerns)
+        say(f"  estimate      {journal.fit.status}{' ' + concerns if concerns else ''}")
+    say(decision.report())
+    note(f"Decided in {decision.seconds:.2f} s.")
+    path = journal.write_next(decision)
+    if path is not None:
+        note(f"Written: {path}")
+    store(decision.to_dict(), json_file)
+
+
+def _patterns(problem: Problem, names: list[str]) -> list[Experiment]:
+    """Experiments that lend speeds and starts."""
+    if names:
+        return [problem.experiment(name) for name in names]
+    if not problem.experiments:
+        raise DesignError(f"Problem {problem.name!r} has no experiment to take settings from.")
+    return list(problem.experiments.values())
+
+
+def _limits(problem: Problem, given: list[str]) -> Limits:
+    from oed_sysid.cli.limit_words import with_limits
+
+    limits, said = with_limits(problem.model, problem.limits, given)
+    for words in said:
+        note(f"Limit: {words}.")
+    return limits
+
+
+def _spread(problem: Problem, uncertainty: float | None, after: Path | None) -> float | None:
+    """Relative spread of vehicles; None where priors or a fit tell it."""
+    if uncertainty is not None or after is not None:
+        return uncertainty
+    told = any(p.prior_spread is not None for p in problem.model.free_parameters)
+    return None if told else 0.3
+
+
+def _numbers(option: str, given: list[str]) -> dict[str, float]:
+    found: dict[str, Any] = {}
+    for text in given:
+        name, equals, number = text.partition("=")
+        try:
+            found[name] = float(number.rstrip("%")) if equals else None
+        except ValueError:
+            found[name] = None
+        if found[name] is None:
+            raise DesignError(f"{option} {text}: write NAME=NUMBER.")
+    return found
+
+
+COMMANDS = (programme, campaign)

@@ -1,0 +1,457 @@
+r"""Stop or go on: what is known well enough after a run, and what the next one would buy.
+
+What a model is for is a *goal*: standard deviations of some linear functions of the parameters,
+
+.. math:: s_g = \max_t \sqrt{c_t' F^{-1} c_t} \le \text{tolerance}
+
+with ``c`` a unit vector for a parameter, and the derivative of an output along a manoeuvre for a
+prediction. With information :math:`F` in hand and :math:`F_i` of candidate run ``i`` (cost
+:math:`c_i`)
+
+.. math:: i^* = \arg\max_i \frac1{c_i} \sum_{g\ \text{not met}}
+    \log \frac{s_g(F)}{\max(s_g(F + F_i), \text{tolerance})}
+
+is the next run; repeating this on paper until all goals are met tells the hours that are left.
+All of it is linear algebra on one set of derivatives, so that the answer is there before the
+vehicle has turned.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.design.corridor import Corridor
+from oed_sysid.design.elimination import inverse
+from oed_sysid.design.library import Candidate, kept_on
+from oed_sysid.design.plan import believed_noise, knowledge
+from oed_sysid.design.quantities import percent, quantity, units_of
+from oed_sysid.design.robust import draw_models
+from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.experiment import Experiment, Limits
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.information import Information
+from oed_sysid.model import Model
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.sensitivity.bound import information_of
+from oed_sysid.sensitivity.noise import Levels
+from oed_sysid.sensitivity.response import plays, respond
+
+# A run that lowers what is missing by less than this per goal is not worth its fuel.
+WORTH = 0.01
+_MOST_AHEAD = 40
+_VEHICLES = 20
+
+
+@runtime_checkable
+class Goal(Protocol):
+    """Contract of goals: linear functions of the parameters, and how well they have to be known."""
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        ...
+
+    @property
+    def tolerance(self) -> float:
+        """Largest standard deviation that is good enough."""
+        ...
+
+    def rows(self, model: Model, names: Sequence[str]) -> np.ndarray:
+        """Derivatives of the functions by the parameters, ``(n_functions, n_names)``."""
+        ...
+
+    def words(self, model: Model, deviation: float) -> str:
+        """Return a standard deviation as people say it."""
+        ...
+
+
+@dataclass(frozen=True)
+class ParameterGoal:
+    """A parameter is to be known to a share of its value.
+
+    Parameters
+    ----------
+    parameter : str
+    tolerance : float
+        Standard error over value.
+    """
+
+    parameter: str
+    tolerance: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.tolerance < 10:
+            raise DesignError(
+                f"The goal of {self.parameter!r} is {self.tolerance}. Give a share such as 0.05."
+            )
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        return self.parameter
+
+    def rows(self, model: Model, names: Sequence[str]) -> np.ndarray:
+        """Unit vector over the value."""
+        if self.parameter not in names:
+            raise DesignError(
+                f"The goal {self.parameter!r} is no free parameter of model {model.name!r}; free "
+                f"are {', '.join(names)}."
+            )
+        parameter = model.parameter(self.parameter)
+        row = np.zeros((1, len(names)))
+        row[0, list(names).index(self.parameter)] = 1.0 / (
+            abs(parameter.value) or parameter.magnitude
+        )
+        return row
+
+    def words(self, model: Model, deviation: float) -> str:
+        """Return a share in per cent."""
+        return percent(deviation)
+
+
+@dataclass(frozen=True)
+class PredictionGoal:
+    """An output of a manoeuvre is to be predicted with a standard deviation, start known.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What is to be predicted; its commands are those of the believed vehicle.
+    output : str
+    tolerance : float
+        In the output's unit, at the worst time.
+    """
+
+    experiment: Experiment
+    output: str
+    tolerance: float
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        return f"{self.output} of {self.experiment.name}"
+
+    def rows(self, model: Model, names: Sequence[str]) -> np.ndarray:
+        """Derivatives of the output at every sample."""
+        if self.output not in model.output_names:
+            raise DesignError(
+                f"The goal is about {self.output!r}, which is no output of model {model.name!r}. "
+                f"It has {', '.join(model.output_names)}."
+            )
+        column = model.output_names.index(self.output)
+        response = respond(model, plays(model, self.experiment)[0])
+        wanted = [len(model.states) + model.free_names.index(name) for name in names]
+        return np.asarray(response.jacobian[:, column, wanted])
+
+    def words(self, model: Model, deviation: float) -> str:
+        """Return a deviation with its unit."""
+        return quantity(deviation, units_of(model)[self.output])
+
+
+@dataclass(frozen=True)
+class Progressed:
+    """One goal now, and after the next run.
+
+    Attributes
+    ----------
+    goal : Goal
+    now, then : float
+        Standard deviations; ``then`` equals ``now`` where nothing is to be run.
+    """
+
+    goal: Goal
+    now: float
+    then: float
+
+    @property
+    def is_met(self) -> bool:
+        """Whether it is known well enough."""
+        return self.now <= self.goal.tolerance
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What to do next.
+
+    Attributes
+    ----------
+    model : Model
+    action : str
+        ``"go on"``, ``"enough"`` (all goals are met), ``"useless"`` (no run that keeps its
+        limits helps) or ``"no time"``.
+    goals : tuple of Progressed
+    next_run : Candidate or None
+    runs_left, hours_left : int, float
+        Until all goals are met, if runs go as planned; infinite if never.
+    hours_available : float or None
+    refused : tuple of str
+        Runs that were better but leave their limits on too many possible vehicles.
+    seconds : float
+        Time that the decision took.
+    """
+
+    model: Model
+    action: str
+    goals: tuple[Progressed, ...]
+    next_run: Candidate | None
+    runs_left: int
+    hours_left: float
+    hours_available: float | None
+    refused: tuple[str, ...]
+    seconds: float
+
+    @property
+    def stop(self) -> bool:
+        """Whether to go home."""
+        return self.action != "go on"
+
+    def report(self) -> str:
+        """Return the decision in words, the verdict first."""
+        head = {
+            "enough": "STOP: everything asked for is known well enough.",
+            "useless": "STOP: no run that keeps its limits brings what is missing nearer.",
+            "no time": "STOP: not even the next run fits into the time that is left.",
+            "go on": "GO ON.",
+        }[self.action]
+        lines = [head]
+        if self.action == "go on" and self.next_run is not None:
+            lines.append(f"  next          {self.next_run.name}")
+            if np.isfinite(self.hours_left):
+                lines.append(
+                    f"  to go         {self.runs_left} runs, {self.hours_left:.2g} h, if they go "
+                    "as planned"
+                )
+            else:
+                lines.append("  to go         more than can be planned: lower a goal")
+            if self.hours_available is not None and self.hours_left > self.hours_available:
+                lines.append(
+                    f"  WARNING       only {self.hours_available:.2g} h are left: not all goals "
+                    "will be met"
+                )
+        lines.append(f"  {'goal':<34} {'wanted':>12} {'now':>12} {'after next':>12}")
+        for one in self.goals:
+            words = [
+                one.goal.words(self.model, value)
+                for value in (one.goal.tolerance, one.now, one.then)
+            ]
+            mark = "met" if one.is_met else ""
+            row = f"  {one.goal.name:<34} " + " ".join(f"{word:>12}" for word in words)
+            lines.append(f"{row} {mark}".rstrip())
+        lines += [f"  Not run: {name!r} may leave its limits." for name in self.refused]
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "action": self.action,
+            "next_run": None if self.next_run is None else self.next_run.name,
+            "runs_left": self.runs_left,
+            "hours_left": self.hours_left,
+            "goals": [
+                {
+                    "name": one.goal.name,
+                    "wanted": one.goal.tolerance,
+                    "now": one.now,
+                    "then": one.then,
+                    "met": one.is_met,
+                }
+                for one in self.goals
+            ],
+            "refused": list(self.refused),
+            "seconds": self.seconds,
+        }
+
+
+def decide(
+    fit: Fit | Model,
+    candidates: Sequence[Candidate],
+    goals: Sequence[Goal],
+    *,
+    rng: np.random.Generator,
+    limits: Limits | None = None,
+    noise: Levels | NoiseModel | Fit = None,
+    prior: str | Information | None = "auto",
+    hours: float | None = None,
+    certainty: float = 0.95,
+) -> Decision:
+    """Say whether to stop, or what to run next and what it would buy.
+
+    Parameters
+    ----------
+    fit : Fit or Model
+        What is known after the last run; a model before the first.
+    candidates : sequence of Candidate
+        Runs to choose from, such as those of a :class:`~oed_sysid.design.Programme`.
+    goals : sequence of Goal
+        What the model is for.
+    rng : numpy.random.Generator
+        Source of the possible vehicles on which limits are checked.
+    limits : Limits, optional
+        That the next run has to keep on the vehicles that remain possible; by default its own.
+    noise : optional
+        Noise to expect; that of the fit by default.
+    prior
+        See :func:`~oed_sysid.design.design_experiment`.
+    hours : float, optional
+        Time that is left, h.
+    certainty : float
+        Share of possible vehicles on which limits have to hold.
+
+    Returns
+    -------
+    Decision
+
+    Raises
+    ------
+    DesignError
+        Without goals or candidates.
+    """
+    began = time.perf_counter()
+    if not goals or not candidates:
+        raise DesignError("A decision needs one goal and one candidate run or more. Give both.")
+    model = fit.model if isinstance(fit, Fit) else fit
+    if isinstance(fit, Fit) and noise is None:
+        noise = fit
+    model, sea, sigma = believed_noise(model, noise)
+    known = knowledge(fit, model, prior)
+    names = tuple(p.name for p in model.free_parameters if not p.per_record)
+    scales = np.array([p.magnitude for p in model.free_parameters if not p.per_record])
+    matrix = np.zeros((len(names),) * 2)
+    if known is not None:
+        matrix = known.matrix * scales[:, None] * scales
+    rows = [goal.rows(model, names) * scales for goal in goals]
+    wanted = np.array([goal.tolerance for goal in goals])
+    told, runs = [], []
+    for run in candidates:
+        try:
+            found = information_of(
+                model, run.experiment, noise=sigma if sea is None else sea, priors=None
+            )
+        except OedSysidError:
+            continue  # it diverges on what is believed now
+        told.append(found.matrix * scales[:, None] * scales)
+        runs.append(run)
+    now = _deviations(matrix, rows)
+    refused: list[str] = []
+    chosen = None
+    if np.any(now > wanted):
+        vehicles = _possible(model, known, rng)
+        while ranked := _ranked(matrix, told, runs, rows, wanted):
+            best = runs[ranked[0]]
+            corridor = Corridor.of(
+                model, limits or best.experiment.limits, {}, kernel(model).n_full
+            )
+            if kept_on(best.experiment, (model, *vehicles), corridor, certainty) is not None:
+                chosen = ranked[0]
+                break
+            refused.append(best.name)
+            told.pop(ranked[0])
+            runs.pop(ranked[0])
+    steps = [] if chosen is None else _path(matrix, told, runs, rows, wanted)
+    then = now if chosen is None else _deviations(matrix + told[chosen], rows)
+    if np.all(now <= wanted):
+        action = "enough"
+    elif chosen is None:
+        action = "useless"
+    elif hours is not None and runs[chosen].cost > 3600.0 * hours:
+        action = "no time"
+    else:
+        action = "go on"
+    reached = bool(np.all(_deviations(matrix + sum(told[i] for i in steps), rows) <= wanted))
+    return Decision(
+        model=model,
+        action=action,
+        goals=tuple(
+            Progressed(goal, float(a), float(b))
+            for goal, a, b in zip(goals, now, then, strict=True)
+        ),
+        next_run=None if chosen is None or action != "go on" else runs[chosen],
+        runs_left=len(steps),
+        hours_left=sum(runs[i].cost for i in steps) / 3600.0 if reached else float("inf"),
+        hours_available=hours,
+        refused=tuple(dict.fromkeys(refused)),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _deviations(matrix: np.ndarray, rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Largest standard deviation of each goal."""
+    bound = inverse(matrix)
+    return np.array([np.sqrt(np.einsum("ij,jk,ik->i", row, bound, row).max()) for row in rows])
+
+
+def _gains(
+    matrix: np.ndarray,
+    told: Sequence[np.ndarray],
+    runs: Sequence[Candidate],
+    rows: Sequence[np.ndarray],
+    wanted: np.ndarray,
+) -> np.ndarray:
+    """How much nearer each run brings the goals that are not met, per second."""
+    now = _deviations(matrix, rows)
+    found = []
+    for one, run in zip(told, runs, strict=True):
+        then = np.maximum(_deviations(matrix + one, rows), wanted)
+        found.append(float(np.sum(np.log(np.maximum(now, wanted) / then))) / run.cost)
+    return np.array(found)
+
+
+def _ranked(
+    matrix: np.ndarray,
+    told: Sequence[np.ndarray],
+    runs: Sequence[Candidate],
+    rows: Sequence[np.ndarray],
+    wanted: np.ndarray,
+) -> list[int]:
+    gains = _gains(matrix, told, runs, rows, wanted)
+    least = np.array([WORTH / run.cost for run in runs])
+    return [int(i) for i in np.argsort(-gains, kind="stable") if gains[i] > least[i]]
+
+
+def _path(
+    matrix: np.ndarray,
+    told: Sequence[np.ndarray],
+    runs: Sequence[Candidate],
+    rows: Sequence[np.ndarray],
+    wanted: np.ndarray,
+) -> list[int]:
+    """Runs, one after the other, until the goals are met, or nothing helps."""
+    steps: list[int] = []
+    while len(steps) < _MOST_AHEAD and np.any(_deviations(matrix, rows) > wanted):
+        ranked = _ranked(matrix, told, runs, rows, wanted)
+        if not ranked:
+            break
+        steps.append(ranked[0])
+        matrix = matrix + told[ranked[0]]
+    return steps
+
+
+def _possible(
+    model: Model, known: Information | None, rng: np.random.Generator
+) -> tuple[Model, ...]:
+    """Vehicles that remain possible; none where nothing is known."""
+    try:
+        return draw_models(model, None, _VEHICLES, known, rng)
+    except DesignError:
+        return ()
+
+
+def goals_of(model: Model, given: Mapping[str, float]) -> tuple[ParameterGoal, ...]:
+    """Return goals of parameters, ``{"M_uw": 0.05}``; ``"all"`` stands for each that is free."""
+    names = [p.name for p in model.free_parameters if not p.per_record]
+    found: dict[str, ParameterGoal] = {}
+    for key, tolerance in given.items():
+        if key != "all" and key not in names:
+            raise DesignError(
+                f"The goal {key!r} is no free parameter of model {model.name!r}; free are "
+                f"{', '.join(names)}, or 'all'."
+            )
+        for name in names if key == "all" else [key]:
+            found[name] = ParameterGoal(name, tolerance)
+    return tuple(found.values())
