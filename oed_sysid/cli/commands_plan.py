@@ -224,7 +224,7 @@ def design(
             show.say("simulating other vehicles")
             stated = assess_limits(
                 found.model, found.experiment, limits=limits, spread=spread, prior=found.prior,
-                rng=np.random.default_rng(seed), n_vehicles=200,
+                rng=np.random.default_rng(seed), n_vehicles=200, sea=found.sea,
             )  # fmt: skip
             found = replace(found, assurance=stated)
         if found.sea is not None:
