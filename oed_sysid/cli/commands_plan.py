@@ -239,6 +239,7 @@ def design(
                 stated = partial(
                     assess_limits, found.model, found.experiment, limits=limits, spread=spread,
                     prior=found.prior, rng=np.random.default_rng(seed), n_vehicles=200,
+                    sea=found.sea,
                 )  # fmt: skip
                 found = replace(found, assurance=keep.once("assurance", stated))
             if found.sea is not None:

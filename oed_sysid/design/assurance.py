@@ -17,7 +17,10 @@ from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.information import Information
 from oed_sysid.model import Model
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.noise.realisation import at_sea
+from oed_sysid.sensitivity.sea import sea_words
+from oed_sysid.simulate import Trajectory, simulate, simulate_inputs
 
 _CONFIDENCE = 0.95
 # Ranges of the motion that are stated leave out this share of the vehicles at either end.
@@ -42,6 +45,8 @@ class Assurance:
         within (2.5 per cent left out at either end).
     limited : bool
         Whether there is any limit on the motion.
+    waves : str
+        Random forces that every vehicle met, in words; empty for none.
     """
 
     n_kept: int
@@ -51,6 +56,7 @@ class Assurance:
     left: Mapping[str, int]
     ranges: Mapping[str, tuple[float, float]]
     limited: bool
+    waves: str = ""
 
     @property
     def probability(self) -> float:
@@ -67,9 +73,10 @@ class Assurance:
     @property
     def drawn(self) -> str:
         """Which vehicles were simulated, in words."""
+        waves = f" in waves ({self.waves})" if self.waves else ""
         if self.spread is not None:
-            return f"coefficients off by up to {self.spread:.0%}"
-        return "coefficients drawn from what is known"
+            return f"coefficients off by up to {self.spread:.0%}{waves}"
+        return f"coefficients drawn from what is known{waves}"
 
     def report(self) -> str:
         """Return the probability in words."""
@@ -94,6 +101,7 @@ class Assurance:
             "wanted": self.wanted,
             "spread": self.spread,
             "left": dict(self.left),
+            "waves": self.waves,
             "ranges": {name: list(pair) for name, pair in self.ranges.items()},
         }
 
@@ -108,6 +116,7 @@ def assess_limits(
     prior: Information | None = None,
     n_vehicles: int = 400,
     wanted: float | None = None,
+    sea: NoiseModel | None = None,
 ) -> Assurance:
     """Simulate an experiment on vehicles whose coefficients are not those believed.
 
@@ -129,6 +138,8 @@ def assess_limits(
     n_vehicles : int
     wanted : float, optional
         Probability that is asked for, for the words of the report.
+    sea : NoiseModel, optional
+        Random forces: every vehicle meets waves of its own.
 
     Returns
     -------
@@ -144,18 +155,25 @@ def assess_limits(
     names = tuple(dict.fromkeys((*model.state_names, *model.output_names)))
     extremes: list[np.ndarray] = []
     kept, left = 0, Counter[str]()
+    in_waves = sea is not None and sea.has_forces
     for index, vehicle in enumerate(fresh):
         try:
-            commands = simulate(vehicle, free, noise=False).inputs
+            meant, planned = vehicle, free
+            if sea is not None and in_waves:
+                meant, planned = at_sea(vehicle, free, sea, rng=rng)
+            commands = simulate(meant, planned, noise=False).inputs
             run = simulate_inputs(
-                vehicle, experiment.times, inputs=commands, initial=experiment.initial
+                meant, experiment.times, inputs=commands, initial=experiment.initial
             )
         except OedSysidError:
             left["diverged"] += 1
             continue
         signals = [run.signal(name) for name in names]
         extremes.append(np.array([[s.min(), s.max()] for s in signals]))
-        first = guards.first_left(guards.run(index, commands))
+        if in_waves:
+            first = _first_left(corridor, run)
+        else:
+            first = guards.first_left(guards.run(index, commands))
         kept += first is None
         if first is not None:
             left[first] += 1
@@ -165,4 +183,20 @@ def assess_limits(
         low = np.quantile(ends[:, :, 0], _TAIL, axis=0)
         high = np.quantile(ends[:, :, 1], 1 - _TAIL, axis=0)
         ranges = {n: (float(a), float(b)) for n, a, b in zip(names, low, high, strict=True)}
-    return Assurance(kept, n_vehicles, wanted, spread, dict(left), ranges, bool(corridor.names))
+    return Assurance(
+        kept, n_vehicles, wanted, spread, dict(left), ranges, bool(corridor.names),
+        sea_words(sea) if sea is not None and in_waves else "",
+    )  # fmt: skip
+
+
+def _first_left(corridor: Corridor, run: Trajectory) -> str | None:
+    """Limit that a motion leaves first; None if it keeps all."""
+    found: list[tuple[int, str]] = []
+    for index, name in enumerate(corridor.names):
+        if corridor.at_end[index]:
+            continue
+        values = run.signal(name)
+        beyond = np.flatnonzero((values < corridor.lower[index]) | (values > corridor.upper[index]))
+        if len(beyond):
+            found.append((int(beyond[0]), name))
+    return min(found)[1] if found else None

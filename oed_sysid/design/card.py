@@ -21,6 +21,8 @@ _MOST_ORDERS = 40
 _WIDTH = 92
 # Relative errors up to which a coefficient counts as found, and as seen at all.
 _GOOD, _USABLE = 0.05, 0.5
+# Below this probability of keeping the limits the card begins with the danger.
+_SAFE = 0.9
 
 
 def sea_trial_card(design: Design) -> str:
@@ -35,6 +37,7 @@ def sea_trial_card(design: Design) -> str:
     units = units_of(model)
     duration = float(experiment.duration or 0.0)
     lines = [
+        *_danger(design),
         f"SEA TRIAL CARD   {experiment.name}   ({model.name})",
         "=" * _WIDTH,
         f"Length      {duration:g} s ({duration / 60:.1f} min), one run; log every "
@@ -58,6 +61,18 @@ def sea_trial_card(design: Design) -> str:
     lines += ["", *_motion(design, units), "", "WATCH", *_watch(design)]
     lines += ["", *_accuracy(design), "", *_noise(model, design.sea)]
     return "\n".join(lines)
+
+
+def _danger(design: Design) -> list[str]:
+    """First lines where limits are likely to be left."""
+    found = design.assurance
+    if found is None or not found.limited or found.probability >= _SAFE:
+        return []
+    return wrap(
+        f"DANGER: on {1 - found.probability:.0%} of the vehicles that are possible "
+        f"({found.drawn}) this run leaves its limits. Read WATCH before anything else.",
+        _WIDTH,
+    )
 
 
 def _start(design: Design, units: dict[str, str]) -> str:
@@ -136,7 +151,7 @@ def _watch(design: Design) -> list[str]:
         )
     if design.assurance is not None and limits:
         words.append(f"Certainty: {design.assurance.report()}.")
-        if design.assurance.probability < 0.9:
+        if design.assurance.probability < _SAFE:
             words.append(
                 "That is NOT safe unless the coefficients are known better: stand by to stop, fly "
                 "a gentler run first, or design with --certainty 0.95."
@@ -149,6 +164,10 @@ def _watch(design: Design) -> list[str]:
             "Stop when a limit is passed: controls neutral, recover, keep the log. Part of a run "
             "is useful."
         )
+    if limits and design.assurance is not None:
+        found = design.assurance
+        often = ", ".join(f"{n} on {c / found.n_checked:.0%}" for n, c in found.left.items())
+        words.append(f"Expect to have to stop: {often or 'on none'} of the simulated vehicles.")
     return [
         line
         for text in words

@@ -170,6 +170,7 @@ class Plan:
         return assess_limits(
             self.model, experiment, rng=rng, limits=self.limits, spread=self.caution.spread,
             prior=self.prior, n_vehicles=self.caution.n_checks, wanted=self.caution.probability,
+            sea=self.sea,
         )  # fmt: skip
 
     def misfits(self, objective: Objective, score: Score) -> dict[tuple[str, str], float]:

@@ -191,7 +191,7 @@ def design_programme(
             if run.name not in safe:
                 safe[run.name] = assess_limits(
                     believed, run.experiment, rng=rng, limits=limits, spread=spread, prior=known,
-                    n_vehicles=_CHECKED, wanted=certainty,
+                    n_vehicles=_CHECKED, wanted=certainty, sea=sea,
                 )  # fmt: skip
         kept = [run for run in runs if _is_safe(safe.get(run.name), certainty)]
         if len(kept) == len(runs) or not kept:

@@ -24,6 +24,7 @@ from oed_sysid.manoeuvres.indices import (
     turning_indices,
     zigzag_indices,
 )
+from oed_sysid.manoeuvres.orthogonal import orthogonal_multisines, peak_factor
 from oed_sysid.manoeuvres.prbs import PRBS, maximum_length_sequence
 from oed_sysid.manoeuvres.pulses import Doublet, ThreeTwoOneOne
 from oed_sysid.manoeuvres.sines import Chirp, Multisine, schroeder_phases
@@ -60,6 +61,8 @@ __all__ = [
     "ZigZagLike",
     "command_all",
     "maximum_length_sequence",
+    "orthogonal_multisines",
+    "peak_factor",
     "schroeder_phases",
     "turning_indices",
     "zigzag_indices",

@@ -13,6 +13,7 @@ module                          question
 =============================== ===========================================================
 ``model``                       which levels and times there are: :class:`~.model.NoiseModel`
 ``levels``                      which of them are unknown, as what: :class:`~.levels.Levels`
+``realisation``                 what a sea does to one simulated record
 ``disturbances``                at which places of the chain something may act
 ``linearisation``               linear dynamics along the smoothed path
 ``kalman``, ``smoother``        innovations and smoothed disturbances of linear deviations

@@ -1,0 +1,145 @@
+r"""One trial at sea, simulated: random forces and coloured sensors drawn from a noise model.
+
+.. math::
+    w_{k+1} = \phi w_k + \sqrt{1 - \phi^2}\, \sigma \epsilon_k, \qquad \phi = e^{-\Delta/\tau}
+
+beginning in the stationary distribution, held from sample to sample; the same for the coloured part
+of a sensor's error, to which white noise is added. A manoeuvre that reacts sees the disturbed
+vehicle, by its sensors' white noise alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from oed_sysid.channels import Input
+from oed_sysid.data.dataset import Record
+from oed_sysid.effects import Force
+from oed_sysid.errors import SimulationError
+from oed_sysid.experiment import Experiment
+from oed_sysid.manoeuvres import Piecewise
+from oed_sysid.model import Model
+from oed_sysid.noise.disturbances import chosen_places
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.simulate import simulate
+
+_INPUT = "wave_"
+
+
+def gauss_markov(
+    level: float, time: float, times: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Draw a stationary first-order Gauss-Markov process.
+
+    Parameters
+    ----------
+    level : float
+        Standard deviation.
+    time : float
+        Correlation time, s; zero is white.
+    times : ndarray (n_times,)
+        s, increasing.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray (n_times,)
+
+    Examples
+    --------
+    >>> w = gauss_markov(0.3, 2.0, np.arange(20000) * 0.1, np.random.default_rng(0))
+    >>> float(w.std().round(2)), float(np.corrcoef(w[:-20], w[20:])[0, 1].round(2))
+    (0.3, 0.37)
+    """
+    draws = rng.standard_normal(len(times))
+    values = np.empty(len(times))
+    values[0] = draws[0]
+    steps = np.diff(times)
+    memory = np.exp(-steps / time) if time > 0 else np.zeros(len(steps))
+    for k, phi in enumerate(memory):
+        values[k + 1] = phi * values[k] + np.sqrt(1 - phi**2) * draws[k + 1]
+    return level * values
+
+
+def at_sea(
+    model: Model, experiment: Experiment, noise: NoiseModel, *, rng: np.random.Generator
+) -> tuple[Model, Experiment]:
+    """Return the vehicle with random forces as inputs, and the run with one draw of them.
+
+    Parameters
+    ----------
+    model : Model
+    experiment : Experiment
+    noise : NoiseModel
+        Sensors in the order of the model's outputs; random forces in equations (``force Z``).
+    rng : numpy.random.Generator
+
+    Raises
+    ------
+    SimulationError
+        If a disturbance is not a force.
+    """
+    acting = [i for i in range(len(noise.force)) if noise.force[i] > 0]
+    places = chosen_places(model, [noise.places[i] for i in acting])
+    if other := [p.name for p in places if p.stage != "force"]:
+        raise SimulationError(
+            f"A disturbance at {other[0]!r} cannot be drawn here, only forces in equations."
+        )
+    names = [f"{_INPUT}{place.signal}" for place in places]
+    times = experiment.times
+    # A model that names its actuator signals knows its inputs through them alone.
+    signals = {**model.actuators, **{n: n for n in names}} if model.actuators else model.actuators
+    vehicle = replace(
+        model,
+        actuators=signals,
+        inputs=(*model.inputs, *(Input(n, p.unit) for n, p in zip(names, places, strict=True))),
+        outputs=tuple(
+            replace(output, noise_std=float(level))
+            for output, level in zip(model.outputs, noise.white, strict=True)
+        ),
+    )
+    vehicle = vehicle + [
+        Force(f"{_INPUT}force_{place.signal}", {place.signal: name})
+        for name, place in zip(names, places, strict=True)
+    ]
+    waves = []
+    for index, name in zip(acting, names, strict=True):
+        force = gauss_markov(noise.force[index], noise.force_time[index], times, rng)
+        waves.append(Piecewise(name, times.tolist(), force.tolist()))
+    return vehicle, replace(experiment, manoeuvre=(*experiment.manoeuvres, *waves))
+
+
+def simulate_at_sea(
+    model: Model, experiment: Experiment, noise: NoiseModel, *, rng: np.random.Generator
+) -> Record:
+    """Simulate an experiment under random forces and return what would be logged.
+
+    Parameters
+    ----------
+    model : Model
+        The vehicle as it is.
+    experiment : Experiment
+    noise : NoiseModel
+        Sensors in the order of the model's outputs; random forces in equations (``force Z``).
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    Record
+
+    Raises
+    ------
+    SimulationError
+        If a disturbance is not a force, or the vehicle diverges.
+    """
+    vehicle, run = at_sea(model, experiment, noise, rng=rng)
+    record = simulate(vehicle, run, rng=rng)
+    outputs = record.outputs.copy()
+    for i in np.flatnonzero(noise.colour > 0):
+        outputs[:, i] += gauss_markov(noise.colour[i], noise.colour_time[i], record.times, rng)
+    return Record(
+        experiment.name, record.times, record.inputs[:, : len(model.inputs)], outputs,
+        model.channels, source=f"simulation at sea of {model.name}: {experiment.describe()}",
+    )  # fmt: skip
