@@ -10,7 +10,7 @@ import pytest
 
 from oed_sysid import load_problem, write_csv
 from oed_sysid.cli import DONE, main
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(

@@ -17,7 +17,7 @@ from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.information import Information
 from oed_sysid.model import Model
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 _CONFIDENCE = 0.95
 # Ranges of the motion that are stated leave out this share of the vehicles at either end.
