@@ -38,7 +38,7 @@ from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiment import Experiment
 from oed_sysid.model import Model
 from oed_sysid.sensitivity import confirm_bound, information_of
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 
 def designed(

@@ -35,7 +35,7 @@ from oed_sysid.design import Design, Levels, design_experiment
 from oed_sysid.design.reference import as_piecewise
 from oed_sysid.model import Model
 from oed_sysid.sensitivity import information_of
-from oed_sysid.simulate import Trajectory, simulate, simulate_inputs
+from oed_sysid.simulation import Trajectory, simulate, simulate_inputs
 
 STEP, THRUST = 0.5, 9.0
 REACH = radians(20)

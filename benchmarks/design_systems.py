@@ -19,7 +19,7 @@ from oed_sysid import (
     load_problem,
 )
 from oed_sysid.manoeuvres import ZigZag
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 
 @dataclass(frozen=True)

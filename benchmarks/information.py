@@ -20,7 +20,7 @@ from oed_sysid.compiled import graph as graphs
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.sensitivity import Play, noise_of, respond
 from oed_sysid.sensitivity.bound import run_factor, triangle
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 N_SAMPLES, STEP, REPEATS = 2400, 0.1, 25
 EXTRA = ("X_udot", "Z_wdot", "M_wdot", "M_qdot")

@@ -31,7 +31,7 @@ from oed_sysid import Dataset, Experiment, Model, MultipleShooting, Record, load
 from oed_sysid.design import DOptimal, Levels, design_experiment
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity import information_of
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 TIME = 2.0
 PLANS = ("zigzags", "designed", "calm")

@@ -20,7 +20,7 @@ from benchmarks.measure import machine, verdict
 from oed_sysid import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.estimators import DifferentialSwarm
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 N_PARTICLES, N_GENERATIONS, N_SAMPLES = 100, 300, 1000
 

@@ -50,7 +50,7 @@ PACKAGES = {
     "oed_sysid.effects": "Effects",
     "oed_sysid.bodies": "Rigid bodies",
     "oed_sysid.manoeuvres": "Manoeuvres",
-    "oed_sysid.simulate": "Simulation",
+    "oed_sysid.simulation": "Simulation",
     "oed_sysid.logs": "Logs in",
     "oed_sysid.compatibility": "Checks of logs",
     "oed_sysid.estimators": "Estimators",

@@ -9,7 +9,7 @@ validation runs in windows of 100 s, each from its first measured sample.
 import numpy as np
 
 from oed_sysid import Dataset, MultipleShooting, diagnose, load_problem
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 VALIDATION = ("zigzag_12_30", "zigzag_12_20", "turn_10_port_35", "turn_10_starboard_20", "random_6")
 PUBLISHED = np.array([0.044, 0.029, np.radians(0.97)])  # rms u, v, r: simulator of the source

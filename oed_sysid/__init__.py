@@ -37,6 +37,8 @@ _HOME = {
     "import_log": "logs",
     "open_log": "logs",
     "read_mapping": "logs",
+    "simulate": "simulation",
+    "simulate_inputs": "simulation",
     "Experiment": "experiment",
     "Limits": "experiment",
     "PRBS": "manoeuvres",
@@ -169,3 +171,4 @@ if TYPE_CHECKING:
         reduce_model,
         structural_identifiability,
     )
+    from oed_sysid.simulation import simulate, simulate_inputs

@@ -9,7 +9,7 @@ from oed_sysid import Dataset, Experiment, Input, Model, MultipleShooting, Param
 from oed_sysid.bodies import RigidBody, rigid_body
 from oed_sysid.errors import ModelError
 from oed_sysid.manoeuvres import ZigZag, ZigZagLike
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 
 def plain(parts: RigidBody) -> Model:

@@ -19,7 +19,7 @@ from oed_sysid import (
 )
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.fitting.captive import CaptiveTests
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 TRUTH = {"Y_v": -40.0, "Y_r": 25.0, "N_v": -15.0, "N_r": -60.0, "Y_d": 12.0, "N_d": -30.0}
 SPEED = 2.0

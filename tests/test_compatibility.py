@@ -28,7 +28,7 @@ from oed_sysid.compatibility.blocks import integral
 from oed_sysid.compatibility.colour import Colour, estimate
 from oed_sysid.compatibility.screens import screen
 from oed_sysid.compatibility.traces import Trace
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from oed_sysid.fitting.gauss_newton import solve
 from oed_sysid.fitting.iterates import Exact, Gathered
 from oed_sysid.fitting.shooting import Shooting
 from oed_sysid.parameters import Parameter
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 SIGMA = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
 

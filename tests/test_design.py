@@ -49,7 +49,7 @@ from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Experiment as Plan
 from oed_sysid.manoeuvres import Doublet
 from oed_sysid.sensitivity import information_of, noise_of
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 LIMITS = Limits(
     inputs={"rudder": (-0.35, 0.35)}, rates={"rudder": 0.2}, signals={"psi": (-0.6, 0.6)}

@@ -20,7 +20,7 @@ from oed_sysid.design import (
 from oed_sysid.errors import DesignError
 from oed_sysid.manoeuvres import Doublet
 from oed_sysid.sensitivity import information_of
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 PATTERN = Experiment("pattern", duration=40.0, sample_time=0.5)
 TURN = Experiment("turn", Doublet("rudder", 0.2, pulse_time=5.0), duration=20.0, sample_time=0.5)

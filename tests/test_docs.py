@@ -10,7 +10,7 @@ import pytest
 
 from oed_sysid import load_problem, write_csv
 from oed_sysid.cli import DONE, main
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(
@@ -39,10 +39,12 @@ def test_links_lead_somewhere(path: Path) -> None:
 
 
 def test_index_names_every_page() -> None:
-    """docs/README.md lists all pages beside it."""
-    index = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
-    missing = [p.name for p in (ROOT / "docs").glob("*.md") if f"({p.name})" not in index]
-    assert missing == ["README.md"]
+    """docs/README.md, and the site's first page, list all pages beside them."""
+    pages = {p.name for p in (ROOT / "docs").glob("*.md")} - {"README.md", "index.md"}
+    listed = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
+    assert not {name for name in pages if f"({name})" not in listed}
+    first = (ROOT / "docs" / "index.md").read_text(encoding="utf-8").splitlines()
+    assert not {name for name in pages if name.removesuffix(".md") not in first}
 
 
 def test_command_line_page_names_every_command() -> None:

@@ -11,7 +11,7 @@ from oed_sysid.estimators import EquationError, GibbsRegression
 from oed_sysid.estimators.baselines.chains import effective_draws, split_r_hat
 from oed_sysid.estimators.baselines.gibbs import conjugate_posterior, sample_posterior
 from oed_sysid.estimators.baselines.regression_rows import exact_rates
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 
 def correlated_problem() -> tuple[np.ndarray, np.ndarray]:

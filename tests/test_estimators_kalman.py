@@ -10,7 +10,7 @@ from oed_sysid.benchmark import load_scenario
 from oed_sysid.data.record import Record
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators import JointKalmanFilter, OutputError
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 # A ramp of unknown slope: linear in states and parameter together.
 RAMP = Model(

@@ -19,7 +19,7 @@ from oed_sysid.estimators import (
 from oed_sysid.estimators.baselines.ls_svm import GaussianKernel, train
 from oed_sysid.estimators.baselines.regression_form import regression_form
 from oed_sysid.estimators.baselines.regression_rows import rows_of
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 SHIP = load_problem("online_ship")
 RECORD = simulate(SHIP.model, SHIP.experiment("zigzag_5_5"), noise=False)

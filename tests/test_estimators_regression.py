@@ -28,7 +28,7 @@ from oed_sysid.estimators.baselines.regression_form import regression_form
 from oed_sysid.estimators.baselines.regression_rows import exact_rates, local_cubic, rows_of
 from oed_sysid.estimators.baselines.total_least_squares import TotalLeastSquares, generalised_tls
 from oed_sysid.manoeuvres import Doublet
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 from tests.simple_models import NOMOTO
 from tests.test_estimators_contract import TEST as MULTISINE
 from tests.test_estimators_contract import YAW as DAMPED_YAW

@@ -14,7 +14,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.estimators import DifferentialSwarm, OutputError
 from oed_sysid.estimators.baselines.swarm import redrawn
 from oed_sysid.estimators.baselines.trajectory_cost import TrajectoryCost
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 from tests.test_estimators_contract import TEST, YAW
 
 

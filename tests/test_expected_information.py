@@ -29,7 +29,7 @@ def sea(model: Model, level: float = 0.01, time: float = 3.0, colour: float = 0.
 def dense_information(model: Model, noise: NoiseModel) -> np.ndarray:
     """The same by one large Gaussian: outputs linear in the forces about the nominal run."""
     from oed_sysid.sensitivity import plays, respond
-    from oed_sysid.simulate import simulate_inputs
+    from oed_sysid.simulation import simulate_inputs
 
     play = plays(model, TEST)[0]
     base = respond(model, play)

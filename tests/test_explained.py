@@ -13,7 +13,7 @@ from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.fitting.explained import grave, unexplained
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 PROBLEM = load_problem("kvlcc2")
 

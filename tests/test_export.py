@@ -33,7 +33,7 @@ from oed_sysid.export import export, program_of
 from oed_sysid.export.c_code import self_test
 from oed_sysid.export.program import Example, example
 from oed_sysid.fitting.fit import Fit
-from oed_sysid.simulate import equilibrium, linearise, simulate_inputs
+from oed_sysid.simulation import equilibrium, linearise, simulate_inputs
 
 COMPILER = shutil.which("cc") or shutil.which("gcc")
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")

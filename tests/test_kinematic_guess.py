@@ -11,7 +11,7 @@ from vehicles import DIVING_START, SHIP_START, remus, ship
 from oed_sysid.data.dataset import Record
 from oed_sysid.fitting.start_guess import kinematic_states, measured_states, slope
 from oed_sysid.model import Model
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])

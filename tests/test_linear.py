@@ -14,7 +14,7 @@ from oed_sysid.sensitivity import (
     nomoto_of,
     straight_line_stability,
 )
-from oed_sysid.simulate import equilibrium
+from oed_sysid.simulation import equilibrium
 
 # Esso 190 000 dwt in the bis system, linearised at 80 rpm from the coefficients of
 # van Berlekom & Goddard (1972).

@@ -13,7 +13,7 @@ from oed_sysid.batch.parallel import CellProgress
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators import MultipleShooting, Multistart, OutputError
 from oed_sysid.fitting.fit import Fit
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 TRUTH = 1.3
 # The misfit of a long oscillation has a valley for every number of periods.

@@ -13,7 +13,7 @@ from oed_sysid.design import assess_limits
 from oed_sysid.errors import SimulationError
 from oed_sysid.manoeuvres import Doublet
 from oed_sysid.noise.realisation import simulate_at_sea
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 TEST = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=8.0), duration=40.0, sample_time=0.5)
 

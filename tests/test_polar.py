@@ -14,7 +14,7 @@ from oed_sysid.estimators import EquationError
 from oed_sysid.manoeuvres import Piecewise
 from oed_sysid.predictions.speed_polar import SailingNames, speed_polar
 from oed_sysid.report import plot_polar
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 # Thrust ~ wind^2 sin(angle) with a quadratic optimum at 0.6 rad of sheet; drag ~ drag*u^2.
 CART = Model(

@@ -7,7 +7,7 @@ import pytest
 
 from oed_sysid import Dataset, load_problem
 from oed_sysid.estimators import LeastSquaresSVM, MultipleShooting
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 PROBLEM = load_problem("auv_diving_plane")
 RECORD = simulate(PROBLEM.model, PROBLEM.experiment("zigzag_5_5"), noise=False)

@@ -17,7 +17,7 @@ from oed_sysid.data.reconstruction import (
 )
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.estimators import HeadingDifferences, MultipleShooting
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 PROBLEM = load_problem("nomoto_sparse_heading")
 # An independent program's mean of |dK| and |dT| relative to 0.1 s, per cent.

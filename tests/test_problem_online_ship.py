@@ -12,7 +12,7 @@ from oed_sysid.estimators import (
     OnlineRegression,
     RecursiveLSSVM,
 )
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 PROBLEM = load_problem("online_ship")
 RECORD = simulate(PROBLEM.model, PROBLEM.experiment("zigzag_5_5"), noise=False)

@@ -7,7 +7,7 @@ import pytest
 
 from oed_sysid import MultipleShooting, improve, load_problem
 from oed_sysid.language import expressions
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 PROBLEM = load_problem("remus_6dof")
 AXES = "XYZKMN"

@@ -11,7 +11,7 @@ import pytest
 from oed_sysid import Dataset, Model, load_problem
 from oed_sysid.estimators import EquationError, GibbsRegression, MultipleShooting
 from oed_sysid.estimators.baselines.regression_rows import exact_rates
-from oed_sysid.simulate import equilibrium, simulate, simulate_inputs
+from oed_sysid.simulation import equilibrium, simulate, simulate_inputs
 
 PROBLEM = load_problem("sailboat")
 DATA = Dataset(tuple(simulate(PROBLEM.model, e, noise=False) for e in PROBLEM.experiments.values()))

@@ -19,7 +19,7 @@ from oed_sysid import (
 from oed_sysid.cli import DONE, main
 from oed_sysid.errors import ProblemError
 from oed_sysid.problem.starter import TEMPLATES
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 # One command of each to design, the others held, and a start.
 DESIGNED: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {

@@ -10,7 +10,7 @@ import pytest
 from oed_sysid import Dataset, Model, information_of, load_problem
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.estimators import DifferentialSwarm, MultipleShooting
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 PROBLEM = load_problem("torpedo")
 EXPERIMENT = PROBLEM.experiment("pitching")

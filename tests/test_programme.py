@@ -16,7 +16,7 @@ from oed_sysid.design.robust import draw_models
 from oed_sysid.errors import DesignError
 from oed_sysid.sensitivity import information_of
 from oed_sysid.sensitivity.noise import noise_of
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 PATTERN = Experiment("pattern", duration=40.0, sample_time=0.5, constants={})
 SEA = NoiseModel(

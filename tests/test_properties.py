@@ -29,7 +29,7 @@ from oed_sysid.language.dimensions import dimension_of
 from oed_sysid.language.unit_table import OFFSETS, UNITS
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 few = settings(max_examples=40, deadline=None, derandomize=True)
 # -- units -----------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import pytest
 from oed_sysid import Dataset, Record, load_problem
 from oed_sysid.data.reconstruction import reconstruct
 from oed_sysid.estimators import HeadingDifferences, MultipleShooting
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -30,7 +30,7 @@ from oed_sysid import (
 )
 from oed_sysid.manoeuvres import TurningCircle, ZigZag
 from oed_sysid.report.fit_page import fit_verdict
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 SHIP = Model(
     "ferry",

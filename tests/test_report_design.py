@@ -13,7 +13,7 @@ from oed_sysid import Limits
 from oed_sysid.design import Levels, design_experiment
 from oed_sysid.report import figure_design, plot_accuracy, plot_bode, plot_sensitivity
 from oed_sysid.sensitivity import bode, excitation_spectrum, rank_parameters
-from oed_sysid.simulate import equilibrium
+from oed_sysid.simulation import equilibrium
 
 
 def test_sensitivity_plot_has_a_row_for_each_parameter() -> None:

@@ -13,7 +13,7 @@ from oed_sysid.errors import DataError
 from oed_sysid.estimators import Multistart
 from oed_sysid.report import plot_waterfall
 from oed_sysid.report.multistart_plots import plateaus
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 OSCILLATOR = Model(
     "oscillator",

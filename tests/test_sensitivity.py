@@ -25,7 +25,7 @@ from oed_sysid.sensitivity import (
     reduce_model,
     structural_identifiability,
 )
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 GAIN, TIME, RUDDER, NOISE = 0.1, 10.0, 0.2, 1e-3
 

@@ -16,7 +16,7 @@ from oed_sysid.errors import DataError, ModelError
 from oed_sysid.fitting.shooting import Shooting, replace_values
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 LAG = Actuator(
     "fin_lag",

@@ -13,7 +13,7 @@ from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.manoeuvres import Constant, Doublet, RateLimited, TurningCircle, ZigZag, ZigZagLike
 from oed_sysid.model import Model
-from oed_sysid.simulate import (
+from oed_sysid.simulation import (
     reference_trajectory,
     simulate,
     simulate_batch,

@@ -10,7 +10,7 @@ from oed_sysid.channels import Output, State
 from oed_sysid.errors import SimulationError
 from oed_sysid.experiment import Limits
 from oed_sysid.model import Model
-from oed_sysid.simulate import equilibrium, linearise, simulate_inputs
+from oed_sysid.simulation import equilibrium, linearise, simulate_inputs
 
 
 def test_equilibrium_of_a_dive() -> None:

@@ -14,7 +14,7 @@ from oed_sysid.effects import actuator_offset, sensor_bias
 from oed_sysid.errors import ModelError
 from oed_sysid.manoeuvres import ZigZag
 from oed_sysid.predictions.turning_circle import QUANTITIES, turning_circle
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 NOMOTO = Model(
     "Nomoto",

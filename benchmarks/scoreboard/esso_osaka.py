@@ -12,7 +12,7 @@ from benchmarks.scoreboard.row import Row, missing, place
 from oed_sysid import Dataset, MultipleShooting, Record, load_problem
 from oed_sysid.data.third_party import registered
 from oed_sysid.model import Model
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 from problems.esso_osaka.records import VALIDATION, read, windows
 
 AHEAD, FITTED = 100.0, 25.0  # s

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.scoreboard.row import Row, missing, place
 from oed_sysid import Dataset, Model, MultipleShooting, Record, improve, load_problem
 from oed_sysid.fitting.fit import Fit
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 from problems.silverbox.problem import FINER, PADDING, SAMPLING, band_limited
 
 WHOLE = "silverbox/SNLS80mV.csv"

@@ -18,7 +18,7 @@ from benchmarks.scoreboard.row import Row, missing, place
 from oed_sysid import Dataset, Model, MultipleShooting, Record, load_problem, read_csv
 from oed_sysid.data.third_party import fetch
 from oed_sysid.fitting.fit import Fit
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 FULL = 10.0  # V
 BLOCKS = 8

@@ -22,7 +22,7 @@ from oed_sysid.predictions.structures import (
     average_structures,
     peak_input,
 )
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 from problems.esso_osaka.manoeuvring import MMG
 from problems.esso_osaka.mavmm import MAVMM
 from problems.esso_osaka.missing import WIND

@@ -15,7 +15,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.errors import DataError
 from oed_sysid.problem import Problem
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 
 def read_uploads(

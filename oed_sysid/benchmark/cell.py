@@ -20,7 +20,7 @@ from oed_sysid.experiment import Experiment
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 from oed_sysid.sensitivity import information_of
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 # Raised whenever the same cell would give another result.
 FORMAT = 1

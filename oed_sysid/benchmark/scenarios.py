@@ -16,7 +16,7 @@ from oed_sysid.manoeuvres import ZigZag, ZigZagLike
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
 from oed_sysid.problem import Problem, load_problem
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 # Noise that estimators assume where the data has none, as a share of the peak.
 ASSUMED_SHARE = 1e-3

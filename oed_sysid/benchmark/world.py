@@ -27,7 +27,7 @@ from oed_sysid.effects import Force
 from oed_sysid.errors import ProblemError
 from oed_sysid.experiment import Experiment
 from oed_sysid.model import Model
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 # Correlation times, in samples.
 FORCE_TIME, NOISE_TIME = 4.0, 5.0

@@ -132,7 +132,7 @@ def simulate(
 
     from oed_sysid.data.dataset import write_csv
     from oed_sysid.problem import load_problem
-    from oed_sysid.simulate import simulate as run
+    from oed_sysid.simulation import simulate as run
 
     chosen = load_problem(problem, variant=model)
     simulated = chosen.true_model() if truth else chosen.model

@@ -20,7 +20,7 @@ from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.noise.realisation import at_sea
 from oed_sysid.sensitivity.sea import sea_words
-from oed_sysid.simulate import Trajectory, simulate, simulate_inputs
+from oed_sysid.simulation import Trajectory, simulate, simulate_inputs
 
 _CONFIDENCE = 0.95
 # Ranges of the motion that are stated leave out this share of the vehicles at either end.

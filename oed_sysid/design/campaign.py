@@ -55,7 +55,7 @@ def campaign(
         What is believed at first.
     measure : callable
         Takes the designed experiment and returns the record: at sea the crew
-        and a file, in a study :func:`oed_sysid.simulate.simulate`.
+        and a file, in a study :func:`oed_sysid.simulation.simulate`.
     n_runs : int
         How many.
     data : Dataset, optional

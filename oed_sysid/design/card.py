@@ -12,7 +12,7 @@ from oed_sysid.design.quantities import quantity, span, units_of
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity.sea import sea_words
-from oed_sysid.simulate import Trajectory
+from oed_sysid.simulation import Trajectory
 
 if TYPE_CHECKING:
     from oed_sysid.design.result import Design

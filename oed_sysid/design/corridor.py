@@ -11,7 +11,7 @@ from oed_sysid.design.quantities import quantity, units_of
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Limits
 from oed_sysid.model import Model
-from oed_sysid.simulate.trajectory import state_names
+from oed_sysid.simulation.trajectory import state_names
 
 # A limit counts as reached within this share of its width.
 REACHED = 0.01

@@ -34,7 +34,7 @@ from oed_sysid.noise.model import NoiseModel
 
 from oed_sysid.sensitivity.noise import Colour, Levels as NoiseLevels  # isort: skip
 from oed_sysid.batch.threads import single_threaded
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 # Rounds with more and stricter vehicles, until fresh ones confirm the probability asked for.
 _N_STRICTER = 3

@@ -27,7 +27,7 @@ from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.manoeuvres import ZigZag, schroeder_phases
 from oed_sysid.model import Model
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 KINDS = ("straight", "zigzag", "3-2-1-1", "multisine", "levels", "circle", "spiral")
 # Amplitudes tried, as shares of the range, until the limits hold; the largest and a gentler one

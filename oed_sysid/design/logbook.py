@@ -25,7 +25,7 @@ from oed_sysid.files import write_bytes, write_text
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 NAME = "journal.json"
 _FIT = "fit.json"

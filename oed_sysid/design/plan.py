@@ -29,7 +29,7 @@ from oed_sysid.sensitivity.bound import disturbed_noise, information_of, prior_f
 from oed_sysid.sensitivity.innovations import checked_noise
 from oed_sysid.sensitivity.noise import Colour, Noise, noise_of
 from oed_sysid.sensitivity.noise import Levels as NoiseLevels
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 # Failures allowed in the next round, beside what proportion says.
 _STRICTER = 0.7

@@ -14,8 +14,8 @@ from oed_sysid.experiment import Experiment
 from oed_sysid.information import Information
 from oed_sysid.manoeuvres import Piecewise, ZigZag
 from oed_sysid.model import Model
-from oed_sysid.simulate import simulate, simulate_inputs
-from oed_sysid.simulate.trajectory import state_names
+from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.simulation.trajectory import state_names
 
 # Attitudes on which a zigzag reverses, in order of preference.
 ATTITUDES = ("psi", "theta", "phi")

@@ -19,7 +19,7 @@ from oed_sysid.information import Information
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity.sea import sea_words
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 _WIDTH = 92
 

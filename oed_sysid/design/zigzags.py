@@ -15,7 +15,7 @@ from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment
 from oed_sysid.manoeuvres import ZigZagLike
 from oed_sysid.model import Model
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 # Shares of the largest angles of the command, and of the attitude.
 _SIZES = (0.03, 0.1, 0.25, 0.5, 1.0)

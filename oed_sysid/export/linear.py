@@ -20,7 +20,7 @@ from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.export.program import Program
 from oed_sysid.files import write_text
 from oed_sysid.model import Model
-from oed_sysid.simulate.steady import equilibrium, linearise
+from oed_sysid.simulation.steady import equilibrium, linearise
 
 _TEXT = Template('''"""$origin.
 

@@ -32,7 +32,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.language.callables import OPERATION_WORDS
 from oed_sysid.model import Model
-from oed_sysid.simulate.trajectory import simulate_inputs
+from oed_sysid.simulation.trajectory import simulate_inputs
 from oed_sysid.version import __version__
 
 # Samples of the trajectory that a self-test repeats.

@@ -23,7 +23,7 @@ from oed_sysid.manoeuvres import Piecewise
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import chosen_places
 from oed_sysid.noise.model import NoiseModel
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 _INPUT = "wave_"
 

@@ -18,7 +18,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.experiment import Limits
 from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.model import Model
-from oed_sysid.simulate import equilibrium
+from oed_sysid.simulation import equilibrium
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from oed_sysid.manoeuvres import TurningCircle
 from oed_sysid.manoeuvres.indices import TurningIndices, turning_indices
 from oed_sysid.model import Model
 from oed_sysid.predictions.draws import draw
-from oed_sysid.simulate import equilibrium, simulate_batch
+from oed_sysid.simulation import equilibrium, simulate_batch
 
 SIDES = ("starboard", "port")
 # Heading change that is simulated: a full turn, then half a turn to call steady.

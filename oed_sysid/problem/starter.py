@@ -21,7 +21,7 @@ from oed_sysid.errors import FileError, ProblemError
 from oed_sysid.files import write_text
 from oed_sysid.problem.catalogue import FILE, load_problem
 from oed_sysid.problem.from_log import write_from_log
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 # Example data is the same wherever it is made.
 _SEED = 20240229

@@ -21,7 +21,7 @@ from oed_sysid.report.style import (
     spread_legend,
     symbol_of,
 )
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 _TELLING = ("theta", "psi", "phi", "r", "q", "z", "u")
 

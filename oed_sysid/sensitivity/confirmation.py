@@ -17,7 +17,7 @@ from oed_sysid.experiment import Experiment
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 from oed_sysid.sensitivity.bound import information_of
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 
 class _Estimator(Protocol):

@@ -11,7 +11,7 @@ from scipy.signal import periodogram
 
 from oed_sysid.errors import DesignError
 from oed_sysid.model import Model
-from oed_sysid.simulate import Equilibrium, linearise
+from oed_sysid.simulation import Equilibrium, linearise
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def bode(
     model : Model
         The model.
     point : Equilibrium
-        From :func:`oed_sysid.simulate.equilibrium`.
+        From :func:`oed_sysid.simulation.equilibrium`.
     input, output : str
         Names.
     frequencies : ndarray (n,), optional

@@ -9,7 +9,7 @@ import numpy as np
 from oed_sysid.errors import DesignError
 from oed_sysid.model import Model
 from oed_sysid.sensitivity.linear import subsystem
-from oed_sysid.simulate import Equilibrium
+from oed_sysid.simulation import Equilibrium
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from oed_sysid.model import Model
 from oed_sysid.sensitivity.bound import information_of
 from oed_sysid.sensitivity.noise import Colour, Levels
 from oed_sysid.sensitivity.response import Play, Run, plays
-from oed_sysid.simulate.trajectory import state_names
+from oed_sysid.simulation.trajectory import state_names
 
 # An error of the estimate beyond this share of the value counts as not determined.
 POOR = 0.5

@@ -13,7 +13,7 @@ from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Experiment
 from oed_sysid.fitting.start_guess import measured_states
 from oed_sysid.model import Model
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 Run = Experiment | Record
 

@@ -26,7 +26,7 @@ from oed_sysid.noise.disturbances import Place, chosen_places, disturbance
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity.noise import noise_of
 from oed_sysid.sensitivity.response import plays
-from oed_sysid.simulate import simulate_inputs
+from oed_sysid.simulation import simulate_inputs
 
 SEAS = {"still": 0.0, "calm": 0.01, "moderate": 0.05, "rough": 0.15}
 USUAL_TIME = 2.0

@@ -33,7 +33,7 @@ from oed_sysid.estimators.base import Estimator
 from oed_sysid.experiment import Experiment
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 LEVEL = 0.95
 

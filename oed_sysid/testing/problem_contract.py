@@ -25,7 +25,7 @@ from oed_sysid.model import Model
 from oed_sysid.problem import Problem, load_problem
 from oed_sysid.problem.catalogue import catalogue_folder
 from oed_sysid.sensitivity import information_of
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 from oed_sysid.testing.effect_contract import check_effect, stated
 
 # What a README speaks of, and words that show it does.

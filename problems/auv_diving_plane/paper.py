@@ -20,7 +20,7 @@ from oed_sysid.estimators.baselines.regression_rows import exact_rates
 from oed_sysid.experiment import Limits
 from oed_sysid.manoeuvres import Piecewise, ZigZagLike
 from oed_sysid.report import new_figure
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 problem = load_problem("auv_diving_plane")
 TRUTH = problem.truth

@@ -17,7 +17,7 @@ from oed_sysid import Dataset, MultipleShooting, Record, load_problem
 from oed_sysid.data.reconstruction import reconstruct
 from oed_sysid.estimators import HeadingDifferences
 from oed_sysid.report import new_figure
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 problem = load_problem("nomoto_sparse_heading")
 CASES = {

@@ -20,7 +20,7 @@ from oed_sysid.errors import DataError, PrecisionWarning
 from oed_sysid.estimators import LeastSquaresSVM
 from oed_sysid.estimators.online import EquationStream, IncrementalLSSVM, RecursiveLSSVM
 from oed_sysid.report import new_figure
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 WEIGHT = 3e5  # as published
 STEP, SAMPLES = 1.5, 100  # s, and number: the measured example as published

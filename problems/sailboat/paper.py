@@ -19,7 +19,7 @@ from oed_sysid.estimators.baselines.regression_rows import exact_rates
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 from oed_sysid.report import new_figure, plot_polar
-from oed_sysid.simulate import simulate
+from oed_sysid.simulation import simulate
 
 NOISE = 0.1  # of the standard deviation of each acceleration
 problem = load_problem("sailboat")

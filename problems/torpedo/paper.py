@@ -19,7 +19,7 @@ from oed_sysid import Dataset, MultipleShooting, information_of, load_problem
 from oed_sysid.estimators import DifferentialSwarm
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.report import new_figure
-from oed_sysid.simulate import simulate, simulate_inputs
+from oed_sysid.simulation import simulate, simulate_inputs
 
 N_PARTICLES, N_GENERATIONS = 60, 300
 RUNS = ((0.0, 0), (1.0, 0), (3.0, 0), (3.0, 1), (3.0, 2))  # per cent of noise, seed

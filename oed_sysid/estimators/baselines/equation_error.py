@@ -55,7 +55,7 @@ class EquationError:
     >>> from oed_sysid.experiment import Experiment
     >>> from oed_sysid.manoeuvres import Doublet
     >>> from oed_sysid.parameters import Parameter
-    >>> from oed_sysid.simulate import simulate
+    >>> from oed_sysid.simulation import simulate
     >>> yaw = Model(
     ...     "yaw", (State("r", "rad/s"),), (Input("delta", "rad"),), (Output("r", "rad/s"),),
     ...     axes={"N": "r"}, inertia={("N", "r"): "T"},

@@ -24,7 +24,7 @@ from oed_sysid.errors import DataError, ModelError
 from oed_sysid.estimators.baselines.regression_form import RegressionForm, regression_form
 from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.model import Model
-from oed_sysid.simulate.trajectory import input_array
+from oed_sysid.simulation.trajectory import input_array
 
 RULES = ("euler", "trapezoid", "simpson", "local", "exact")
 

@@ -17,7 +17,7 @@ from oed_sysid.fitting.noise_levels import given_levels, noise_floor
 from oed_sysid.fitting.start_guess import check_channels, measured_states
 from oed_sysid.information import Information, coloured_score_covariance
 from oed_sysid.model import Model
-from oed_sysid.simulate.batch import simulate_batch
+from oed_sysid.simulation.batch import simulate_batch
 
 # Members simulated at once: bounds the memory of long records.
 CHUNK_BYTES = 64_000_000

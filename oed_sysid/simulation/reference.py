@@ -13,7 +13,7 @@ from oed_sysid.compiled import graph as graph_module
 from oed_sysid.compiled.graph import Graph
 from oed_sysid.errors import SimulationError
 from oed_sysid.model import Model
-from oed_sysid.simulate.trajectory import Trajectory, input_array, start_array
+from oed_sysid.simulation.trajectory import Trajectory, input_array, start_array
 
 
 def reference_trajectory(

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import SimulationError
 from oed_sysid.model import Model
-from oed_sysid.simulate.trajectory import input_array, start_array
+from oed_sysid.simulation.trajectory import input_array, start_array
 
 
 def simulate_batch(

@@ -12,7 +12,7 @@ from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiment import Experiment
 from oed_sysid.manoeuvres import Controller, command_all
 from oed_sysid.model import Model
-from oed_sysid.simulate.trajectory import simulate_inputs, start_array, state_names
+from oed_sysid.simulation.trajectory import simulate_inputs, start_array, state_names
 
 
 def simulate(
