@@ -69,7 +69,7 @@ _CONTROL = dict.fromkeys((*range(9), *range(14, 32), 127))
 
 
 def lines_of(path: Path) -> list[tuple[int, str]]:
-    """Return the lines of a text file with their numbers, the first being 1.
+    """Return the lines of a table with their numbers, the first being 1.
 
     Blank lines and lines that start with ``#`` are left out. Line ends of any
     system are understood, also mixed.
@@ -77,19 +77,24 @@ def lines_of(path: Path) -> list[tuple[int, str]]:
     Raises
     ------
     DataError
-        If the file is missing, cannot be read, or is no text.
+        If the file is missing, cannot be read, or is no table.
     """
+    lines = text_lines(path)
+    if lines and re.fullmatch(r"\"?sep=.\"?", lines[0][1].strip(), re.IGNORECASE):
+        del lines[0]  # a spreadsheet's own word for its delimiter
+    _check_kind(path, lines)
+    return lines
+
+
+def text_lines(path: Path) -> list[tuple[int, str]]:
+    """Return the lines of any text file with their numbers; see :func:`lines_of`."""
     text = _text(path)
-    lines = [
+    return [
         (number, line)
         for number, line in enumerate(_split(text), start=1)
         # A row of delimiters alone holds nothing: spreadsheets append some.
         if line.strip(' \t,;\f\v"') and not line.lstrip().startswith("#")
     ]
-    if lines and re.fullmatch(r"\"?sep=.\"?", lines[0][1].strip(), re.IGNORECASE):
-        del lines[0]  # a spreadsheet's own word for its delimiter
-    _check_kind(path, lines)
-    return lines
 
 
 def _check_kind(path: Path, lines: list[tuple[int, str]]) -> None:

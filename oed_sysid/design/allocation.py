@@ -296,7 +296,7 @@ class _Search:
     def _fewer(self, counts: np.ndarray) -> list[np.ndarray]:
         """One run left out, or two."""
         chosen = np.repeat(np.arange(len(counts)), counts)
-        out = {(int(i),) for i in chosen}
+        out: set[tuple[int, ...]] = {(int(i),) for i in chosen}
         out |= {(int(i), int(j)) for n, i in enumerate(chosen) for j in chosen[n + 1 :]}
         return [counts - np.bincount(pick, minlength=len(counts)) for pick in out]
 

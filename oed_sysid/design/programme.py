@@ -200,7 +200,7 @@ def design_programme(
         runs = task.kept
     plain = [run for run in runs if run.kind != "designed"]
     first = chosen if len(plain) == len(runs) else task.solve(plain, outputs, spent)[2]
-    sequence = [runs[i] for i in order(library, chosen.counts)]
+    sequence = [runs[i] for i in order(library, [int(n) for n in chosen.counts])]
     totals = library.total(chosen.counts.astype(float))
     names, scales = task.names, task.scales
     bound = Information.from_matrix(names, totals[0] / scales[:, None] / scales, scales)

@@ -289,7 +289,7 @@ class CaptiveTests:
             initial_states=fit.initial_states[:n],
             local_values=fit.local_values[:n],
             start_states=fit.start_states[:n],
-            noise=None,
+            noise=None,  # type: ignore[arg-type]  # white
             innovations=None,
             innovation_std=None,
             extras=extras,

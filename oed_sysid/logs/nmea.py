@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.csv_text import lines_of
+from oed_sysid.data.csv_text import text_lines
 from oed_sysid.errors import DataError
 from oed_sysid.logs.libraries import library
 from oed_sysid.logs.log import Log, assemble
@@ -45,7 +45,7 @@ def read_nmea(path: Path) -> Log:
     pynmea2 = library("pynmea2", "NMEA 0183 sentences")
     parsed: list[tuple[str, dict[str, float], float | None, float | None]] = []
     bad = 0
-    for _, line in lines_of(path):
+    for _, line in text_lines(path):
         found = _SENTENCE.search(line)
         if found is None:
             continue

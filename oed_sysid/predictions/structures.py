@@ -159,7 +159,7 @@ class StructureAverage:
             f"average of {len(self.structures)} structures; {self.n_records} records, "
             f"of which the weakest {sizes} predict the stronger"
         ]
-        rows = [("structure", "weight", "step", "forces", "drift %", "")]
+        rows: list[tuple[str, ...]] = [("structure", "weight", "step", "forces", "drift %", "")]
         for one in self.structures:
             rows.append(
                 (
@@ -359,21 +359,21 @@ def average_structures(
     raw = np.array([(one.score / best) ** -power for one in found])
     weights = raw / raw.sum()
     done = []
-    for candidate, one, weight in zip(candidates, found, weights, strict=True):
+    for candidate, each, weight in zip(candidates, found, weights, strict=True):
         std: dict[str, float] = {}
         if weight >= LEAST_WEIGHT:
             std = record_errors(candidate, dataset, purpose)
         done.append(
             Transfer(
-                one.name,
-                one.step,
-                one.forces,
-                one.drift,
-                one.score,
+                each.name,
+                each.step,
+                each.forces,
+                each.drift,
+                each.score,
                 float(weight),
-                one.values,
+                each.values,
                 std,
-                one.note,
+                each.note,
             )
         )
     used = [one for one in done if one.weight > 0]
