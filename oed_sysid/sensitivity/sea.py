@@ -74,7 +74,7 @@ def sea_noise(
     >>> test = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=20.0), duration=80.0)
     >>> noise = sea_noise(nomoto, "moderate", [test])
     >>> noise.places, noise.force.round(5), noise.force_time
-    (('force r',), array([0.00026]), array([2.]))
+    (('force r',), array([0.00022]), array([2.]))
     """
     runs = tuple(reference)
     white = noise_of(model).sigma
