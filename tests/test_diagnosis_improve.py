@@ -19,7 +19,7 @@ from oed_sysid.diagnosis.rank import rank, threshold
 from oed_sysid.diagnosis.score import scores
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects.actuators import backlash
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.fitting.input_noise import sigma_filter
 
 AUV_DATA = Path(__file__).resolve().parent.parent / "problems" / "remus_diving_plane" / "data"
@@ -219,3 +219,19 @@ def test_a_sigma_filter_keeps_jumps_and_takes_noise() -> None:
     assert np.abs(left).max() < 0.01
     slope = np.linspace(0.0, 1.0, 400)
     assert np.abs(sigma_filter(slope, 0.01) - slope)[100:-100].max() < 1e-3
+
+
+def test_what_was_found_stays_where_a_later_stage_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second ranking breaks off: the effect of the first is kept, and the reason is told."""
+    calls = []
+
+    def ranked(*args: object, **settings: object) -> object:
+        calls.append(1)
+        if len(calls) == 2:
+            raise OedSysidError("a stage that fails")
+        return rank(*args, **settings)
+
+    monkeypatch.setattr("oed_sysid.diagnosis.improve.rank", ranked)
+    found = improve(SHIP, dataset(11, -15.0), dataset(12, -15.0), candidates=CANDIDATES)
+    assert [step.added for step in found.steps] == ["cubic_damping"]
+    assert any("a stage that fails" in note for note in found.notes)

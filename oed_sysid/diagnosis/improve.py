@@ -11,7 +11,7 @@ An effect is claimed where three things hold:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -155,10 +155,9 @@ def improve(
     notes: list[str] = []
     rejected: list[str] = []
     first: Ranking | None = None
-    try:
-        state, first, rejected = _search(state, max_effects, tell, keep)
-    except OedSysidError as error:
-        notes.append(f"The search ended early: {error}")
+    for reached, ranking, refused in _search(state, max_effects, tell, keep, notes):
+        state, first = reached, first or ranking
+        rejected += refused
     first = first or rank(study, base, study.candidates, n_refits=0, share=state.share)
     tell("locating where the nominal model fails")
     location = _located(study, base, first, notes, keep)
@@ -181,31 +180,46 @@ def improve(
 
 
 def _search(
+    state: _State,
+    max_effects: int,
+    tell: Callable[[str], None],
+    keep: Journal,
+    notes: list[str],
+) -> Iterator[tuple[_State, Ranking, list[str]]]:
+    """Rank, choose, add, reconsider, until nothing more is worth it.
+
+    Yields the state, the ranking and what the validation records refused after every round, and
+    after every stage of it that ended well: what was found stays where a later stage fails.
+    """
+    try:
+        yield from _rounds(state, max_effects, tell, keep)
+    except OedSysidError as error:
+        notes.append(f"The search ended early: {error}")
+
+
+def _rounds(
     state: _State, max_effects: int, tell: Callable[[str], None], keep: Journal
-) -> tuple[_State, Ranking, list[str]]:
-    """Rank, choose, add, reconsider, until nothing more is worth it."""
-    first: Ranking | None = None
-    rejected: list[str] = []
+) -> Iterator[tuple[_State, Ranking, list[str]]]:
     while len(state.added) < max_effects:
         tell(f"ranking candidates, round {len(state.added) + 1}")
         ranking = keep.once(
             "ranking", partial(rank, state.study, state.fit, state.left, share=state.share)
         )
-        first = first or ranking
+        yield state, ranking, []
         ranking, told = keep.once("smoothers", partial(_without_smoothers, state, ranking))
         state = replace(state, dismissed=tuple(dict.fromkeys((*state.dismissed, *told))))
         chosen, validation_gain, refused = keep.once("choice", partial(_choose, state, ranking))
-        rejected += refused
+        yield state, ranking, refused
         if chosen is None:
             break
         tell(f"adding {chosen.name}")
         adding = partial(_with, state, chosen, ranking, validation_gain)
         state = keep.once(f"with {chosen.name}", adding)
+        yield state, ranking, []
         if len(state.added) > 1:
             tell("reconsidering the effects added before")
             state = keep.once("review", partial(_review, state))
-    assert first is not None
-    return state, first, rejected
+            yield state, ranking, []
 
 
 def _choose(state: _State, ranking: Ranking) -> tuple[Refit | None, float, list[str]]:

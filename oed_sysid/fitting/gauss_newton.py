@@ -156,7 +156,8 @@ class FilteredSolution:
         """Value of every parameter of the model; those of each record at their mean."""
         layout, model = self.problem.layout, self.problem.model
         free = [layout.parameters(self.point.unknowns, i) for i in range(layout.n_records)]
-        means = np.mean(free, axis=0)
+        # The mean of equal numbers may miss them, and then a bound, by rounding.
+        means = np.clip(np.mean(free, axis=0), np.min(free, axis=0), np.max(free, axis=0))
         return model.values | dict(zip(layout.free_names, map(float, means), strict=True))
 
     @property
