@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import replace
 from itertools import pairwise
 
@@ -12,6 +11,7 @@ from scipy.linalg import expm
 from simple_models import AUV
 from turning_ship import CANDIDATES, SHIP
 
+from oed_sysid.compiled.compile import _compiler
 from oed_sysid.compiled.filtering import (
     COLOUR_TIME,
     COLOUR_VARIANCE,
@@ -33,8 +33,8 @@ GAIN, TIME = 0.5, 4.0
 
 def interpreted(kernel: FilterKernel) -> FilterKernel:
     """The same filter in NumPy, as a machine without a compiler has it."""
-    other = copy.copy(kernel)
-    other._library = None
+    other = object.__new__(FilterKernel)  # copies of a kernel are the kernel itself
+    other.__dict__.update(kernel.__dict__, _library=None)
     return other
 
 
@@ -96,8 +96,9 @@ def test_compiled_filter_is_the_interpreted_one(
 ) -> None:
     """Actuator and sensor memory, gaps, colours and sub-steps: C and NumPy agree to 1e-9."""
     kernel = filter_kernel(disturbed_model(AUV, AUV_FORCES))
-    if kernel._library is None:
+    if _compiler() is None:
         pytest.skip("no compiler")
+    assert kernel._library is not None
     times, inputs, measured = auv_record()
     values = kernel.model.value_vector
     own = np.array([1.5, 0.02, 0.0, 0.05, 2.0])

@@ -197,6 +197,24 @@ static ONCE void measure_level(double *d, double *mu, int level, int white_of, s
 #undef CALL
 }
 
+/* Steps over which disturbances are held, from one sample to the next. */
+static inline int parts_of_interval(const double *times, double h_sub)
+{
+    const int steps = (int)ceil((times[1] - times[0]) / h_sub - 1e-6);
+    return steps < 1 ? 1 : steps;
+}
+
+/* Times and inputs at both ends of one of these. */
+static inline void part_of_interval(const double *times, const double *input, int step, int steps,
+                                    double *inner_times, double *inner_inputs)
+{
+    const double from = (double)step / steps, to = (double)(step + 1) / steps;
+    inner_times[0] = times[0] + from * (times[1] - times[0]);
+    inner_times[1] = times[0] + to * (times[1] - times[0]);
+    inputs_between(input, input + NU, from, inner_inputs);
+    inputs_between(input, input + NU, step + 1 == steps ? 1.0 : to, inner_inputs + NU);
+}
+
 enum { FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME };
 
 /* Doubles of scratch that kernel_filter needs. */
@@ -379,15 +397,10 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         }
         if (k + 1 >= n) break;
         /* Towards the next sample, in steps over which the disturbances are held. */
-        const double interval = times[k + 1] - times[k];
-        int steps = (int)ceil(interval / h_sub - 1e-6);
-        if (steps < 1) steps = 1;
+        const int steps = parts_of_interval(times + k, h_sub);
         for (int step = 0; step < steps; ++step) {
-            const double from = (double)step / steps, to = (double)(step + 1) / steps;
-            double inner_times[2] = {times[k] + from * interval, times[k] + to * interval};
-            double inner_inputs[2 * MAX1(NU)];
-            inputs_between(input, input + NU, from, inner_inputs);
-            inputs_between(input, input + NU, step + 1 == steps ? 1.0 : to, inner_inputs + NU);
+            double inner_times[2], inner_inputs[2 * MAX1(NU)];
+            part_of_interval(times + k, input, step, steps, inner_times, inner_inputs);
             for (int j = 0; j < nq; ++j) p[q_index[j]] = mean[na + j];
             for (int i = 0; i < NZ; ++i)
                 for (int j = 0; j < ACTIVE; ++j) s[i][j] = 0.0;
@@ -550,15 +563,10 @@ int kernel_replay(int n, const double *times, const double *inputs, const double
         for (int i = 0; i < na; ++i) z[uncertain[i]] += delta[i];
         for (int i = na; i < size; ++i) mean[i] += delta[i];
         if (k + 1 >= n) break;
-        const double interval = times[k + 1] - times[k];
-        int steps = (int)ceil(interval / h_sub - 1e-6);
-        if (steps < 1) steps = 1;
+        const int steps = parts_of_interval(times + k, h_sub);
         for (int step = 0; step < steps; ++step) {
-            const double from = (double)step / steps, to = (double)(step + 1) / steps;
-            double inner_times[2] = {times[k] + from * interval, times[k] + to * interval};
-            double inner_inputs[2 * MAX1(NU)];
-            inputs_between(input, input + NU, from, inner_inputs);
-            inputs_between(input, input + NU, step + 1 == steps ? 1.0 : to, inner_inputs + NU);
+            double inner_times[2], inner_inputs[2 * MAX1(NU)];
+            part_of_interval(times + k, input, step, steps, inner_times, inner_inputs);
             for (int j = 0; j < nq; ++j) p[q_index[j]] = mean[na + j];
             if (NS > 0 && step == 0) sample_step(z, NULL, input, p, times[k], since, y, NULL, 0);
             advance_interval(z, NULL, inner_times, inner_inputs, p, h_max, 0, 0);
