@@ -145,6 +145,11 @@ class Parameter:
         finite = [abs(bound) for bound in (self.lower, self.upper) if math.isfinite(bound)]
         return max(finite, default=1.0) or 1.0
 
+    @property
+    def reference(self) -> float:
+        """What makes an error relative: the absolute value, or the magnitude of a zero."""
+        return abs(self.value) or self.magnitude
+
     def with_value(self, value: float) -> Parameter:
         """Return the same parameter at another value; the prior stays."""
         return replace(self, value=float(value))

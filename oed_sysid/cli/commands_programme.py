@@ -212,17 +212,17 @@ def campaign(
 
     from oed_sysid.cli.commands_plan import _noise
     from oed_sysid.design import candidate_runs
-    from oed_sysid.design.logbook import Journal
+    from oed_sysid.design.logbook import Logbook
     from oed_sysid.design.robust import draw_models
     from oed_sysid.problem import load_problem
 
-    if Journal.exists(folder):
+    if Logbook.exists(folder):
         if problem is not None or goal:
             raise DesignError(
                 f"{str(folder)!r} holds a campaign already. Leave out --problem and --goal to go "
                 "on with it, or name another folder."
             )
-        journal = Journal.open(folder)
+        journal = Logbook.open(folder)
         chosen = load_problem(journal.problem, variant=journal.variant)
         journal = journal.of(chosen.model)
     else:
@@ -241,7 +241,7 @@ def campaign(
                 durations=None if duration is None else (duration,),
                 turnaround=60.0 * turnaround,
             )  # fmt: skip
-        journal = Journal.begin(
+        journal = Logbook.begin(
             folder, chosen.model, problem=problem, variant=model, candidates=runs, hours=hours,
             goals={n: v / 100.0 for n, v in _numbers("--goal", goal).items()},
             sea=_noise(chosen, chosen.model, sea), seed=seed,

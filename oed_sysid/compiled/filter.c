@@ -221,7 +221,7 @@ enum { FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME 
 size_t kernel_filter_work(int na, int more, int nq, int ncol, int nx, int nl)
 {
     const size_t n = na + nq + ncol, stride = round4((int)n), wide = round4(nx + nl + 1);
-    return n * stride * (3 + (size_t)nl) + 2 * (n + more) * round4(nx) + (size_t)nl * stride + 7 * stride +
+    return n * stride * (3 + (size_t)nl) + 2 * (n + more) * round4(nx) + (size_t)nl * stride + 6 * stride +
            (size_t)(na + round4(na)) * (na + nq) + (size_t)(na + more) * (na + nq + more) + NY * (stride + 2 * wide) + (nl + 1) * wide + wide * wide + 64;
 }
 
@@ -258,7 +258,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
     double *P = work, *product = P + block, *turned = product + block, *dP = turned + block;
     double *X = dP + block * nl, *Xnext = X + (size_t)(size + more) * sx;
     double *dm = Xnext + (size_t)(size + more) * sx;
-    double *h = dm + (size_t)nl * stride, *delta = h + stride, *mean = delta + stride;
+    double *delta = dm + (size_t)nl * stride, *mean = delta + stride;
     double *phi = mean + stride, *dphi = phi + stride, *column = dphi + stride;
     double *next = column + stride, *entries = next + stride;
     double *by_column = entries + (size_t)na * m, *passed = by_column + (size_t)narrow * m;

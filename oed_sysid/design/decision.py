@@ -105,9 +105,7 @@ class ParameterGoal:
             )
         parameter = model.parameter(self.parameter)
         row = np.zeros((1, len(names)))
-        row[0, list(names).index(self.parameter)] = 1.0 / (
-            abs(parameter.value) or parameter.magnitude
-        )
+        row[0, list(names).index(self.parameter)] = 1.0 / parameter.reference
         return row
 
     def words(self, model: Model, deviation: float) -> str:

@@ -32,7 +32,7 @@ _FIT = "fit.json"
 
 
 @dataclass(frozen=True, eq=False)
-class Journal:
+class Logbook:
     """State of a campaign.
 
     Attributes
@@ -91,7 +91,7 @@ class Journal:
         hours: float | None = None,
         sea: NoiseModel | None = None,
         seed: int = 0,
-    ) -> Journal:
+    ) -> Logbook:
         """Begin a campaign and write its journal.
 
         Raises
@@ -108,7 +108,7 @@ class Journal:
         return journal
 
     @classmethod
-    def open(cls, folder: str | Path) -> Journal:
+    def open(cls, folder: str | Path) -> Logbook:
         """Read a campaign; give it its model with :meth:`of`.
 
         Raises
@@ -144,7 +144,7 @@ class Journal:
                 "restore it from a copy."
             ) from None
 
-    def of(self, model: Model) -> Journal:
+    def of(self, model: Model) -> Logbook:
         """Return the journal with its model, and the fit of its records if there is one."""
         stored = self.folder / _FIT
         fit = None
@@ -165,7 +165,7 @@ class Journal:
         costs = {run.name: run.cost for run in self.candidates}
         return sum(costs.get(name, 0.0) for name in self.runs) / 3600.0
 
-    def with_record(self, path: str | Path) -> Journal:
+    def with_record(self, path: str | Path) -> Logbook:
         """Take a log in, estimate from all of them, and write the journal.
 
         Parameters
@@ -261,7 +261,7 @@ class Journal:
     @property
     def _model(self) -> Model:
         if self.model is None:
-            raise DesignError("The journal has no model yet. Give it with Journal.of(model).")
+            raise DesignError("The logbook has no model yet. Give it with Logbook.of(model).")
         return self.model
 
 

@@ -274,7 +274,7 @@ class _Task:
         shared = [p for p in model.free_parameters if not p.per_record]
         self.model, self.vehicles, self.noise = model, tuple(vehicles), noise
         self.names = tuple(p.name for p in shared)
-        self.scales = np.array([abs(p.value) or p.magnitude for p in shared])
+        self.scales = np.array([p.reference for p in shared])
         self.criterion, self.hours, self.n_runs = criterion, hours, n_runs
         self.known = known
         setting = Setting(model, self.names, self.scales, noise_of(model, _sigma(noise)))

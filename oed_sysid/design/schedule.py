@@ -139,8 +139,7 @@ class Programme:
     @property
     def sizes(self) -> np.ndarray:
         """Values that make errors relative, ``(n,)``."""
-        parameters = [self.model.parameter(name) for name in self.names]
-        return np.array([abs(p.value) or p.magnitude for p in parameters])
+        return np.array([self.model.parameter(name).reference for name in self.names])
 
     @property
     def relative_errors(self) -> np.ndarray:

@@ -241,34 +241,37 @@ def _choose(state: _State, ranking: Ranking) -> tuple[Refit | None, float, list[
 def _without_smoothers(state: _State, ranking: Ranking) -> tuple[Ranking, tuple[str, ...]]:
     """The ranking without refits that only smooth the noise of a logged input, and why."""
     study, kept, told = state.study, [], []
-    for position, refit in enumerate(ranking.refits):
-        needed = ranking.needed(refit)
-        asked = position < ASKED and refit.gain >= needed
-        if asked and not _persists(study, state.fit, refit.fit, needed):
+    asked = [r for r in ranking.refits[:ASKED] if r.gain >= ranking.needed(r)]
+    if study.smoothed is None or not asked:
+        return ranking, ()
+    before = _smoothed(study, state.fit)
+    for refit in ranking.refits:
+        if refit in asked and not _persists(study, before, refit.fit, ranking.needed(refit)):
             told.append(_dismissal(study, refit.name))
         else:
             kept.append(refit)
     return replace(ranking, refits=tuple(kept)), tuple(told)
 
 
+def _smoothed(study: Study, fit: FilteredSolution) -> FilteredSolution | None:
+    """The same model on the training records with the noise of logged inputs smoothed."""
+    assert study.smoothed is not None
+    other = replace(study, train=study.smoothed)
+    return other.estimate(other.effects_of(fit), fit.values, fit, max_iterations=12)
+
+
 def _persists(
-    study: Study, before: FilteredSolution, after: FilteredSolution, needed: float
+    study: Study, before: FilteredSolution | None, after: FilteredSolution, needed: float
 ) -> bool:
-    """Whether a gain is left once the noise of logged inputs is smoothed.
+    """Whether a gain over a fit to smoothed records is left there.
 
     The vehicle answers to the true input. What flattens the answer to a noisy log (a play, a lag)
     is likelier, whether or not it is there.
     """
-    if study.smoothed is None:
+    found = _smoothed(study, after)
+    if before is None or found is None:
         return True
-    other = replace(study, train=study.smoothed)
-    first, second = (
-        other.estimate(other.effects_of(fit), fit.values, fit, max_iterations=12)
-        for fit in (before, after)
-    )
-    if first is None or second is None:
-        return True
-    return first.objective - second.objective >= needed
+    return before.objective - found.objective >= needed
 
 
 def _in_noisy_input(study: Study, term: Effect) -> bool:
@@ -442,7 +445,10 @@ def _with_term(
     if not worth:
         return state, None, tied
     term = option.added[-1].effect
-    if _in_noisy_input(study, term) or not _persists(option.study, state.fit, found, PLACE_MARGIN):
+    if study.smoothed is not None and (
+        _in_noisy_input(study, term)
+        or not _persists(option.study, _smoothed(study, state.fit), found, PLACE_MARGIN)
+    ):
         told = _dismissal(study, term.name)
         return replace(state, dismissed=(*state.dismissed, told)), None, ()
     validation_gain = np.nan

@@ -217,8 +217,7 @@ def rank_parameters(
     rows = []
     for index, name in enumerate(information.names):
         parameter = model.parameter(name)
-        # A coefficient that is zero has no relative change; its scale stands in.
-        size = abs(parameter.value) or parameter.magnitude
+        size = parameter.reference
         changed = model.with_values({name: parameter.value + change * (parameter.value or size)})
         new = [_signals(changed, play, wanted) for play in played]
         total, peaks = _indices(base, new)
