@@ -28,7 +28,7 @@ import numpy as np
 from oed_sysid.compiled.generate import source
 from oed_sysid.compiled.graph import build
 from oed_sysid.errors import FileError
-from oed_sysid.files import cache_folder, private, private_cache, write_text
+from oed_sysid.files import cache_folder, private, private_cache
 from oed_sysid.model import Model
 
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w")
@@ -186,16 +186,14 @@ def _compile(
             check=True,
             capture_output=True,
         )
-        # Digest first, library last: a reader that sees both sees a matching pair.
         built.chmod(0o700)
-        digest = hashlib.sha256(built.read_bytes()).hexdigest()
-        stated = library.with_suffix(".sha256")
-        # What is not ours is replaced, not followed: it may be a link.
-        for place in (stated, library):
-            if place.is_symlink() or not private(place):
-                place.unlink(missing_ok=True)
-        write_text(stated, digest)
-        stated.chmod(0o600)
+        digest = Path(folder) / "kernel.sha256"
+        digest.write_text(hashlib.sha256(built.read_bytes()).hexdigest())
+        digest.chmod(0o600)
+        # Digest first, library last: a reader that sees both sees a matching pair. A link that
+        # somebody has put there is replaced, not followed, and nothing is ever taken away that
+        # another process may just have finished.
+        os.replace(digest, library.with_suffix(".sha256"))
         os.replace(built, library)
 
 
