@@ -7,7 +7,19 @@ import warnings
 import numpy as np
 import pytest
 
-from oed_sysid import Channels, Input, OedSysidError, Output, Record, read_csv
+from oed_sysid import (
+    Channels,
+    Dataset,
+    Input,
+    Model,
+    MultipleShooting,
+    OedSysidError,
+    Output,
+    Parameter,
+    Record,
+    State,
+    read_csv,
+)
 from oed_sysid.data.angles import clear_wraps, unwrapped
 
 T = np.arange(200) * 0.5
@@ -118,3 +130,37 @@ def test_gap_between_unlike_rates_adds_no_turn() -> None:
     turning[(t > 58.0) & (t < 140.0)] = np.nan
     found = unwrapped(np.mod(turning, 2.0 * np.pi), times=t)
     assert abs(found[-1] - found[110]) < np.pi
+
+
+def test_residuals_of_a_heading_are_on_the_circle_and_others_are_not() -> None:
+    """A prediction one turn away is right for a compass, and wrong for what does not wrap."""
+    signals = Channels(
+        (Input("rudder", "rad"),), (Output("psi", "rad", wrap=True), Output("phi", "rad"))
+    )
+    run = Record("run", T, np.zeros(T.size), np.column_stack([WRAPPED, TURNING]), signals)
+    whole = run.outputs + 2.0 * np.pi + 0.01
+    errors = run.residuals(whole)
+    assert errors[:, 0] == pytest.approx(-0.01, abs=1e-9)
+    assert errors[:, 1] == pytest.approx(-0.01 - 2.0 * np.pi)
+
+
+@pytest.mark.parametrize("start", [300.0, -60.0, 660.0])
+def test_a_start_heading_is_moved_to_the_turn_of_the_record(start: float) -> None:
+    """The same compass course on any turn begins the same trajectory, with errors of noise size."""
+    model = Model(
+        "heading",
+        states=(State("psi", "rad", "heading"),),
+        inputs=(Input("rudder", "rad"),),
+        outputs=(Output("psi", "rad", noise_std=0.01, wrap=True),),
+        kinematics={"psi": "rate + rudder"},
+        parameters=(Parameter("rate", 0.02, "rad/s"),),
+    )
+    noise = 0.01 * np.random.default_rng(2).standard_normal(T.size)
+    log = Record("run", T, np.zeros(T.size), np.mod(TURNING + noise, 2 * np.pi), model.channels)
+    fit = MultipleShooting(disturbances="none").fit(
+        model, Dataset((log,)), start_states={"psi": np.radians(start)}
+    )
+    assert fit.rms["psi"] == pytest.approx(0.01, rel=0.2)
+    assert fit.values["rate"] == pytest.approx(np.radians(1.5), rel=0.01)
+    errors = fit.predict(Dataset((log,)), initial={"psi": np.radians(start)}).residuals[0]
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(0.01, rel=0.2)

@@ -30,6 +30,23 @@ GAP, BESIDE, LEAST = 4.0, 12, 5
 SPARSE = 0.08
 
 
+def on_circle(difference: np.ndarray) -> np.ndarray:
+    r"""Differences of angles on the circle, :math:`[-\pi, \pi)`; NaN stays.
+
+    Parameters
+    ----------
+    difference : numpy.ndarray
+        rad.
+
+    Examples
+    --------
+    >>> print(np.degrees(on_circle(np.radians([358.0, -190.0, 30.0]))).round(6))
+    [ -2. 170.  30.]
+    """
+    with np.errstate(invalid="ignore"):
+        return np.remainder(difference + 0.5 * TURN, TURN) - 0.5 * TURN
+
+
 def unwrapped(
     values: np.ndarray, period: float = TURN, times: np.ndarray | None = None
 ) -> np.ndarray:

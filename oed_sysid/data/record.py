@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oed_sysid.channels import Channels
-from oed_sysid.data.angles import TURN, clear_wraps, unwrapped
+from oed_sysid.data.angles import TURN, clear_wraps, on_circle, unwrapped
 from oed_sysid.errors import DataError
 
 MINIMUM_SAMPLES = 5
@@ -98,6 +98,42 @@ class Record:
         object.__setattr__(self, "missing_outputs", tuple(self.missing_outputs))
         self._check_times()
         self._check_values()
+
+    def residuals(self, predicted: np.ndarray) -> np.ndarray:
+        """Measured minus predicted outputs; those that wrap are compared on the circle.
+
+        Parameters
+        ----------
+        predicted : numpy.ndarray
+            Shape ``(n_samples, n_outputs)``, SI.
+
+        Returns
+        -------
+        numpy.ndarray
+            Shape ``(n_samples, n_outputs)``; NaN where nothing was measured.
+
+        Examples
+        --------
+        >>> from oed_sysid.channels import Channels, Input, Output
+        >>> channels = Channels((Input("rudder", "rad"),), (Output("psi", "rad", wrap=True),))
+        >>> north = Record("north", np.arange(4.0), np.zeros(4), np.zeros(4), channels)
+        >>> print(np.degrees(north.residuals(np.radians([[359.0]]))).round(6).ravel())
+        [1. 1. 1. 1.]
+        """
+        difference = self.outputs - predicted
+        for column, output in enumerate(self.channels.outputs):
+            if output.wrap:
+                difference[:, column] = on_circle(difference[:, column])
+        return difference
+
+    def on_its_turn(self, output: str, angle: float) -> float:
+        """The angle, moved by full turns next to the first sample of an output that wraps, rad."""
+        column = self.channels.output_names.index(output)
+        series = self.outputs[:, column]
+        seen = series[np.isfinite(series)]
+        if not (self.channels.outputs[column].wrap and seen.size):
+            return angle
+        return angle + TURN * round((float(seen[0]) - angle) / TURN)
 
     def _numbers(self, kind: str, values: ArrayLike) -> np.ndarray:
         try:

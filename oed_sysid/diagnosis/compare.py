@@ -293,7 +293,7 @@ def _model(item: Fit | Model) -> Model:
 
 def _distance(record: Any, predicted: np.ndarray, column: int) -> np.ndarray:
     """Residual of one output; infinite where there is a measurement but no prediction."""
-    residual = record.outputs[:, column] - predicted[:, column]
+    residual = record.residuals(predicted)[:, column]
     lost = np.isfinite(record.outputs[:, column]) & ~np.isfinite(predicted[:, column])
     return np.where(lost, np.inf, residual)
 

@@ -353,7 +353,7 @@ class Study:
                 problem.values(unknowns, index),
                 problem.initial_state(unknowns, index),
             )
-            residual = record.outputs - outputs
+            residual = record.residuals(outputs)
             seen = np.isfinite(record.outputs)
             count += seen.sum(axis=0)
             with np.errstate(over="ignore", invalid="ignore"):

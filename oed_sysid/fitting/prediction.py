@@ -74,7 +74,7 @@ class Prediction:
     def residuals(self) -> tuple[np.ndarray, ...]:
         """Measured minus predicted, per record; NaN where nothing was measured."""
         pairs = zip(self.dataset, self.outputs, strict=True)
-        return tuple(record.outputs - outputs for record, outputs in pairs)
+        return tuple(record.residuals(outputs) for record, outputs in pairs)
 
     @property
     def std(self) -> tuple[np.ndarray, ...]:

@@ -27,7 +27,7 @@ from oed_sysid.fitting.start_guess import (
     measured_states,
     state_series,
 )
-from oed_sysid.fitting.unknowns import KnownStarts, Layout, Limits, node_maps
+from oed_sysid.fitting.unknowns import KnownStarts, Layout, Limits, node_maps, on_its_turn
 from oed_sysid.model import Model
 
 Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -122,7 +122,12 @@ class Shooting:
         self._free_index = np.array([names.index(n) for n in model.free_names], dtype=int)
         self._base_values = model.value_vector
         self._starts = tuple(cut(record, interval) for record in self.records)
-        self._guesses = tuple(initial_states or ({},) * len(self.records))
+        self._guesses = tuple(
+            {name: on_its_turn(model, record, name, value) for name, value in guess.items()}
+            for record, guess in zip(
+                self.records, initial_states or ({},) * len(self.records), strict=True
+            )
+        )
         self._columns = tuple(self.layout.record_columns(i) for i in range(len(self.records)))
         extra = self.kernel.n_full - self.kernel.n_own
         self.state_scale = np.array([*(state.scale for state in model.states), *np.ones(extra)])

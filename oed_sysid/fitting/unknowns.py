@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
 from oed_sysid.model import Model
 
@@ -137,6 +138,18 @@ class Layout:
         return tuple(names)
 
 
+def on_its_turn(model: Model, record: Record, state: str, value: float) -> float:
+    """Start value of a state, moved by full turns to the record's where a wrapped output sees it.
+
+    A compass that begins at 358 degrees and a log that was made continuous from -2 degrees speak
+    of the same heading.
+    """
+    for output in model.outputs:
+        if output.wrap and output.source == state and output.name in record.channels.output_names:
+            return record.on_its_turn(output.name, value)
+    return value
+
+
 @dataclass(frozen=True, eq=False)
 class KnownStarts:
     """What is known of the start states before the data.
@@ -190,6 +203,7 @@ class KnownStarts:
                         f"{where} gives {entry!r} for {name!r}. Give a number, which is held, or "
                         "a pair (value, standard deviation); leave the state out if it is free."
                     )
+                value = on_its_turn(model, record, name, value)
                 position = model.state_names.index(name)
                 mean[index, position], std[index, position] = value, error
         return cls(mean, std)

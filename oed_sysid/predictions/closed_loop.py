@@ -295,7 +295,7 @@ class ClosedLoop:
 
     def rms(self, *, open_loop: bool = False) -> dict[str, float]:
         """Rms error of each output."""
-        errors = self.record.outputs - (self.open_loop if open_loop else self.outputs)
+        errors = self.record.residuals(self.open_loop if open_loop else self.outputs)
         names = self.record.channels.output_names
         size = np.sqrt(np.nanmean(errors**2, axis=0))
         return dict(zip(names, map(float, size), strict=True))
