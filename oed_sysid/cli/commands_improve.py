@@ -58,7 +58,8 @@ def improve(
         typer.Option(
             "--test",
             metavar="CSV...",
-            help="Validation records to test the claim with; without them there is no test.",
+            help="Validation records to test the claim with; of a single record without them the "
+            "last part is kept for that.",
             show_default=False,
         ),
     ] = None,
@@ -83,6 +84,7 @@ def improve(
     from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.compare import compare
     from oed_sysid.diagnosis.improve import improve
+    from oed_sysid.diagnosis.preparation import prepared
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
@@ -109,8 +111,9 @@ def improve(
             from oed_sysid.report import improvement_page
 
             fits = {"nominal": result.base_fit} | ({"improved": result.fit} if result.steps else {})
-            comparison = compare(fits, validation or training)
-            page = improvement_page(result, comparison, train=training, title=chosen.title)
+            ready = prepared(training, validation)
+            comparison = compare(fits, ready.validation or ready.train)
+            page = improvement_page(result, comparison, train=ready.train, title=chosen.title)
             note(f"Written: {page.write(html_file)}")
         if result.remains.kind == "log suspect":
             raise typer.Exit(1)

@@ -354,6 +354,10 @@ class Record:
         """Return the same record under another name."""
         return replace(self, name=name)
 
+    def with_inputs(self, inputs: ArrayLike) -> Record:
+        """Return the record with other inputs, shape ``(n_samples, n_inputs)``."""
+        return replace(self, inputs=np.array(inputs, dtype=float))
+
     def with_outputs(self, outputs: ArrayLike) -> Record:
         """Return the record with other outputs, shape ``(n_samples, n_outputs)``."""
         array = np.array(outputs, dtype=float)

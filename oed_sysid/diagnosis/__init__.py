@@ -9,6 +9,7 @@ rise. What remains has a kind and a size: noise of the sensors, random forces, o
 module                          question
 =============================== ===========================================================
 ``compare``, ``forecasts``      how far are models from records: where, when, in which regime
+``preparation``                 what a search reads of the records
 ``study``                       what stays the same while models are compared
 ``locate``                      at which place of the chain does it fail
 ``score``, ``rank``             which effect would explain it

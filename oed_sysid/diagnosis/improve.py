@@ -31,6 +31,7 @@ from oed_sysid.diagnosis.improvement import (
 )
 from oed_sysid.diagnosis.journal import opened
 from oed_sysid.diagnosis.locate import Located, likeliest, locate
+from oed_sysid.diagnosis.preparation import prepared
 from oed_sysid.diagnosis.propose import Proposals, propose
 from oed_sysid.diagnosis.rank import (
     FALSE_CLAIMS,
@@ -123,7 +124,9 @@ def improve(
     model : Model
         The nominal model.
     train, test : Dataset
-        Training records, and validation records that nothing is chosen on.
+        Training records, and validation records that nothing is chosen on. Of a single record
+        without any the last part is kept for validation; very long logs are read more coarsely.
+        Notes of the result say so (:mod:`oed_sysid.diagnosis.preparation`).
     candidates : sequence of Effect
         What may be missing.
     known_noise : bool
@@ -145,6 +148,8 @@ def improve(
         check_disjoint(train, test)
     # Overlaps of training and validation records were refused above.
     log = quick_check(train if test is None else together(train, test), model).without("duplicate")
+    ready = prepared(train, test)
+    train, test = ready.train, ready.validation
     keep = opened(journal, model, train, test, candidates, known_noise, max_effects)
     tell("fitting the nominal model")
     study, base = keep.once(
@@ -152,7 +157,7 @@ def improve(
         lambda: Study.begin(model, train, test, candidates, known_noise=known_noise),
     )
     state = _State(study, (), base, (base,))
-    notes: list[str] = []
+    notes = list(ready.notes)
     rejected: list[str] = []
     first: Ranking | None = None
     for reached, ranking, refused in _search(state, max_effects, tell, keep, notes):
