@@ -99,3 +99,73 @@ def test_roll_decay_needs_nonlinear_terms() -> None:
     assert linear == pytest.approx(0.0866, abs=1e-3)
     assert both < 0.4 * linear
     assert quadratic > 2 * both
+
+
+def decay(folder: Path) -> None:
+    """Files of a small problem: a decays into b at a rate, and the share of b is measured."""
+    libsbml = pytest.importorskip("libsbml")
+    folder.mkdir()
+    document = libsbml.SBMLDocument(2, 4)
+    sbml = document.createModel()
+    for kind, name in (("Compartment", "cell"), ("Species", "a"), ("Species", "b")):
+        one = getattr(sbml, f"create{kind}")()
+        one.setId(name)
+        if kind == "Species":
+            one.setCompartment("cell")
+            one.setInitialConcentration(4.0 if name == "a" else 0.0)
+        else:
+            one.setSize(2.0)
+    parameter = sbml.createParameter()
+    parameter.setId("k")
+    reaction = sbml.createReaction()
+    reaction.setId("decay")
+    for taking_part, name in ((reaction.createReactant(), "a"), (reaction.createProduct(), "b")):
+        taking_part.setSpecies(name)
+        taking_part.setStoichiometry(1.0)
+    reaction.createKineticLaw().setMath(libsbml.parseL3Formula("cell * k * a^2"))
+    libsbml.writeSBMLToFile(document, str(folder / boehm.FILES["model"]))
+    (folder / boehm.FILES["observables"]).write_text(
+        "observableId\tobservableFormula\nshare\t100 * b / (a + b)\n", encoding="utf-8"
+    )
+    (folder / boehm.FILES["parameters"]).write_text(
+        "parameterId\tlowerBound\tupperBound\tnominalValue\testimate\n"
+        "k\t1e-4\t1\t0.05\t1\nsd_share\t1e-5\t1e5\t1\t1\n",
+        encoding="utf-8",
+    )
+    rng = np.random.default_rng(4)
+    times = np.arange(0.0, 40.0, 2.0)
+    # a' = -k a^2, by hand: the law is an amount per time, the volume divides it.
+    share = 100.0 * (1.0 - 1.0 / (1.0 + 4.0 * 0.05 * times)) + 0.5 * rng.standard_normal(len(times))
+    lines = [f"share\t{y}\t{t}" for t, y in zip(times, share, strict=True)]
+    (folder / boehm.FILES["measurements"]).write_text(
+        "\n".join(["observableId\tmeasurement\ttime", *lines]), encoding="utf-8"
+    )
+
+
+def test_petab_files_become_a_model_that_fits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Equations, start and bounds come from the files; the likelihood is the closed form's."""
+    monkeypatch.setenv("OED_SYSID_DATA", str(tmp_path))
+    monkeypatch.setattr(boehm, "STARTS", 3)
+    folder = tmp_path / boehm.FOLDER
+    decay(folder)
+    paths = [folder / boehm.FILES[key] for key in ("model", "observables", "parameters")]
+    model, start = boehm.read_model(*paths)
+    assert start == {"a": 4.0, "b": 0.0}
+    record = boehm.read_record(folder / boehm.FILES["measurements"], model)
+    times = record.times
+    true = simulate_inputs(
+        model.with_values({"k": 0.05}), times, inputs=np.empty((len(times), 0)), initial=start
+    )
+    closed = 100.0 * (1.0 - 1.0 / (1.0 + 0.2 * times))
+    assert true.outputs[:, 0] == pytest.approx(closed, abs=0.02)
+    (row,) = boehm.score()
+    assert row.ours is not None
+    best = min(
+        boehm.negative_log_likelihood(
+            record.outputs - 100.0 * (1.0 - 1.0 / (1.0 + 4.0 * k * times))[:, None]
+        )
+        for k in np.linspace(0.04, 0.06, 201)
+    )
+    assert row.ours == pytest.approx(best, abs=0.01)

@@ -34,7 +34,10 @@ class Row:
 
     def cells(self) -> tuple[str, str, str, str]:
         """Cells of the Markdown table."""
-        ours = "missing" if self.ours is None else f"{self.ours:.3g} {self.unit}".strip()
+        ours = "missing"
+        if self.ours is not None:
+            # Three digits tell; of a likelihood those behind the point do.
+            ours = f"{self.ours:{'.2f' if abs(self.ours) >= 100 else '.3g'}} {self.unit}".strip()
         return self.what, ours, self.published, self.note
 
 
