@@ -26,8 +26,8 @@ PARTS = {
 SOURCE = "best of the column, results listed at nonlinearbenchmark.org"
 
 
-def learn() -> tuple[Fit, tuple[str, ...]]:
-    """Effects found by `improve` on two multisine parts, then fitted to both."""
+def learn() -> tuple[Model, Fit, tuple[str, ...]]:
+    """Model with the effects that `improve` finds on two multisine parts, and its fit to both."""
     problem = load_problem("silverbox")
     data = problem.data()
     train, test = data.split(test="test_third_realisation")
@@ -35,9 +35,8 @@ def learn() -> tuple[Fit, tuple[str, ...]]:
     model = problem.model
     for step in found.steps:
         model = model + step.effect
-    return MultipleShooting(disturbances="none").fit(model, data), tuple(
-        step.added for step in found.steps
-    )
+    fit = MultipleShooting(disturbances="none").fit(model, data)
+    return model, fit, tuple(step.added for step in found.steps)
 
 
 def part_of(
@@ -69,13 +68,10 @@ def simulated_error(fit: Fit, record: Record) -> float:
 
 def score() -> list[Row]:
     """Three columns, and the validation realisation that is at hand."""
-    fit, added = learn()
+    model, fit, added = learn()
     note = f"linear + {', '.join(added)}; fitted to 3,500 samples of the multisine"
     problem = load_problem("silverbox")
     train, test = problem.data().split(test="test_third_realisation")
-    model = problem.model
-    for name in added:
-        model = model + problem.effect(name)
     alone = MultipleShooting(disturbances="none").fit(model, train)
     value = 1e3 * simulated_error(alone, test[0])
     rows = [

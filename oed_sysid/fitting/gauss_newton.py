@@ -24,7 +24,7 @@ NEARLY_CLOSED, ROUNDING_SHARE, ROUNDING_COST = 1e-6, 1e-8, 1e-3
 # With random forces: the step that ends the iterations at frozen gain, the rise of the cost that
 # its gradient may cause near the end, most steps of the exact one, the gain below which the last
 # of these was enough, and the promised gain below which a search without a way on has arrived.
-FROZEN_TOLERANCE, SLACK, POLISH_STEPS, SETTLED, STALLED_NEAR = 1e-3, 0.1, 4, 0.02, 0.1
+FROZEN_TOLERANCE, SLACK, POLISH_STEPS, SETTLED, STALLED_NEAR = 1e-3, 0.1, 8, 0.02, 0.1
 # Where the frozen gradient promises what no step keeps, few trials show it.
 MOST_DAMPING, FEW_LENGTHS = 10.0, 3
 # Steps at frozen gain after which one looks back, and the fall of the cost over these that is too
@@ -235,10 +235,11 @@ def solve_filtered(
             search.slack = 0.0
             for _ in range(polish):
                 iteration += 1
-                if search.advance(tolerance):
+                if search.advance(tolerance) or search.decrease < SETTLED:
                     break
-                if search.decrease < SETTLED:
-                    break
+            # The exact gradient has the last word, whatever the frozen one ended with.
+            if reason == "iterations" and search.decrease < STALLED_NEAR:
+                reason = "converged"
     except KeyboardInterrupt:
         reason = "interrupted"
     # The frozen gain is not the exact gradient: where it finds no way on, the end is near.

@@ -27,6 +27,7 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.gauss_newton import (
+    POLISH_STEPS,
     FilteredSolution,
     Progress,
     solve_filtered,
@@ -318,7 +319,7 @@ def fit_disturbed(
     *,
     kernel: FilterKernel | None = None,
     max_iterations: int = 40,
-    polish: int = 4,
+    polish: int = POLISH_STEPS,
     progress: Callable[[Progress], None] | None = None,
 ) -> FilteredSolution | None:
     """Estimate parameters, start states and noise together.
