@@ -12,7 +12,7 @@ from oed_sysid import Fit, MultipleShooting, load_problem, read_csv, write_csv
 from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
-from oed_sysid.fitting.explained import grave, unexplained
+from oed_sysid.fitting.explained import unexplained
 from oed_sysid.simulation import simulate
 
 PROBLEM = load_problem("kvlcc2")
@@ -44,7 +44,7 @@ def test_right_fit_explains_its_outputs(zigzag: Record) -> None:
     shares = unexplained(fit)
     assert shares["psi"] < 0.05
     assert shares["r"] < 0.1
-    assert grave(fit) == ()
+    assert fit.grave == ()
     assert fit.report().startswith(fit.model.name)
 
 

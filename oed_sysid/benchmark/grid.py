@@ -14,6 +14,7 @@ from oed_sysid.benchmark.cell import Cell, Outcome, run_cell
 from oed_sysid.benchmark.contestants import OURS, QUICK, contestant_by_name
 from oed_sysid.benchmark.measures import Row, Verdict, measure, verdicts
 from oed_sysid.benchmark.scenarios import UNITS, load_scenario
+from oed_sysid.benchmark.tables import as_csv, as_markdown
 from oed_sysid.benchmark.world import IDEAL, world_by_name
 from oed_sysid.errors import ProblemError
 
@@ -50,14 +51,10 @@ class Benchmark:
 
     def report(self) -> str:
         """Return the tables as Markdown."""
-        from oed_sysid.benchmark.tables import as_markdown
-
-        return as_markdown(self)
+        return as_markdown(self.rows)
 
     def to_csv(self) -> str:
         """Return one line per row, for a spreadsheet."""
-        from oed_sysid.benchmark.tables import as_csv
-
         return as_csv(self.rows)
 
     def to_dict(self) -> dict[str, Any]:

@@ -8,14 +8,10 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from itertools import groupby
-from typing import TYPE_CHECKING
 
 from oed_sysid.benchmark.contestants import BELIEVERS, OURS, OURS_BELIEVING
-from oed_sysid.benchmark.measures import Row, Verdict
+from oed_sysid.benchmark.measures import Row, Verdict, verdicts
 from oed_sysid.benchmark.scenarios import UNITS
-
-if TYPE_CHECKING:
-    from oed_sysid.benchmark.grid import Benchmark
 
 HEADERS = (
     "estimator",
@@ -35,16 +31,16 @@ LEGEND = (
 )
 
 
-def as_markdown(result: Benchmark, ours: str = OURS) -> str:
+def as_markdown(results: Sequence[Row], ours: str = OURS) -> str:
     """Return all tables: one per problem, noise level and sampling, then the verdicts."""
     lines: list[str] = []
-    for problem, of_problem in groupby(result.rows, key=lambda row: row.problem):
+    for problem, of_problem in groupby(results, key=lambda row: row.problem):
         rows = list(of_problem)
         lines += [f"## {problem}", ""]
         for _, group in groupby(rows, key=lambda row: row.setting):
             lines += [*_setting_table([row for row in group if not row.refused]), ""]
         lines += [*_refusals(rows), *_reasons(rows)]
-    if found := result.verdicts(ours):
+    if found := verdicts(results, ours):
         lines += [
             f"## {ours} against each of the others",
             "",
@@ -53,20 +49,20 @@ def as_markdown(result: Benchmark, ours: str = OURS) -> str:
             *verdict_table(found),
             "",
         ]
-    fair = [one for one in result.verdicts(OURS_BELIEVING) if one.other in BELIEVERS]
+    fair = [one for one in verdicts(results, OURS_BELIEVING) if one.other in BELIEVERS]
     if fair:
         lines += [f"## {OURS_BELIEVING} against those that believe start values too", ""]
         lines += [*verdict_table(fair), ""]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def verdict_table(verdicts: Sequence[Verdict]) -> list[str]:
+def verdict_table(found: Sequence[Verdict]) -> list[str]:
     """How many times smaller the error is: one line per problem and estimator."""
-    levels = sorted({one.noise for one in verdicts})
+    levels = sorted({one.noise for one in found})
     lines = markdown_row(("problem", "other", *(f"noise {level:g}" for level in levels)))
     table = [lines, markdown_row(["---"] * (2 + len(levels)))]
     groups: dict[tuple[str, int, str], dict[float, Verdict]] = {}
-    for one in verdicts:
+    for one in found:
         groups.setdefault((one.problem, one.sampling, one.other), {})[one.noise] = one
     for (problem, sampling, other), cells in groups.items():
         shown = [_ratio(cells.get(level)) for level in levels]

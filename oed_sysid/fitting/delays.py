@@ -14,14 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
-
-if TYPE_CHECKING:
-    from oed_sysid.fitting.fit import Fit
+from oed_sysid.fitting.estimate import Estimate
 
 # Standard errors from which a departure counts: one output in 10^5 by chance.
 CLEAR = 4.5
@@ -55,7 +52,7 @@ class Delay:
     share: float
 
 
-def estimate_delays(fit: Fit) -> tuple[Delay, ...]:
+def estimate_delays(fit: Estimate) -> tuple[Delay, ...]:
     """Score estimates of the delays of all outputs and inputs at a fit with white noise.
 
     See the equations above; residuals that are coloured enlarge the standard errors by the root
@@ -153,7 +150,7 @@ def _after_all_others(
     return matrix[n_base:, n_base:] - cross @ cross.T, score[n_base:] - cross @ gradient
 
 
-def clear_delay(fit: Fit, delays: Sequence[Delay]) -> Delay | None:
+def clear_delay(fit: Estimate, delays: Sequence[Delay]) -> Delay | None:
     """The one delay that explains most, if it is significant and worth a word."""
     clear = [d for d in delays if abs(d.seconds) > CLEAR * d.std]
     if not clear:
@@ -166,7 +163,7 @@ def clear_delay(fit: Fit, delays: Sequence[Delay]) -> Delay | None:
     return max(clear, key=lambda d: d.gain, default=None)
 
 
-def values_of(fit: Fit, index: int) -> np.ndarray:
+def values_of(fit: Estimate, index: int) -> np.ndarray:
     """All parameter values in one record."""
     values = fit.model.value_vector
     names = fit.model.parameter_names

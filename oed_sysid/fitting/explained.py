@@ -14,15 +14,13 @@ the misfit is one and the iterations converge. :func:`grave` says so.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
+from oed_sysid.fitting.estimate import Estimate
 from oed_sysid.fitting.judgement import BARELY, MOVES, Concern
 from oed_sysid.fitting.noise_levels import white_levels
-
-if TYPE_CHECKING:
-    from oed_sysid.fitting.fit import Fit
 
 # Concerns with which a fit may converge and must still not be used.
 GRAVE = ("absorbed", "degenerate", "few_samples")
@@ -30,12 +28,12 @@ GRAVE = ("absorbed", "degenerate", "few_samples")
 HORIZONS, FEWEST = (0.02, 0.05, 0.125), 10
 
 
-def unexplained(fit: Fit) -> dict[str, float]:
+def unexplained(fit: Estimate) -> dict[str, float]:
     """Share of every output's movement that the model on its own leaves, by name.
 
     Parameters
     ----------
-    fit : Fit
+    fit : Estimate
         With or without random forces.
 
     Returns
@@ -73,12 +71,14 @@ def _share(pairs: list[tuple[np.ndarray, np.ndarray]]) -> float:
     return float(np.sqrt(left / own)) if np.isfinite(left) else np.inf
 
 
-def grave(fit: Fit) -> tuple[Concern, ...]:
+def grave(fit: Estimate, concerns: Sequence[Concern]) -> tuple[Concern, ...]:
     """What makes a fit useless although it converged: the noise holds what a model should.
 
     Parameters
     ----------
-    fit : Fit
+    fit : Estimate
+    concerns : sequence of Concern
+        What speaks against it, as :func:`.judgement.judge` finds it.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def grave(fit: Fit) -> tuple[Concern, ...]:
     """
     if not fit.status.ok:
         return ()
-    found = [concern for concern in fit.concerns if concern.kind in GRAVE]
+    found = [concern for concern in concerns if concern.kind in GRAVE]
     named = {concern.signal for concern in found}
     shares = {name: share for name, share in unexplained(fit).items() if not np.isnan(share)}
     poor = [name for name, share in shares.items() if share >= BARELY]
@@ -114,7 +114,7 @@ def grave(fit: Fit) -> tuple[Concern, ...]:
     return tuple(found)
 
 
-def _moving(fit: Fit) -> set[str]:
+def _moving(fit: Estimate) -> set[str]:
     """Outputs that move by more than their noise."""
     noise, _ = white_levels(fit.dataset)
     found = set()

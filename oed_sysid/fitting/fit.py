@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
 
 from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.data.frames import frame
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.effects.base import RandomProcess
 from oed_sysid.fitting.archive import encode
+from oed_sysid.fitting.estimate import Estimate, Status
 from oed_sysid.fitting.explained import grave
 from oed_sysid.fitting.judgement import Concern, judge
 from oed_sysid.fitting.prediction import Initial, Prediction, predict
 from oed_sysid.fitting.saved import check_fit, decode_result, made_by, write_result
-from oed_sysid.information import Information, Whiteness, whiteness
-from oed_sysid.model import Function, Model
+from oed_sysid.information import Information
+from oed_sysid.language.callables import Function
+from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import places
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.parameters import Parameter
@@ -31,31 +31,8 @@ from oed_sysid.parameters import Parameter
 COLOUR_LIMIT = 0.8
 
 
-@dataclass(frozen=True)
-class Status:
-    """How an estimation ended, and what to do about it.
-
-    ``code`` is one of ``converged``, ``stalled``, ``iterations``,
-    ``interrupted``, ``infeasible``, ``diverged``; or, where the iterations ended
-    at values that must not be used, ``runaway``, ``integration``, ``degenerate``
-    (:mod:`oed_sysid.fitting.judgement`) or ``inconsistent`` (a filter whose errors
-    are far from those it states).
-    """
-
-    code: str
-    advice: str
-
-    @property
-    def ok(self) -> bool:
-        """Whether the values can be used."""
-        return self.code == "converged"
-
-    def __str__(self) -> str:
-        return f"{self.code}: {self.advice}" if self.advice else self.code
-
-
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(Estimate):
     """Estimated parameters with uncertainty, residuals and a status that advises.
 
     Attributes
@@ -110,123 +87,6 @@ class Fit:
         where the state was held. Empty where all were free.
     """
 
-    model: Model
-    dataset: Dataset
-    estimator: str
-    names: tuple[str, ...]
-    estimates: np.ndarray
-    information: Information
-    covariance: np.ndarray
-    coloured: bool
-    sigma: np.ndarray
-    sigma_estimated: np.ndarray
-    predictions: tuple[np.ndarray, ...]
-    residuals: tuple[np.ndarray, ...]
-    states: tuple[np.ndarray, ...]
-    initial_states: tuple[np.ndarray, ...]
-    local_values: tuple[Mapping[str, float], ...]
-    cost: float
-    status: Status
-    iterations: int
-    seconds: float
-    extras: Mapping[str, Any] = field(default_factory=dict)
-    noise: NoiseModel = None  # type: ignore[assignment]  # white, unless given
-    noise_std: Mapping[str, float] = field(default_factory=dict)
-    innovations: tuple[np.ndarray, ...] | None = None
-    innovation_std: tuple[np.ndarray, ...] | None = None
-    start_states: tuple[Mapping[str, tuple[float, float]], ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.noise is None:
-            white = NoiseModel.white_only(self.sigma, self.model.output_names)
-            object.__setattr__(self, "noise", white)
-
-    # -- numbers -------------------------------------------------------------------
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Estimated value by name."""
-        return dict(zip(self.names, map(float, self.estimates), strict=True))
-
-    @property
-    def std_errors(self) -> dict[str, float]:
-        """Standard error by name."""
-        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        return dict(zip(self.names, map(float, errors), strict=True))
-
-    @property
-    def correlation(self) -> np.ndarray:
-        """Correlation of the estimates, shape ``(n_free, n_free)``."""
-        errors = np.sqrt(np.diag(self.covariance))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            result = self.covariance / errors[:, None] / errors
-        return np.where(np.isfinite(result), result, 0.0)
-
-    @property
-    def n_observations(self) -> int:
-        """Number of measured samples, over all outputs."""
-        return int(sum(np.isfinite(residual).sum() for residual in self.residuals))
-
-    @property
-    def log_likelihood(self) -> float:
-        """Gaussian log-likelihood at the reported noise model."""
-        total = 0.0
-        for errors, std in self._one_step:
-            present = np.isfinite(errors)
-            scaled = np.where(present, errors, 0.0) / std
-            total -= 0.5 * float(np.sum(scaled**2))
-            total -= float(np.sum(np.where(present, np.log(std * np.sqrt(2 * np.pi)), 0.0)))
-        return total
-
-    @property
-    def _one_step(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Errors that should be white, and their standard deviations, per record."""
-        if self.innovations is None or self.innovation_std is None:
-            return [(part, np.broadcast_to(self.sigma, part.shape)) for part in self.residuals]
-        return list(zip(self.innovations, self.innovation_std, strict=True))
-
-    @property
-    def whitened(self) -> tuple[np.ndarray, ...]:
-        """One-step errors in units of their standard deviation, NaN where missing, per record.
-
-        White and of unit variance, if model and noise model are right.
-        """
-        return tuple(errors / std for errors, std in self._one_step)
-
-    @property
-    def n_unknowns(self) -> int:
-        """Number of estimated values: parameters, initial states, noise levels."""
-        local = sum(len(values) for values in self.local_values)
-        states = sum(len(own) for own in self.initial_states)
-        states -= sum(std == 0.0 for known in self.start_states for _, std in known.values())
-        levels = int(np.sum(self.sigma_estimated)) if self.innovations is None else 0
-        return len(self.names) + states + local + levels + len(self.noise_std)
-
-    @property
-    def aic(self) -> float:
-        """Akaike's information criterion; takes residuals as independent."""
-        return 2.0 * self.n_unknowns - 2.0 * self.log_likelihood
-
-    @property
-    def bic(self) -> float:
-        """Schwarz's information criterion; takes residuals as independent."""
-        return self.n_unknowns * float(np.log(self.n_observations)) - 2.0 * self.log_likelihood
-
-    @property
-    def rms(self) -> dict[str, float]:
-        """Root mean square residual of each output over all records, in its unit."""
-        stacked = np.vstack(self.residuals)
-        count = np.isfinite(stacked).sum(axis=0)
-        squares = np.where(count > 0, np.nansum(stacked**2, axis=0) / np.maximum(count, 1), np.nan)
-        return dict(zip(self.model.output_names, map(float, np.sqrt(squares)), strict=True))
-
-    @property
-    def normalised_rms(self) -> float:
-        """Root mean square residual over all outputs, in units of the noise."""
-        stacked = np.vstack(self.residuals) / self.sigma
-        present = np.isfinite(stacked)
-        return float(np.sqrt(np.mean(stacked[present] ** 2))) if present.any() else np.nan
-
     @cached_property
     def concerns(self) -> tuple[Concern, ...]:
         """What speaks against the fit; see :mod:`oed_sysid.fitting.judgement`."""
@@ -235,64 +95,7 @@ class Fit:
     @cached_property
     def grave(self) -> tuple[Concern, ...]:
         """Why the values must not be used although the fit converged; see :mod:`.explained`."""
-        return grave(self)
-
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval of one parameter from its standard error.
-
-        Normal; log-normal where the parameter was estimated as its logarithm.
-        """
-        half = ndtri(0.5 + level / 2) * self.std_errors[name]
-        if self.model.parameter(name).log:
-            factor = np.exp(half / self.values[name])
-            return float(self.values[name] / factor), float(self.values[name] * factor)
-        return float(self.values[name] - half), float(self.values[name] + half)
-
-    def whiteness(self) -> dict[str, tuple[Whiteness, ...]]:
-        """Whiteness of the one-step errors, by output, one entry per record that measured it."""
-        return {
-            name: tuple(
-                whiteness(residual[:, column])
-                for residual in self.whitened
-                if np.isfinite(residual[:, column]).sum() > 10
-            )
-            for column, name in enumerate(self.model.output_names)
-        }
-
-    def effective_samples(self) -> dict[str, tuple[float, int]]:
-        """Effective and actual number of samples of each output."""
-        return {
-            name: (
-                float(sum(test.effective_samples for test in tests)),
-                int(sum(test.n_samples for test in tests)),
-            )
-            for name, tests in self.whiteness().items()
-        }
-
-    def to_dataframe(self) -> Any:
-        """Estimates as a pandas data frame, one row per parameter.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Index: the names. Columns ``value``, ``std_error``, ``low`` and ``high`` (95 %
-            interval), ``unit``.
-
-        Raises
-        ------
-        DataError
-            If pandas is not installed.
-        """
-        limits = np.array([self.interval(name) for name in self.names]).reshape(-1, 2)
-        columns: dict[str, Any] = {
-            "parameter": list(self.names),
-            "value": self.estimates,
-            "std_error": list(self.std_errors.values()),
-            "low": limits[:, 0],
-            "high": limits[:, 1],
-            "unit": [self.model.parameter(name).unit for name in self.names],
-        }
-        return frame(columns).set_index("parameter")
+        return grave(self, self.concerns)
 
     def predict(self, dataset: Dataset, *, initial: Initial = "fit") -> Prediction:
         """Predict other records; see :func:`oed_sysid.fitting.prediction.predict`.

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.special import ndtr, stdtr
@@ -41,13 +41,13 @@ from oed_sysid.fitting.delays import (
     estimate_delays,
     values_of,
 )
+from oed_sysid.fitting.estimate import Estimate
 from oed_sysid.fitting.input_noise import fast_level, noisy_inputs
 from oed_sysid.fitting.noise_levels import signal_spread, white_levels
 from oed_sysid.fitting.spikes import spike_masks
 
-if TYPE_CHECKING:
-    from oed_sysid.fitting.fit import Fit
-
+# A fit goes through the verdict as what it is.
+Found = TypeVar("Found", bound=Estimate)
 # Wrong noise levels from which intervals are worth a word (they are wrong by the same factor).
 LEVEL_FACTOR = 1.15
 # Chance of the statistic from which on residuals are coloured.
@@ -119,7 +119,7 @@ class Concern:
         }
 
 
-def with_verdict(fit: Fit) -> Fit:
+def with_verdict(fit: Found) -> Found:
     """The same fit; its status is not ``converged`` where its values must not be used."""
     if fit.status.code in ("stalled", "iterations") and "integration step" not in fit.status.advice:
         steps = " ".join(concern.text for concern in _integration(fit))
@@ -136,12 +136,12 @@ def with_verdict(fit: Fit) -> Fit:
     return fit
 
 
-def judge(fit: Fit) -> tuple[Concern, ...]:
+def judge(fit: Estimate) -> tuple[Concern, ...]:
     """Everything that speaks against a fit, the gravest first.
 
     Parameters
     ----------
-    fit : Fit
+    fit : Estimate
         With trajectories; of one that diverged only the runaway values are named.
     """
     found = fatal(fit)
@@ -162,7 +162,7 @@ def judge(fit: Fit) -> tuple[Concern, ...]:
     )
 
 
-def fatal(fit: Fit) -> tuple[Concern, ...]:
+def fatal(fit: Estimate) -> tuple[Concern, ...]:
     """Concerns that forbid the use of the values: runaway, integration, degenerate."""
     if not np.isfinite(fit.cost) and not _has_numbers(fit):
         return ()
@@ -171,7 +171,7 @@ def fatal(fit: Fit) -> tuple[Concern, ...]:
     return (*_integration(fit), *_degenerate(fit))
 
 
-def _has_numbers(fit: Fit) -> bool:
+def _has_numbers(fit: Estimate) -> bool:
     """Whether the model, or the filter that goes along with the records, left the numbers."""
     if fit.innovations is None:
         return all(np.isfinite(part).all() for part in fit.predictions)
@@ -184,7 +184,7 @@ def _has_numbers(fit: Fit) -> bool:
 # -- the noise ---------------------------------------------------------------------
 
 
-def level_concerns(fit: Fit) -> tuple[Concern, ...]:
+def level_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """Declared noise levels that are not those found."""
     found = []
     declared = _declared(fit)
@@ -232,7 +232,7 @@ def level_concerns(fit: Fit) -> tuple[Concern, ...]:
     return tuple(found)
 
 
-def _declared(fit: Fit) -> np.ndarray:
+def _declared(fit: Estimate) -> np.ndarray:
     """Declared noise levels, those that the fit took where it was given others."""
     levels = [np.nan if o.noise_std is None else o.noise_std for o in fit.model.outputs]
     given = np.array(levels, dtype=float)
@@ -241,7 +241,7 @@ def _declared(fit: Fit) -> np.ndarray:
     return given
 
 
-def colour_concerns(fit: Fit) -> tuple[Concern, ...]:
+def colour_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """One-step errors that remember, after all the noise that the fit knows."""
     found = []
     for name, tests in fit.whiteness().items():
@@ -274,7 +274,7 @@ def colour_concerns(fit: Fit) -> tuple[Concern, ...]:
     return tuple(found)
 
 
-def _absorbed(fit: Fit) -> tuple[Concern, ...]:
+def _absorbed(fit: Estimate) -> tuple[Concern, ...]:
     """Estimated levels that hold what the model does not explain."""
     if fit.innovations is not None or not fit.sigma_estimated.any():
         return ()
@@ -304,7 +304,7 @@ def _absorbed(fit: Fit) -> tuple[Concern, ...]:
 # -- spikes ------------------------------------------------------------------------
 
 
-def spike_concerns(fit: Fit) -> tuple[Concern, ...]:
+def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """Isolated outliers, and those that the fit has left out."""
     found = []
     excluded: Mapping[str, Sequence[int]] = fit.extras.get("excluded", {})
@@ -349,7 +349,7 @@ def spike_concerns(fit: Fit) -> tuple[Concern, ...]:
 # -- delays, noise of inputs: simulations ----------------------------------------------
 
 
-def delay_concerns(fit: Fit) -> tuple[Concern, ...]:
+def delay_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """A delay of one signal: the one that explains most, others follow once it is mended."""
     if "white_delay" in fit.extras:
         name, kind, seconds, std = fit.extras["white_delay"]
@@ -375,7 +375,7 @@ def delay_concerns(fit: Fit) -> tuple[Concern, ...]:
     )
 
 
-def input_concerns(fit: Fit) -> tuple[Concern, ...]:
+def input_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """Logged inputs whose white noise reaches the outputs.
 
     The vehicle answers to the true input, not to its log; a fit to the log lets coefficients
@@ -421,7 +421,7 @@ def input_concerns(fit: Fit) -> tuple[Concern, ...]:
 # -- the trajectory ------------------------------------------------------------------
 
 
-def _runaway(fit: Fit) -> tuple[Concern, ...]:
+def _runaway(fit: Estimate) -> tuple[Concern, ...]:
     """Values far beyond any scale."""
     magnitudes: Mapping[str, float] = fit.extras.get("magnitudes", {})
     for name, value in fit.values.items():
@@ -454,7 +454,7 @@ def _ran_away(name: str, value: float, size: float, unit: str) -> Concern:
     )
 
 
-def step_change(fit: Fit, finer: int = FINER) -> tuple[float, str, str]:
+def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
     """Change of the outputs with a finer step in noise levels: the worst, its output and record.
 
     With random forces the model alone may drift away; there pieces of ``PIECE`` samples begin at
@@ -496,7 +496,7 @@ def step_change(fit: Fit, finer: int = FINER) -> tuple[float, str, str]:
     return worst
 
 
-def _integration(fit: Fit) -> tuple[Concern, ...]:
+def _integration(fit: Estimate) -> tuple[Concern, ...]:
     """Trajectories that hang on the integration step."""
     if not _has_numbers(fit):
         return ()
@@ -522,7 +522,7 @@ def _integration(fit: Fit) -> tuple[Concern, ...]:
     )
 
 
-def _degenerate(fit: Fit) -> tuple[Concern, ...]:
+def _degenerate(fit: Estimate) -> tuple[Concern, ...]:
     """Outputs that a constant would explain as well."""
     if fit.innovations is not None or not _has_numbers(fit):
         return ()
@@ -563,7 +563,7 @@ def _degenerate(fit: Fit) -> tuple[Concern, ...]:
     return tuple(found)
 
 
-def _stands_still(fit: Fit) -> bool:
+def _stands_still(fit: Estimate) -> bool:
     """Whether a constant per output explains all outputs together better than the model does."""
     left = own = 0.0
     for record, part in zip(fit.dataset, fit.predictions, strict=True):
@@ -578,7 +578,7 @@ def _stands_still(fit: Fit) -> bool:
 # -- unknowns ------------------------------------------------------------------------
 
 
-def _few_samples(fit: Fit) -> tuple[Concern, ...]:
+def _few_samples(fit: Estimate) -> tuple[Concern, ...]:
     ratio = fit.n_observations / max(fit.n_unknowns, 1)
     if ratio >= FEW or not fit.n_unknowns:
         return ()
@@ -595,7 +595,7 @@ def _few_samples(fit: Fit) -> tuple[Concern, ...]:
     )
 
 
-def _follows(fit: Fit) -> tuple[Concern, ...]:
+def _follows(fit: Estimate) -> tuple[Concern, ...]:
     """Parameters of records that follow the amplitude of a signal over the records."""
     n = len(fit.dataset)
     names = fit.local_values[0] if fit.local_values else {}

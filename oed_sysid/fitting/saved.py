@@ -17,7 +17,7 @@ import shlex
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +25,8 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
 from oed_sysid.files import write_text
 from oed_sysid.fitting.archive import decode
+from oed_sysid.fitting.estimate import Estimate
 from oed_sysid.version import __version__
-
-if TYPE_CHECKING:
-    from oed_sysid.fitting.fit import Fit
 
 FORMAT = 2
 # A file beyond this (bytes) is no result of this package.
@@ -149,12 +147,12 @@ def decode_result(path: str | Path, kind: str, classes: Iterable[type]) -> Any:
     return result
 
 
-def check_fit(fit: Fit, where: str) -> None:
+def check_fit(fit: Estimate, where: str) -> None:
     """Raise :class:`DataError` unless all arrays of a fit suit its model and its records.
 
     Parameters
     ----------
-    fit : Fit
+    fit : Estimate
         As decoded.
     where : str
         The file, for the message.

@@ -9,9 +9,10 @@ its own time.
 """
 
 from oed_sysid.logs.formats import open_log
-from oed_sysid.logs.log import Log, Series
+from oed_sysid.logs.log import Log
 from oed_sysid.logs.mapping import LogMapping, Source, draft, read_mapping
 from oed_sysid.logs.records import Imported, import_log
+from oed_sysid.logs.series import Series
 from oed_sysid.logs.tables import log_of
 
 __all__ = [

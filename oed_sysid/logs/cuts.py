@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from oed_sysid.errors import DataError
-from oed_sysid.logs.log import Log, Series
+from oed_sysid.logs.log import Log
+from oed_sysid.logs.series import Series
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from oed_sysid.logs.log import Series
+from oed_sysid.logs.series import Series
 
 # Names of scalar part and vector part of a quaternion in one topic, and where they come from.
 _QUATERNIONS = (

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from oed_sysid.effects import Effect
 from oed_sysid.errors import ModelError
 from oed_sysid.language import callables, expressions
 from oed_sysid.language.callables import Function, Table
+from oed_sysid.model.structure import Structure
 from oed_sysid.parameters import check_unique
-
-if TYPE_CHECKING:
-    from oed_sysid.model import Model
 
 CLOCK = ("t", "h")
 RESERVED = {"t": "time", "h": "step", "pi": "3.14159..."}
 
 
-def is_sampled(model: Model, effect: Effect) -> bool:
+def is_sampled(model: Structure, effect: Effect) -> bool:
     """Whether an actuator effect answers to commands alone, once in each step.
 
     An effect that sees states, or has states of its own, acts on the signal that
@@ -28,7 +25,7 @@ def is_sampled(model: Model, effect: Effect) -> bool:
     return not effect.states and effect.uses() <= names
 
 
-def rates_and_forces(model: Model) -> set[str]:
+def rates_and_forces(model: Structure) -> set[str]:
     """What only sensors see: ``dot(state)``, ``force(axis)`` and ``force(axis, effect)``."""
     states = [*model.state_names, *(s.name for effect in model.effects for s in effect.states)]
     names = {f"dot({state})" for state in states}
@@ -39,11 +36,11 @@ def rates_and_forces(model: Model) -> set[str]:
     return names
 
 
-def _callable(model: Model) -> dict[str, int]:
+def _callable(model: Structure) -> dict[str, int]:
     """Number of arguments of every table and function; the same name means the same thing."""
     found: dict[str, tuple[str, ...]] = {}
     counts: dict[str, int] = {}
-    owners: tuple[Model | Effect, ...] = (model, *model.effects)
+    owners: tuple[Structure | Effect, ...] = (model, *model.effects)
     for owner in owners:
         entries: list[tuple[str, Table | Function]]
         entries = [*owner.tables.items(), *((f.name, f) for f in owner.functions)]
@@ -63,7 +60,7 @@ def _callable(model: Model) -> dict[str, int]:
     return counts
 
 
-def validate(model: Model) -> None:
+def validate(model: Structure) -> None:
     """Check names, references and completeness of a model."""
     check_unique(model.all_parameters, owner=f"Model {model.name!r}")
     if not model.states or not model.outputs:
@@ -135,7 +132,7 @@ def validate(model: Model) -> None:
 
 
 def _validate_effect(
-    model: Model, effect: Effect, known: set[str], tables: Mapping[str, int]
+    model: Structure, effect: Effect, known: set[str], tables: Mapping[str, int]
 ) -> None:
     """Check one effect of a model: its targets exist and its names resolve."""
     where = f"Effect {effect.name!r} in model {model.name!r}"
