@@ -164,14 +164,22 @@ class Setting:
         ]
         return Levels.of(
             noise,
-            replace(unit, force=np.array(sizes), force_time=1.0, places=noise.places),
+            # What a white fit leaves may be far above any sensor's noise, and so no unit of it.
+            replace(
+                unit,
+                white=np.minimum(unit.white, self.white),
+                force=np.array(sizes),
+                force_time=1.0,
+                places=noise.places,
+            ),
             [f"{DISTURBANCE}{place.replace(' ', '_', 1)}" for place in noise.places],
             # Where colour is let in, the white level has to make room for it.
             white=self.estimated | colour,
             colour=colour,
             force=np.array([place not in self.known for place in noise.places], dtype=bool),
             own_times=own_times,
-            least_white=self.least_white,
+            # ... and the fastest wiggles may be its own.
+            least_white=np.where(colour, 0.0, self.least_white),
             times=self.times(dataset),
         )
 
