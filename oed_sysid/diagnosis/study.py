@@ -303,8 +303,10 @@ class Study:
             dataset,
             knowledge,
         )
-        start = _nominal_start(problem.model, dataset, noise.sensors)
-        point = problem.point(start.initial, start.local)
+        alone = self.alone(found, dataset)
+        if alone is None:
+            return np.inf
+        point = problem.point(alone.initial, alone.local)
         solution = solve_filtered(problem, point, max_iterations=20, tolerance=0.01, polish=0)
         if solution is None:
             return np.inf
@@ -324,17 +326,19 @@ class Study:
             self.levels(self.loosened(found.noise), dataset),
             dataset,
         )
-        start = _nominal_start(problem.model, dataset, found.noise.sensors)
+        alone = self.alone(found, dataset)
+        if alone is None:
+            return None
         shared = np.arange(len(problem.layout.shared))
-        point = problem.point(start.initial, start.local)
+        point = problem.point(alone.initial, alone.local)
         held = problem.holding(shared, point.unknowns[shared])
         return solve_filtered(held, point, max_iterations=15, tolerance=0.01, polish=0)
 
-    def rms(self, found: FilteredSolution, dataset: Dataset) -> np.ndarray:
-        """Errors of the model on its own, ``(n_outputs,)``, as `compare` finds them.
+    def alone(self, found: FilteredSolution, dataset: Dataset) -> FilteredSolution | None:
+        """A fit on other records: parameters and noise levels held, start states estimated.
 
-        Shared parameters are held, start states estimated on each record under the fit's
-        noise model; infinite where the model leaves the numbers.
+        Where levels are estimated too, it is from here that they are: a start state that is far
+        off would be taken for a random force, which it is not.
         """
         levels = self.levels(found.noise, dataset).held()
         problem = self.problem(self.effects_of(found), found.values, levels, dataset)
@@ -342,8 +346,19 @@ class Study:
         shared = np.arange(len(problem.layout.shared))
         point = problem.point(start.initial, start.local)
         held = problem.holding(shared, point.unknowns[shared])
-        solution = solve_filtered(held, point, polish=0)
-        unknowns = (solution.point if solution is not None else point).unknowns
+        return solve_filtered(held, point, polish=0)
+
+    def rms(self, found: FilteredSolution, dataset: Dataset) -> np.ndarray:
+        """Errors of the model on its own, ``(n_outputs,)``, as `compare` finds them.
+
+        Shared parameters are held, start states estimated on each record under the fit's
+        noise model; infinite where the model leaves the numbers.
+        """
+        measured = np.vstack([np.isfinite(record.outputs) for record in dataset]).any(axis=0)
+        alone = self.alone(found, dataset)
+        if alone is None:
+            return np.where(measured, np.inf, np.nan)
+        problem, unknowns = alone.problem, alone.point.unknowns
         squares = np.zeros(len(self.base.outputs))
         count = np.zeros(len(squares))
         for index, record in enumerate(dataset):
