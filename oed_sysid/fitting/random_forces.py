@@ -51,6 +51,10 @@ CLEAR, WORTH_COLOUR, WORTH_TIMES = 6.0, 10.0, 12.0
 COLOURED = 4.0
 # Share of the white level seen in the fastest wiggles that an estimate must leave standing.
 LEAST_SEEN = 0.7
+# ... and the share of that where a sensor is coloured.
+COLOUR_SEEN = 0.1
+# Colour below this share of the white level has vanished.
+VANISHED = 0.02
 # Where a level that is let in begins at least, in its natural unit.
 LEAST_START = 1.0
 # Factors on these levels of which the likeliest is begun at: where a model hardly damps what
@@ -178,8 +182,8 @@ class Setting:
             colour=colour,
             force=np.array([place not in self.known for place in noise.places], dtype=bool),
             own_times=own_times,
-            # ... and the fastest wiggles may be its own.
-            least_white=np.where(colour, 0.0, self.least_white),
+            # ... and most of the fastest wiggles may be its own.
+            least_white=np.where(colour, COLOUR_SEEN, 1.0) * self.least_white,
             times=self.times(dataset),
         )
 
@@ -450,7 +454,27 @@ def with_colour(
         if again is None or found.objective - again.objective < WORTH_COLOUR:
             break
         found = again
-    return found
+    return _without_vanished_colour(found, setting, max_iterations)
+
+
+def _without_vanished_colour(
+    found: FilteredSolution, setting: Setting, max_iterations: int
+) -> FilteredSolution:
+    """Where the colour that was let in vanishes, the white level is bounded or declared again."""
+    noise = found.noise
+    has = np.zeros(len(setting.white), dtype=bool)
+    has[found.problem.levels.coloured] = True
+    vanished = has & (noise.colour < VANISHED * setting.white)
+    if not vanished.any():
+        return found
+    white = np.where(setting.estimated, np.maximum(noise.white, setting.least_white), setting.white)
+    noise = replace(
+        noise,
+        white=np.where(vanished, white, noise.white),
+        colour=np.where(vanished, 0.0, noise.colour),
+    )
+    again = moved(found, setting, noise, has & ~vanished, max_iterations=max_iterations)
+    return found if again is None else again
 
 
 def with_input_noise(found: FilteredSolution, setting: Setting) -> FilteredSolution:
