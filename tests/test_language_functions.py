@@ -72,6 +72,15 @@ def test_bilinear_tables_agree_inside_and_outside() -> None:
     assert float(interpolate(GRID, -1.0, 0.0)) == pytest.approx(1.0 + 2.0)
 
 
+def test_table_at_a_number_is_that_number_symbolically() -> None:
+    """A plain number as argument gives what the table has there, in one and two dimensions."""
+    x = ca.SX.sym("x")
+    line = ([0.0, 2.0], [1.0, 5.0])
+    text = expressions.to_casadi("f(x, 0.5) + g(1.0)", {"x": x}, {"f": GRID, "g": line})
+    found = float(ca.Function("f", [x], [text])(0.7))
+    assert found == pytest.approx(float(interpolate(GRID, 0.7, 0.5)) + 3.0)
+
+
 @pytest.mark.parametrize(
     ("table", "complaint"),
     [

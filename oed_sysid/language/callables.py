@@ -287,7 +287,9 @@ def numeric_library(entries: Mapping[str, Any]) -> dict[str, Callable[..., np.nd
     }
 
 
-def _symbolic_table(table: Table, *x: ca.SX) -> ca.SX:
+def _symbolic_table(table: Table, *arguments: Any) -> ca.SX:
+    # A number may be an argument too; CasADi interpolates at symbols alone.
+    x = [ca.SX(one) for one in arguments]
     first = ca.DM(np.asarray(table[0], float))
     if len(table) == 2:
         return ca.pw_lin(x[0], first, ca.DM(np.asarray(table[1], float)))
