@@ -19,6 +19,7 @@ from oed_sysid.errors import DataError
 from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.fitting.noise_levels import credible_levels, given_levels
 from oed_sysid.fitting.prediction import WAYS, Initial, Prediction, predict
+from oed_sysid.language.units import shown_unit
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
 
@@ -379,11 +380,12 @@ def _table(part: ModelMisfit) -> list[tuple[str, ...]]:
     ]
     for output, ahead in zip(part.outputs, part.forecasts.relative, strict=True):
         name, begin, end, value = output.worst
+        factor, unit = shown_unit(output.output.unit)  # angles are read in degrees
         rows.append(
             (
                 output.output.name,
-                f"{output.rmse:.3g}",
-                output.output.unit,
+                f"{factor * output.rmse:.3g}",
+                unit,
                 f"{output.relative:.3f}",
                 f"{100 * output.coverage:.0f} %",
                 f"{output.effective_samples:.0f}",

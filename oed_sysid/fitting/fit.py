@@ -22,6 +22,7 @@ from oed_sysid.fitting.judgement import Concern, judge
 from oed_sysid.fitting.prediction import Initial, Prediction, predict
 from oed_sysid.fitting.saved import check_fit, decode_result, made_by, write_result
 from oed_sysid.information import Information, Whiteness, whiteness
+from oed_sysid.language.units import shown_unit
 from oed_sysid.model import Function, Model
 from oed_sysid.noise.disturbances import places
 from oed_sysid.noise.model import NoiseModel
@@ -29,6 +30,8 @@ from oed_sysid.parameters import Parameter
 
 # Residuals that count fewer independent samples than this share are coloured.
 COLOUR_LIMIT = 0.8
+# What stands behind +/- is half of a 95 % interval, in standard errors.
+TWO_SIDED_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -393,11 +396,13 @@ class Fit:
         lines = []
         for record, known in zip(self.dataset.names, self.start_states, strict=False):
             words = [
-                f"{name} {value:.4g} held" if std == 0.0 else f"{name} {value:.4g} +/- {std:.2g}"
+                f"{name} {value:.4g} held"
+                if std == 0.0
+                else f"{name} {value:.4g} +/- {TWO_SIDED_95 * std:.2g}"
                 for name, (value, std) in known.items()
             ]
             if words:
-                lines.append(f"  start of {record} given: {', '.join(words)} (one std. error)")
+                lines.append(f"  start of {record} given: {', '.join(words)} (95 %)")
         return lines
 
     def _output_table(self) -> list[str]:
@@ -408,15 +413,16 @@ class Fit:
             self.model.outputs, self.sigma, self.sigma_estimated, strict=True
         ):
             count, total = effective[output.name]
+            factor, unit = shown_unit(output.unit)  # angles are read in degrees
             rows.append(
                 (
                     output.name,
-                    f"{rms[output.name]:.3g}",
-                    f"{sigma:.3g}",
+                    f"{factor * rms[output.name]:.3g}",
+                    f"{factor * sigma:.3g}",
                     ("estimated" if estimated else "given") if total else "not measured",
                     f"{count:.0f}",
                     f"{total}",
-                    output.unit,
+                    unit,
                 )
             )
         return [f"  {line}" for line in align(rows)]
