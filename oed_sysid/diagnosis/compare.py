@@ -15,6 +15,7 @@ from oed_sysid.data.overlap import check_disjoint
 from oed_sysid.diagnosis.forecasts import Forecasts, forecasts
 from oed_sysid.diagnosis.misfit import OutputMisfit, output_misfit
 from oed_sysid.diagnosis.regimes import Signal, regimes
+from oed_sysid.display import as_html
 from oed_sysid.errors import DataError
 from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.fitting.noise_levels import credible_levels, given_levels
@@ -100,6 +101,12 @@ class Comparison:
     models: tuple[ModelMisfit, ...]
     sigma: np.ndarray
     notes: tuple[str, ...]
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        errors = ", ".join(f"{part.label} {part.relative:.3g} x noise" for part in self.models)
+        return f"<Comparison on {len(self.dataset)} records: {errors}>"
 
     def __getitem__(self, key: str | int) -> ModelMisfit:
         if isinstance(key, int):

@@ -14,6 +14,7 @@ from scipy.special import ndtri
 from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.frames import frame
+from oed_sysid.display import as_html
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.effects.base import RandomProcess
 from oed_sysid.fitting.archive import encode
@@ -332,6 +333,14 @@ class Fit:
         fit = decode_result(path, "fit", ARCHIVED)
         check_fit(fit, str(path))
         return fit
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        return (
+            f"<Fit of {self.model.name!r}: {self.status.code}, {len(self.names)} parameters, "
+            f"residuals {self.normalised_rms:.3g} x noise>"
+        )
 
     # -- words ---------------------------------------------------------------------
 
