@@ -218,11 +218,14 @@ def plot_intervals(
 def plot_correlation(fit: Fit, *, ax: Axes | None = None) -> Axes:
     """Plot the correlation matrix of the estimates; numbers where it exceeds 0.5."""
     size = 1.6 + 0.42 * len(fit.names)
-    ax = new_axes(ax, size=(size + 0.8, size))
+    ax = new_axes(ax, size=(size + 1.6, size + 0.3))
     matrix = fit.correlation
     picture = ax.imshow(matrix, cmap=_DIVERGING, vmin=-1, vmax=1)
     ticks = range(len(fit.names))
-    ax.set_xticks(ticks, [symbol_of(name) for name in fit.names], rotation=60)
+    ax.set_xticks(
+        ticks, [symbol_of(name) for name in fit.names], rotation=60, ha="right",
+        rotation_mode="anchor",
+    )  # fmt: skip
     ax.set_yticks(ticks, [symbol_of(name) for name in fit.names])
     for i in ticks:
         for j in range(i):

@@ -168,7 +168,9 @@ def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None)
     places = [*places[:n_shown], ("no disturbance", top)]
     ax = new_axes(ax, size=(6.4, 1.2 + 0.3 * len(places)))
     rows = np.arange(len(places))[::-1]
-    ax.axvspan(0.0, GROUP_WIDTH, color=NEUTRAL, alpha=0.3, lw=0)
+    ax.axvspan(
+        0.0, GROUP_WIDTH, color=NEUTRAL, alpha=0.3, lw=0, label="cannot be told from the best"
+    )
     for (name, behind), row in zip(places, rows, strict=True):
         alike = name in located.group and name != located.best
         ax.barh(
@@ -177,7 +179,7 @@ def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None)
         )  # fmt: skip
         if name == located.best:
             ax.plot(0.0, row, "D", ms=8, color=COLOURS[0], mec="0.25", clip_on=False, zorder=4)
-            words = f"  best: {top:.4g} above no disturbance"
+            words = f"  best: {top:,.0f} above no disturbance"
             ax.annotate(words, (0.0, row), xytext=(6, 0), textcoords="offset points",
                         va="center", fontsize=8.5)  # fmt: skip
     _readable_scale(ax, max([behind for _, behind in places], default=1.0))
@@ -185,6 +187,7 @@ def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None)
     ax.set(xlabel="behind the best place: twice the log-likelihood [-]")
     clean(ax)
     ax.grid(False, axis="y")
+    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return say(ax, located.verdict)
 
 

@@ -22,8 +22,6 @@ from oed_sysid.report.style import (
     symbol_of,
 )
 
-_WORDS = {"bound": "at the parameter's bound", "open": "open", "diverged": "the model diverges"}
-
 
 def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
     """Plot the profile likelihood of a parameter, and the parabola that a standard error means.
@@ -55,7 +53,7 @@ def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
         ylabel=r"rise of $-2\,\log L$ [-]",
         ylim=(min(0.0, float(profile.rises.min())) - 0.03 * top, top),
     )
-    spread_legend(ax, loc="upper center")
+    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return say(clean(ax), profile.report())
 
 

@@ -251,12 +251,10 @@ def _overshoots(
 
 
 def _mark(ax: Axes, time: float, begun: float, peak: float, past: float) -> None:
-    """Arrow from the heading at which the rudder was reversed to the peak."""
+    """Stroke from the heading at which the rudder was reversed to the peak."""
     side = 1 if peak > 0 else -1
-    ax.annotate(
-        "", (time, peak * DEGREE), xytext=(time, begun * DEGREE),
-        arrowprops={"arrowstyle": "<->", "lw": 1.0, "color": TRUTH, "shrinkA": 0, "shrinkB": 0},
-    )  # fmt: skip
+    ends = (begun * DEGREE, peak * DEGREE)
+    ax.plot((time, time), ends, color=TRUTH, lw=1.2, marker="_", ms=9, mew=1.2)
     ax.annotate(
         f"overshoot {abs(past) * DEGREE:.1f}°", (time, peak * DEGREE), xytext=(4, 6 * side),
         textcoords="offset points", va="bottom" if side > 0 else "top", fontsize=8.5,
