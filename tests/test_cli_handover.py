@@ -65,7 +65,7 @@ def test_saved_model_goes_on(saver: str, reader: str, ship: Path, tmp_path: Path
         assert ("E_yaw" in page) == (saver == "improve")
     elif reader == "export":
         module = runpy.run_path(str(out.with_suffix(".py")))
-        written = dict(zip(module["PARAMETERS"], module["VALUES"], strict=True))
+        written = module["PARAMETERS"]
         assert {name: written[name] for name in fit.values} == pytest.approx(fit.values)
     elif reader == "compare":
         models = {one["label"]: one["relative"] for one in json.loads(out.read_text())["models"]}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -38,8 +38,6 @@ from oed_sysid.cli.terminal import (
 from oed_sysid.errors import DataError
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from oed_sysid.batch.journal import Journal
     from oed_sysid.cli.terminal import Shown
     from oed_sysid.data.dataset import Dataset
@@ -278,7 +276,7 @@ def report(
     draw(partial(_figure, kept, comparison), picture)
 
 
-def _figure(fit: Fit, comparison: Comparison | None) -> Figure:
+def _figure(fit: Fit, comparison: Comparison | None) -> Any:
     """Predictions of the validation records, or the fit where there are none."""
     from oed_sysid.report import figure_fit, figure_predictions
 
@@ -292,8 +290,11 @@ def _models(problem: Problem, added: list[str]) -> tuple[dict[str, Model], dict[
     from oed_sysid.fitting.fit import Fit
 
     models, kept = {"nominal": problem.model}, {}
+    known = {effect.name for effect in problem.effects}
     for group in added:
-        if Path(group).is_file():
+        names = [name.strip() for name in group.split("+")]
+        is_path = group.lower().endswith(".json") or Path(group).exists()
+        if is_path and not known.issuperset(names):
             fit = Fit.load(group)
             if fit.model.channels != problem.channels:
                 raise DataError(
@@ -302,7 +303,7 @@ def _models(problem: Problem, added: list[str]) -> tuple[dict[str, Model], dict[
                 )
             kept[Path(group).stem] = fit
             continue
-        effects = [problem.effect(name.strip()) for name in group.split("+")]
+        effects = [problem.effect(name) for name in names]
         models[f"with {' and '.join(effect.name for effect in effects)}"] = problem.model + effects
     return models, kept
 

@@ -90,17 +90,17 @@ def limit_words(model: Model, limits: Limits) -> list[tuple[str, tuple[str, ...]
     [('pitch', 'theta')]
     """
     offered: list[tuple[str, tuple[str, ...], str]] = []
-    for channel in model.inputs:
-        words = _words(model, channel, sorted(set().union(*SURFACES)))
-        label = f"{channel.label or 'input'} {channel.name}"
-        both = ", both ways" if channel.unit.startswith("rad") else ""
-        now = limits.inputs.get(channel.name)
-        offered.append(("max", words, f"{label}, {_unit(channel)}{both}{_now(channel, now)}"))
-        offered.append(("min", words, f"{label}, {_unit(channel)}"))
-        rate = limits.rates.get(channel.name)
-        stands = "" if rate is None else f"; now {_shown(channel, rate)}"
+    for moved in model.inputs:
+        words = _words(model, moved, sorted(set().union(*SURFACES)))
+        label = f"{moved.label or 'input'} {moved.name}"
+        both = ", both ways" if moved.unit.startswith("rad") else ""
+        now = limits.inputs.get(moved.name)
+        offered.append(("max", words, f"{label}, {_unit(moved)}{both}{_now(moved, now)}"))
+        offered.append(("min", words, f"{label}, {_unit(moved)}"))
+        rate = limits.rates.get(moved.name)
+        stands = "" if rate is None else f"; now {_shown(moved, rate)}"
         rates = tuple(f"{word}-rate" for word in words)
-        offered.append(("max", rates, f"slope of {channel.name}, {_unit(channel)}/s{stands}"))
+        offered.append(("max", rates, f"slope of {moved.name}, {_unit(moved)}/s{stands}"))
     if model.inputs:
         offered.append(("max", ("rate",), "slope of every angle that is commanded, deg/s"))
     signals: dict[str, State | Output] = {o.name: o for o in model.outputs}

@@ -83,7 +83,7 @@ def plot_residual(
     row, times = _record(fit, record)
     column = fit.model.output_names.index(output)
     channel = fit.model.outputs[column]
-    half = TWO_SIDED_95 * shown(channel, fit.sigma[column])
+    half = TWO_SIDED_95 * float(shown(channel, fit.sigma[column]))
     ax.axhspan(-half, half, color=NEUTRAL, alpha=0.3, lw=0, label="95 % of the noise")
     ax.axhline(0.0, color=TRUTH, lw=0.8)
     ax.plot(

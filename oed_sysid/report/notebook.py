@@ -12,6 +12,7 @@ from html import escape
 
 import numpy as np
 
+from oed_sysid.channels import Input, Output
 from oed_sysid.compatibility import LogCheck
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
@@ -79,7 +80,7 @@ def _dataset(dataset: Dataset) -> str:
 
 def _records(records: list[Record]) -> Table:
     channels = records[0].channels
-    names = (*channels.inputs, *channels.outputs)
+    names: list[Input | Output] = [*channels.inputs, *channels.outputs]
     rows = []
     for record in records[:_MOST_ROWS]:
         spans = []
