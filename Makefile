@@ -9,7 +9,7 @@ STAMP := $(VENV)/.installed
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup demo test test-slow benchmark docs clean
+.PHONY: setup demo test test-slow test-all benchmark docs clean
 
 setup: $(STAMP)
 
@@ -31,6 +31,17 @@ test: setup
 
 test-slow: setup
 	$(BIN)/pytest -n 2 -m slow tests
+
+# Everything, with the oldest and with the newest libraries that pyproject.toml admits.
+test-all: setup test test-slow
+	mkdir -p out
+	$(BIN)/python -m benchmarks.lowest > out/lowest.txt
+	: > out/newest.txt
+	set -e; for kind in lowest newest; do \
+		$(BIN)/python -m venv --clear out/$$kind; \
+		out/$$kind/bin/python -m pip install --quiet --upgrade -c out/$$kind.txt -e ".[dev]"; \
+		out/$$kind/bin/pytest -n 2 -m "not slow" tests; \
+	done
 
 benchmark: setup
 	$(BIN)/python -m benchmarks

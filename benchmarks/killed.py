@@ -30,9 +30,8 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     "improve": (
         "improve",
         "remus_diving_plane",
-        "--train",
         *(str(RECORDS / f"train_{name}.csv") for name in ("steps", "zigzag_10_10")),
-        "--test",
+        "--validate",
         str(RECORDS / "test_steps.csv"),
     ),
     "design": (

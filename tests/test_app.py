@@ -280,7 +280,7 @@ def test_commands_name_model_noise_and_records(study: Study) -> None:
     line = commands.improve(odd, 2)
     assert shlex.split(line)[:5] == ["oed-sysid", "improve", "my ship", "--model", "norrbin"]
     assert "--known-noise" in line
-    assert "--test" not in line
+    assert "--validate" not in line
 
 
 def test_key_changes_with_content(study: Study) -> None:

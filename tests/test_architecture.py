@@ -17,6 +17,7 @@ PACKAGE = ROOT / "oed_sysid"
 # Bottom to top: a module imports from layers before its own, or from its own folder.
 LAYERS = (
     "errors",
+    "display",
     "version",
     "files",
     "batch",

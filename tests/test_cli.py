@@ -44,18 +44,24 @@ def _ferry(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        ("--train a b --test c", "--train a --train b --test c"),
-        ("--train a --train b", "--train a --train b"),
-        ("P --train a b --json o x", "P --train a --train b --json o x"),
-        ("--train --test c", "--train --test c"),
-        ("--train a -- P b", "--train a -- P b"),
-        ("--train=a b", "--train=a b"),
-        ("--train a - b", "--train a --train - --train b"),
+        ("--with a b --limit c", "--with a --with b --limit c"),
+        ("--with a --with b", "--with a --with b"),
+        ("P --with a b --json o x", "P --with a --with b --json o x"),
+        ("--with --limit c", "--with --limit c"),
+        ("--with a -- P b", "--with a -- P b"),
+        ("--with=a b", "--with=a b"),
+        ("--with a - b", "--with a --with - --with b"),
+        ("P --train a b --json o", "P a b --json o"),
+        ("P --train=a b --limit c d", "P a b --limit c --limit d"),
+        ("--with a --records b", "--with a b"),
+        ("P --with a --test b c", "P --with a --limit b --limit c"),
+        ("P --test=a", "P --limit=a"),
     ],
 )
 def test_values_after_one_option_are_spread(given: str, expected: str) -> None:
     """An option in front of several values is repeated before each, and nothing else changes."""
-    assert spread(given.split(), ["--train", "--test"]) == expected.split()
+    older = {"--train": "", "--records": "", "--test": "--limit"}
+    assert spread(given.split(), ["--with", "--limit"], older) == expected.split()
 
 
 def test_simulate_then_fit_recovers_the_model(ferry: Path, tmp_path: Path, capsys) -> None:
@@ -197,10 +203,10 @@ def test_rank_of_records_equals_rank_of_their_experiments(ferry: Path, tmp_path,
     simulated = ["simulate", str(ferry), "--experiment", "zigzag_10", "--no-noise"]
     assert main([*simulated, "--out", str(file)]) == DONE
     errors = []
-    for runs in (["--records", str(file)], ["--experiment", "zigzag_10"]):
+    for runs in ([str(file)], ["--experiment", "zigzag_10"]):
         assert main(["rank", str(ferry), *runs, "--json", str(stored)]) == DONE
         rows = json.loads(stored.read_text())["ranking"]["parameters"]
         errors.append({row["name"]: row["error"] for row in rows})
     assert errors[0] == pytest.approx(errors[1], rel=0.05)
-    arguments = ["rank", str(ferry), "--records", str(file), "--experiment", "zigzag_10"]
+    arguments = ["rank", str(ferry), str(file), "--experiment", "zigzag_10"]
     assert main(arguments) == BAD_INPUT

@@ -24,7 +24,7 @@ def split(ship: Path) -> list[str]:
     """Command line that learns from the zigzags and judges with the circle."""
     data = ship / "data"
     zigzags = [str(data / f"zigzag_{angle}.csv") for angle in ("10_10", "20_20")]
-    return ["--train", *zigzags, "--test", str(data / "turning_circle.csv")]
+    return [*zigzags, "--validate", str(data / "turning_circle.csv")]
 
 
 @pytest.fixture(name="improved", scope="module")
@@ -60,10 +60,10 @@ def test_improve_report_says_the_same(improved: tuple[dict, str]) -> None:
 
 
 def test_improve_without_untouched_records_makes_no_claim_on_them(ship: Path, tmp_path) -> None:
-    """Without --test the search still runs; errors on validation records are absent."""
+    """Without --validate the search still runs; errors on validation records are absent."""
     given = split(ship)
     stored = tmp_path / "out.json"
-    arguments = ["improve", str(ship), *given[: given.index("--test")], "--json", str(stored)]
+    arguments = ["improve", str(ship), *given[: given.index("--validate")], "--json", str(stored)]
     assert main(arguments) == DONE
     assert json.loads(stored.read_text())["final_error"]["test"] is None
 
@@ -127,7 +127,7 @@ def test_report_of_a_saved_fit_predicts_other_records(ship: Path, tmp_path: Path
     )
     assert main(["fit", str(ship), zigzag, "--save", str(saved)]) == DONE
     capsys.readouterr()
-    assert main(["report", str(saved), "--test", circle, "--out", str(page)]) == DONE
+    assert main(["report", str(saved), "--validate", circle, "--out", str(page)]) == DONE
     assert "heading deviates" in capsys.readouterr().out
     text = page.read_text(encoding="utf-8")
     assert "zigzag_10_10" in text
@@ -141,7 +141,7 @@ def test_diagnose_locates_and_ranks_without_adding(ship: Path, tmp_path: Path, c
     given = split(ship)
     stored, page = tmp_path / "look.json", tmp_path / "look.html"
     files = ["--json", str(stored), "--html", str(page), "--known-noise"]
-    assert main(["diagnose", str(ship), *given[: given.index("--test")], *files]) == DONE
+    assert main(["diagnose", str(ship), *given[: given.index("--validate")], *files]) == DONE
     assert json.loads(stored.read_text())["best"] == HIDDEN
     assert HIDDEN in capsys.readouterr().out
     assert "as far as these records can tell" in page.read_text(encoding="utf-8")

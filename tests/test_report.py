@@ -28,6 +28,8 @@ from oed_sysid import (
     State,
     report,
 )
+from oed_sysid.errors import DataError
+from oed_sysid.estimators.profile import profile
 from oed_sysid.manoeuvres import TurningCircle, ZigZag
 from oed_sysid.report.fit_page import fit_verdict
 from oed_sysid.simulation import simulate
@@ -102,20 +104,23 @@ def line(ax: Axes, name: str) -> np.ndarray:
 def test_output_plot_shows_data_model_and_band(fit: Fit, data: Dataset) -> None:
     """The dots are the record, the line the prediction, the band 1.96 noise levels."""
     ax = report.plot_output(fit, "psi", record="circle")
-    np.testing.assert_array_equal(line(ax, "measured"), data["circle"].output("psi"))
-    np.testing.assert_array_equal(line(ax, "model"), fit.predictions[1][:, 2])
+    predicted = np.degrees(fit.predictions[1][:, 2])
+    np.testing.assert_allclose(line(ax, "measured"), np.degrees(data["circle"].output("psi")))
+    np.testing.assert_allclose(line(ax, "model"), predicted)
     (band,) = ax.collections
     heights = band.get_paths()[0].vertices[:, 1]
-    assert heights.max() == pytest.approx(fit.predictions[1][:, 2].max() + 1.96 * 0.003)
-    assert ax.get_ylabel() == "heading $\\psi$ [rad]"
+    assert heights.max() == pytest.approx(predicted.max() + 1.96 * np.degrees(0.003))
+    assert ax.get_ylabel() == "heading $\\psi$ [deg]"
+    size = fit.rms["psi"] / fit.sigma[2]
+    assert report.finding(ax) == f"circle: residuals of psi are {size:.3g} times its noise."
     assert ax.get_xlabel() == "time $t$ [s]"
 
 
 def test_residual_plot_has_the_noise_band(fit: Fit) -> None:
     """The residuals are measured minus predicted."""
     ax = report.plot_residual(fit, "r", record="zigzag")
-    np.testing.assert_array_equal(line(ax, "measured − model"), fit.residuals[0][:, 3])
-    assert "[rad/s]" in ax.get_ylabel()
+    np.testing.assert_allclose(line(ax, "measured − model"), np.degrees(fit.residuals[0][:, 3]))
+    assert "[deg/s]" in ax.get_ylabel()
 
 
 def test_autocorrelation_leaves_the_band_only_for_the_wrong_model(fit: Fit, better: Fit) -> None:
@@ -160,6 +165,13 @@ def test_zigzag_diagram_is_in_degrees_with_overshoots(fit: Fit, data: Dataset) -
     assert len(words) == 2
     first = float(re.findall(r"overshoot ([\d.]+)°", words[0])[0])
     assert first == pytest.approx(heading[: len(heading) // 2].max() - 20.0, abs=1.5)
+    # The stroke beside the words is as long as the overshoot; the model's is said as well.
+    strokes = [one.get_ydata() for one in ax.get_lines() if one.get_marker() == "_"]
+    assert len(strokes) == 2
+    assert abs(np.ptp(strokes[0]) - first) < 1.0
+    assert re.search(
+        rf"measured: overshoots {first}° and .* model 1: overshoots", report.finding(ax)
+    )
 
 
 def test_a_circle_has_no_overshoots(data: Dataset) -> None:
@@ -173,6 +185,59 @@ def test_track_keeps_proportions(fit: Fit, data: Dataset) -> None:
     assert ax.get_aspect() == 1.0
     np.testing.assert_array_equal(line(ax, "measured"), data["circle"].output("x"))
     assert "east" in ax.get_xlabel()
+
+
+def test_phase_plane_shows_one_signal_over_another(fit: Fit, data: Dataset) -> None:
+    """Yaw rate over heading, both in degrees, measured and as the model goes."""
+    ax = report.plot_phase(data["zigzag"], [fit], across="psi", along="r")
+    np.testing.assert_allclose(line(ax, "measured"), np.degrees(data["zigzag"].output("r")))
+    np.testing.assert_allclose(line(ax, "model 1"), np.degrees(fit.predictions[0][:, 3]))
+    assert "[deg]" in ax.get_xlabel()
+    assert "[deg/s]" in ax.get_ylabel()
+
+
+def test_shadow_of_an_ellipse_is_the_interval(fit: Fit) -> None:
+    """On each axis an ellipse is as wide as the 95 % interval of that parameter."""
+    centre = (fit.values["K"], fit.values["T"])
+    ax = report.plot_ellipses([fit.information], ("K", "T"), centres=[centre], labels=["fit"])
+    (edge,) = [one for one in ax.get_lines() if one.get_label() == "fit"]
+    errors = np.sqrt(np.diag(fit.information.covariance))
+    for values, name, middle in (
+        (edge.get_xdata(), "K", centre[0]),
+        (edge.get_ydata(), "T", centre[1]),
+    ):
+        error = errors[fit.information.names.index(name)]
+        assert np.ptp(values) == pytest.approx(2 * 1.96 * error, rel=1e-3)
+        assert np.mean((values.min(), values.max())) == pytest.approx(middle)
+    with pytest.raises(DataError, match="no 'Q'"):
+        report.plot_ellipses([fit.information], ("K", "Q"))
+
+
+def test_profile_shows_curve_and_interval(fit: Fit) -> None:
+    """The curve reaches the threshold at the ends of the interval that its finding names."""
+    found = profile(fit, "T")
+    ax = report.plot_profile(found)
+    np.testing.assert_array_equal(line(ax, "profile"), found.rises)
+    ends = [
+        one.get_xdata()[0] for one in ax.get_lines() if one.get_xdata()[0] == one.get_xdata()[-1]
+    ]
+    assert {found.lower, found.upper, found.estimate} <= set(ends)
+    for end in (found.lower, found.upper):
+        rise = np.interp(end, found.values, found.rises)
+        assert rise == pytest.approx(found.threshold, rel=0.02)
+    assert report.finding(ax) == found.report()
+
+
+def test_findings_are_written_into_files(fit: Fit, tmp_path) -> None:
+    """The description of a picture file is what the picture shows."""
+    from PIL import Image
+
+    ax = report.plot_intervals(fit)
+    report.save_figure(ax.figure, tmp_path / "fit.png")
+    half = {n: 1.96 * fit.std_errors[n] / abs(v) for n, v in fit.values.items()}
+    worst = max(half, key=half.get)
+    said = Image.open(tmp_path / "fit.png").text["Description"]
+    assert f"least certain is {worst}, ± {half[worst]:.2g} (95 %)" in said
 
 
 def test_same_place_same_look(fit: Fit, better: Fit, data: Dataset) -> None:

@@ -52,13 +52,14 @@ def test_ranking_plot_shows_gains_in_order(story) -> None:
 
 
 def test_located_plot_shows_the_evidence(story) -> None:
-    """One bar per place, as long as its evidence; the best is coloured."""
+    """One bar per place, as long as it is behind the best; the last is no disturbance at all."""
     located = story[0].location
     ax = report.plot_located(located, n_shown=3)
-    widths = [bar.get_width() for bar in ax.patches]
-    expected = [located.evidence[place.name] for place in located.places[:3]]
-    np.testing.assert_allclose(widths, np.maximum(expected, 0.0))
-    assert mpl.colors.to_hex(ax.patches[0].get_facecolor()) == "#d55e00"
+    widths = [bar.get_width() for group in ax.containers for bar in group]
+    evidence = [located.evidence[place.name] for place in located.places[:3]]
+    np.testing.assert_allclose(widths, [*(evidence[0] - np.array(evidence)), evidence[0]])
+    assert widths[0] == 0.0
+    assert report.finding(ax) == located.verdict
 
 
 def test_error_plot_falls_to_one(story) -> None:

@@ -25,7 +25,7 @@ def fit(study: Study) -> str:
     """Commands that fit, and write the report with predictions of the validation records."""
     line = f"{_line('fit', study)} train{_noise(study)} --save fit.json --html fit.html"
     if study.test is not None:
-        line += "\noed-sysid report fit.json --test test --out report.html"
+        line += "\noed-sysid report fit.json --validate test --out report.html"
     return line
 
 
@@ -38,7 +38,7 @@ def compare(study: Study, groups: Iterable[tuple[str, ...]]) -> str:
 
 def diagnose(study: Study) -> str:
     """Command that says where the model fails."""
-    return f"{_line('diagnose', study)} --train train{_noise(study)} --html diagnose.html"
+    return f"{_line('diagnose', study)} train{_noise(study)} --html diagnose.html"
 
 
 def improve(study: Study, max_effects: int) -> str:
@@ -52,7 +52,7 @@ def improve(study: Study, max_effects: int) -> str:
 
 def rank(study: Study, experiments: tuple[str, ...]) -> str:
     """Command that ranks parameters."""
-    runs = f"--experiment {' '.join(experiments)}" if experiments else "--records train"
+    runs = f"--experiment {' '.join(experiments)}" if experiments else "train"
     return f"{_line('rank', study)} {runs} --html rank.html"
 
 
@@ -99,7 +99,7 @@ def _line(command: str, study: Study) -> str:
 
 
 def _records(study: Study) -> str:
-    return "--train train" + ("" if study.test is None else " --test test")
+    return "train" + ("" if study.test is None else " --validate test")
 
 
 def _noise(study: Study) -> str:

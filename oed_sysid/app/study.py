@@ -41,10 +41,11 @@ class Study:
     @property
     def key(self) -> tuple[str, ...]:
         """What it is, by content: equal studies have equal results."""
+        model = self.problem.model
         return (
             self.source,
             self.variant,
-            digest(repr(self.problem.model), repr(self.problem.effects), repr(self.problem.limits)),
+            digest(model.content, repr(self.problem.effects), repr(self.problem.limits)),
             content(self.train),
             content(self.test),
             str(self.known_noise),

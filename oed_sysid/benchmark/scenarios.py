@@ -55,7 +55,7 @@ class Scenario:
     @property
     def digest(self) -> str:
         """Changes with the model, its true values and the runs."""
-        content = repr((self.model, self.train, self.test))
+        content = f"({self.model.content}, {self.train!r}, {self.test!r})"
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
     @property

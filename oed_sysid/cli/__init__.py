@@ -32,19 +32,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The command line after the program's name; by default that of the process.
     """
     from oed_sysid.cli.application import app
-    from oed_sysid.cli.arguments import limit_options, spread
-    from oed_sysid.cli.options import SEVERAL
     from oed_sysid.errors import OedSysidError
 
     given = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in given
-    stated = tuple(given)  # for results that say how they were made
-    given = limit_options([argument for argument in given if argument != "--debug"])
-    given = spread(given, SEVERAL)
     with warnings.catch_warnings():
         warnings.showwarning = _say_warning
         try:
-            app(args=given, prog_name="oed-sysid", obj=stated)
+            # What was given is kept for results that say how they were made.
+            app(args=given, prog_name="oed-sysid", obj=tuple(given))
         except SystemExit as end:
             return int(end.code or 0)
         except OedSysidError as error:
@@ -70,4 +66,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
     """Print a warning as a sentence, without file and line of this package."""
-    print(f"Note: {message}", file=sys.stderr)
+    from oed_sysid.cli.terminal import note
+
+    note(f"Note: {message}")

@@ -18,6 +18,7 @@ from oed_sysid.cli import (
     commands_plan,
     commands_programme,
 )
+from oed_sysid.cli.arguments import Command
 
 EPILOG = (
     "Exit codes: 0 done; 1 the work ended without a usable result, such as a fit that did not "
@@ -31,7 +32,6 @@ app = typer.Typer(
     help="Identify ships and underwater vehicles: simulate, fit, and find what a model lacks.",
     epilog=EPILOG,
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -51,11 +51,9 @@ def _settings(
     version: Annotated[
         bool, typer.Option("--version", help="Show the version.", callback=_version, is_eager=True)
     ] = False,
-    debug: Annotated[
-        bool, typer.Option("--debug", help="Show the traceback of an error; works anywhere.")
-    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
 ) -> None:
-    pass  # --debug is taken out of the command line before, in oed_sysid.cli.main
+    pass  # --debug is looked for by oed_sysid.cli.main, where errors are said
 
 
 for module in (
@@ -71,5 +69,5 @@ for module in (
 ):
     for command in module.COMMANDS:
         name = command.__name__.rstrip("_")  # import is a word of Python
-        app.command(name, no_args_is_help=name not in ("problems", "app"))(command)
+        app.command(name, cls=Command, no_args_is_help=name not in ("problems", "app"))(command)
 app.add_typer(commands_benchmark.app)

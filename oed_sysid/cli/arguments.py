@@ -1,50 +1,71 @@
-"""Command lines with several values after one option: ``--train a.csv b.csv``.
+"""The grammar that all commands share.
 
-The shell expands ``--train runs/*.csv`` to such a line, while the parser below
-expects the option in front of each value. This module puts it there. It also turns limits
-in words of the trade (``--max-fin 10``) into values of one option.
+Files stand after the problem, records to judge with after ``--validate``, and an option
+that takes several values takes all that follow it (``--validate a.csv b.csv``). A
+:class:`Command` reads its own line in this way, adds the options that every command has
+and, where a trial is planned, the limits of the problem that is named: ``--max-fin 10``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import inspect
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from typing import Annotated, Any
 
-# Words for one channel each, whatever its name in the model.
-SIGNALS = {
-    "pitch": "theta", "heel": "phi", "roll": "phi", "heading": "psi", "yaw": "psi",
-    "depth": "z", "speed": "u", "surge": "u", "sway": "v", "heave": "w",
-    "distance": "x", "advance": "x", "transfer": "y",
-    "pitch-rate": "q", "roll-rate": "p", "yaw-rate": "r",
-}  # fmt: skip
+import typer
+import typer.main
+from typer.core import TyperCommand
+
+# Older words that are still understood: for an option, or for the files after the problem.
+OLDER = {"--test": "--validate", "--train": "", "--records": ""}
+# Keys under which a call keeps what the shared options say.
+QUIET = "oed_sysid.quiet"
+_LIMITS = "oed_sysid.limits"
 
 
-def spread(arguments: Sequence[str], options: Iterable[str]) -> list[str]:
+def spread(
+    arguments: Sequence[str],
+    options: Iterable[str],
+    older: Mapping[str, str] | None = None,
+) -> list[str]:
     """Repeat each option before every value that follows it.
 
     Parameters
     ----------
     arguments : sequence of str
-        The command line after the program's name.
+        The line after the command's name.
     options : iterable of str
         Options that take one or more values.
+    older : mapping of str to str, optional
+        Older words for them; the empty word stands for the files themselves.
 
     Returns
     -------
     list of str
-        ``--train a b`` becomes ``--train a --train b``; what comes before the
+        ``--with a b`` becomes ``--with a --with b``; what comes before the
         first option, other options and what follows ``--`` stay as they are.
 
     Examples
     --------
-    >>> spread(["fit", "ship", "--train", "a.csv", "b.csv", "--json", "out"], ["--train"])
-    ['fit', 'ship', '--train', 'a.csv', '--train', 'b.csv', '--json', 'out']
+    >>> spread(["ship", "a.csv", "--validate", "b.csv", "c.csv", "--json", "out"], ["--validate"])
+    ['ship', 'a.csv', '--validate', 'b.csv', '--validate', 'c.csv', '--json', 'out']
+    >>> spread(["ship", "--train", "a.csv", "b.csv", "--test", "c.csv"], ["--validate"], OLDER)
+    ['ship', 'a.csv', 'b.csv', '--validate', 'c.csv']
     """
-    several = set(options)
+    several, named = set(options), dict(older or {})
     result: list[str] = []
     option, n_values = "", 0
     for position, argument in enumerate(arguments):
         if argument == "--":
             return result + list(arguments[position:])
+        word, equals, value = argument.partition("=")
+        if word in named and word not in several:
+            word = named[word]
+            if not word:  # files after an older word stand alone
+                option = ""
+                result += [value] if equals else []
+                continue
+            argument = f"{word}={value}" if equals else word
         if argument in several:
             # An option without a value stays alone, for the parser to complain about.
             result.append(argument)
@@ -60,29 +81,137 @@ def spread(arguments: Sequence[str], options: Iterable[str]) -> list[str]:
     return result
 
 
-def limit_options(arguments: Sequence[str]) -> list[str]:
-    """Rewrite ``--max-NAME VALUE``, ``--min-NAME VALUE`` as ``--limit`` of commands that plan.
+class Command(TyperCommand):
+    """A command with the grammar of this module."""
 
-    Examples
-    --------
-    >>> limit_options(["design", "my_auv", "--max-fin", "10", "--min-depth=80"])
-    ['design', 'my_auv', '--limit', 'max:fin=10', '--limit', 'min:depth=80']
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self.params = [*self.params, *_parameters(_EVERY_COMMAND)]
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Options of the command, and limits of the problem that its line names."""
+        *own, last = super().get_params(ctx)
+        return [*own, *ctx.meta.get(_LIMITS, ()), last]
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read a line; limits become values of ``--limit``."""
+        names = [param.name for param in self.params]
+        several = [word for param in self.params for word in param.opts if _is_list(param)]
+        # Where a command has neither files nor records to judge with, nothing is translated.
+        older = {old: new for old, new in OLDER.items() if new in several}
+        older |= {old: new for old, new in OLDER.items() if not new and "files" in names}
+        args = spread(args, several, older)
+        meant: dict[str, str] = {}
+        # A problem is a program: completing a word must not run it.
+        if "limit" in names and not ctx.resilient_parsing:
+            taken = {word for param in self.params for word in param.opts}
+            ctx.meta[_LIMITS], meant = _limits(args, taken)
+        rest = super().parse_args(ctx, args)
+        given = {name: ctx.params.pop(name, None) for name in meant}
+        said = [f"{meant[name]}={value}" for name, value in given.items() if value is not None]
+        if said:
+            ctx.params["limit"] = [*(ctx.params.get("limit") or ()), *said]
+        return rest
+
+
+def _is_list(param: Any) -> bool:
+    return param.param_type_name == "option" and bool(param.multiple)
+
+
+def _set_quiet(ctx: typer.Context, value: bool) -> None:
+    ctx.meta[QUIET] = value
+
+
+_EVERY_COMMAND = {
+    "quiet": (
+        Annotated[
+            bool,
+            typer.Option(
+                "--quiet",
+                "-q",
+                help="Print the answer alone, in one line: no report, notes or progress.",
+                callback=_set_quiet,
+                expose_value=False,
+            ),
+        ],
+        False,
+    ),
+    "debug": (
+        Annotated[
+            bool,
+            typer.Option("--debug", help="Show the traceback of an error.", expose_value=False),
+        ],
+        False,
+    ),
+}
+
+# -- limits of a problem as options ------------------------------------------------------
+
+
+def _limits(args: Sequence[str], taken: Container[str]) -> tuple[list[Any], dict[str, str]]:
+    """Options for the limits of the problem that a line names, and what each one limits.
+
+    None if the line names no problem that can be loaded: the command says why.
     """
-    if not arguments or arguments[0] not in ("design", "programme", "campaign"):
-        return list(arguments)
-    result: list[str] = []
-    rest = list(arguments)
-    while rest:
-        word = rest.pop(0)
-        side, _, tail = word[2:].partition("-") if word.startswith("--") else ("", "", "")
-        name, given, value = tail.partition("=")
-        if word.startswith("--") and not tail and side.partition("=")[0] in SIGNALS:
-            name, given, value = side.partition("=")
-            side = ""
-        elif side not in ("max", "min") or not name:
-            result.append(word)
-            continue
-        if not given:
-            value = rest.pop(0) if rest else ""
-        result += ["--limit", f"{side}:{name}={value}" if side else f"{name}={value}"]
-    return result
+    from oed_sysid.errors import OedSysidError
+
+    named = _value_of("--problem", args)
+    named = named or next((word for word in args if not word.startswith("-")), None)
+    if named is None:
+        return [], {}
+    from oed_sysid.cli.limit_words import limit_words
+    from oed_sysid.problem import load_problem
+
+    try:
+        problem = load_problem(named, variant=_value_of("--model", args))
+    except OedSysidError:
+        return [], {}
+    panel = f"Limits of {problem.name}: angles in degrees, the rest in SI units"
+    offered: dict[str, tuple[Any, Any]] = {}
+    meant: dict[str, str] = {}
+    for side, words, says in limit_words(problem.model, problem.limits):
+        for word in words:
+            name = f"limit_{len(offered)}"
+            written = f"--{side}-{word}" if side else f"--{word}"
+            if written in taken:
+                continue
+            meant[name] = f"{side}:{word}" if side else word
+            option = typer.Option(
+                written,
+                metavar="VALUE" if side else "LOW:HIGH",
+                help=says,
+                hidden=word != words[0],  # of several words for one channel the first is shown
+                show_default=False,
+                rich_help_panel=panel,
+            )
+            offered[name] = (Annotated[str | None, option], None)
+    return _parameters(offered), meant
+
+
+def _value_of(option: str, args: Sequence[str]) -> str | None:
+    """Value after an option on a line that has not been read yet."""
+    for position, word in enumerate(args):
+        if word == option and position + 1 < len(args):
+            return args[position + 1]
+        if word.startswith(f"{option}="):
+            return word.partition("=")[2]
+    return None
+
+
+def _parameters(offered: Mapping[str, tuple[Any, Any]]) -> list[Any]:
+    """Parameters of a command from annotations and defaults, as typer makes them."""
+
+    def command() -> None:
+        pass
+
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    listed = [
+        inspect.Parameter(name, keyword, annotation=annotation, default=default)
+        for name, (annotation, default) in offered.items()
+    ]
+    described: Callable[[], None] = command
+    described.__signature__ = inspect.Signature(listed)  # type: ignore[attr-defined]
+    described.__annotations__ = {name: annotation for name, (annotation, _) in offered.items()}
+    app = typer.Typer(add_completion=False, rich_markup_mode="rich")
+    app.command()(described)
+    return list(typer.main.get_command(app).params)

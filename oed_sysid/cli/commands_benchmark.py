@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import importlib
 import sys
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from oed_sysid.cli.options import JsonFile
-from oed_sysid.cli.terminal import note, progress, say, store, write
+from oed_sysid.cli.answers import of_benchmark, of_rates
+from oed_sysid.cli.arguments import Command
+from oed_sysid.cli.options import JsonFile, PictureFile
+from oed_sysid.cli.terminal import answer, draw, note, progress, store, write
 from oed_sysid.errors import OedSysidError
+
+if TYPE_CHECKING:
+    from oed_sysid.batch.parallel import CellProgress
 
 app = typer.Typer(
     name="benchmark",
@@ -73,17 +79,22 @@ def estimators(
         ),
     ] = Path("out/benchmark"),
     json_file: JsonFile = None,
+    picture: PictureFile = None,
 ) -> None:
     """Compare estimators: errors, bias, coverage, prediction, time, and who cannot or fails.
 
     [bold]Example[/bold]: oed-sysid benchmark estimators --problems online_ship --noise 0.5 1
     """
     from oed_sysid.benchmark import CONTESTANTS, PROBLEMS, QUICK, benchmark
-    from oed_sysid.report import save_figure
     from oed_sysid.report.benchmark_plots import figure_benchmark
 
     chosen = list(CONTESTANTS) if names == ["all"] else names or list(QUICK)
     with progress("Running") as show:
+
+        def tell(state: CellProgress) -> None:
+            show.say(f"{state.n_done}/{state.n_cells} {state.key}")
+            show.left(state.seconds_left)
+
         result = benchmark(
             problems or list(PROBLEMS),
             chosen,
@@ -93,15 +104,15 @@ def estimators(
             seeds=seeds,
             store=out / "runs",
             n_jobs=jobs,
-            progress=lambda state: show.say(str(state)),
+            progress=tell,
         )
     text = result.report()
-    say(text)
+    answer(of_benchmark(result), text)
     write(text, out / "benchmark.md")
     write(result.to_csv(), out / "benchmark.csv")
     if any(row.noise > 0 and not row.refused for row in result.rows):
-        save_figure(figure_benchmark(result), out / "benchmark.png", dpi=110)
-        note(f"Written: {out / 'benchmark.png'}")
+        for file in (out / "benchmark.png", picture):
+            draw(partial(figure_benchmark, result), file)
     store(result.to_dict(), json_file)
 
 
@@ -129,7 +140,7 @@ def missing_physics(
 
     Needs a checkout: the independent simulator is not part of an installation.
 
-    [bold]Example[/bold]: oed-sysid benchmark missing-physics "single/white:20" --jobs 2
+    [bold]Example[/bold]: oed-sysid benchmark missing-physics "single/white:2" --out hidden
     """
     checkout = Path(__file__).resolve().parents[2]
     if not (checkout / "benchmarks" / "missing_physics" / "run.py").is_file():
@@ -144,7 +155,7 @@ def missing_physics(
     settings = {} if out is None else {"results": out / "missing_physics.jsonl"}
     found = module.run(plan or module.PLAN, n_jobs=jobs, tell=note, **settings)
     text = tables.as_markdown(found)
-    say(text)
+    answer(of_rates(found["n_cases"], found["rates"]), text)
     if out is not None:
         write(text + "\n", out / "missing_physics.md")
     store(found, json_file)
@@ -152,4 +163,4 @@ def missing_physics(
 
 COMMANDS = (estimators, missing_physics)
 for command in COMMANDS:
-    app.command(name=command.__name__.replace("_", "-"))(command)
+    app.command(name=command.__name__.replace("_", "-"), cls=Command)(command)

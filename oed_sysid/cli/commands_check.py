@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from oed_sysid.cli.options import HtmlFile, JsonFile, ProblemName, Variant
-from oed_sysid.cli.terminal import note, progress, say, store
+from oed_sysid.cli.options import (
+    Files,
+    HtmlFile,
+    IfValidated,
+    JsonFile,
+    PictureFile,
+    ProblemName,
+    Variant,
+)
+from oed_sysid.cli.terminal import answer, draw, note, progress, store
 from oed_sysid.errors import DataError
 
 
 def check(
     problem: ProblemName,
-    files: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="CSV...",
-            help="Records to check: files, folders or patterns.",
-            show_default=False,
-        ),
-    ],
+    files: Files,
+    validate: IfValidated = None,
     model: Variant = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
+    picture: PictureFile = None,
     fix: Annotated[
         Path | None,
         typer.Option(
@@ -44,18 +48,25 @@ def check(
     from oed_sysid.compatibility import check as look
     from oed_sysid.compatibility import corrected_copies
     from oed_sysid.data.dataset import read_csv, write_csv
+    from oed_sysid.data.overlap import together
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     records = read_csv(files, chosen.channels)
+    if validate:  # a fault between the two, such as the same run in both, is found as well
+        records = together(records, read_csv(validate, chosen.channels))
     with progress("Checking"):
         result = look(records, chosen)
-    say(result.report())
+    answer(result.verdict, result.report())
     store(result.to_dict(), json_file)
     if html_file is not None:
         from oed_sysid.report import check_page
 
         note(f"Written: {check_page(result, records, title=chosen.title).write(html_file)}")
+    if picture is not None:
+        from oed_sysid.report import figure_check
+
+        draw(partial(figure_check, result), picture)
     if fix is not None:
         copies, done = corrected_copies(records, chosen, result)
         targets = [fix / f"{record.name.replace('/', '_')}.csv" for record in copies]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from oed_sysid.cli.options import JsonFile, ProblemName, Variant
-from oed_sysid.cli.terminal import note, say, store, table
+from oed_sysid.cli.options import JsonFile, PictureFile, ProblemName, Variant
+from oed_sysid.cli.terminal import answer, draw, note, progress, quiet, say, store, table
 from oed_sysid.errors import DataError, OedSysidError, ProblemError
 
 if TYPE_CHECKING:
@@ -36,7 +37,8 @@ def problems(
 
     if problem is not None:
         chosen = load_problem(problem, variant=model)
-        say(chosen.describe())
+        first, *rest = chosen.describe().splitlines()
+        answer(first, "\n".join(rest))
         say("\nEquations of motion")
         say("\n".join(f"  {line}" for line in chosen.model.equations().splitlines()))
         say("\nExperiments")
@@ -53,7 +55,10 @@ def problems(
             continue
         found.append(one)
         rows.append((name, str(len(one.model.free_names)), str(len(one.effects)), one.title))
-    table(("problem", "parameters", "candidates", "title"), rows)
+    if quiet():
+        answer(" ".join(one.name for one in found))
+    else:
+        table(("problem", "parameters", "candidates", "title"), rows)
     store({"problems": [_summary(one) for one in found]}, json_file)
 
 
@@ -93,7 +98,7 @@ def new(
     from oed_sysid.problem import new_problem
 
     made = new_problem(folder, template=template, log=log, inputs=tuple(inputs or ()))
-    say(f"Written: {made}")
+    answer(f"Written: {made}")
     say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {made}")
 
 
@@ -123,6 +128,7 @@ def simulate(
     truth: Annotated[
         bool, typer.Option("--truth", help="Simulate the problem's truth, where it states one.")
     ] = False,
+    picture: PictureFile = None,
 ) -> None:
     """Simulate experiments of a problem and write what would be logged as CSV.
 
@@ -139,11 +145,22 @@ def simulate(
     wanted = _experiments(chosen, experiment or [])
     files = _files(wanted, out)
     rng = np.random.default_rng(seed)
+    records = []
+    with progress("Simulating") as show:
+        for number, (one, file) in enumerate(zip(wanted, files, strict=True)):
+            show.say(f"simulating {one.name}")
+            records.append(run(simulated, one, rng=rng, noise=not no_noise))
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_csv(records[-1], file)
+            show.share((number + 1) / len(wanted))
     for one, file in zip(wanted, files, strict=True):
-        record = run(simulated, one, rng=rng, noise=not no_noise)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_csv(record, file)
-        say(f"{file}: {one.describe()}")
+        answer(str(file)) if quiet() else say(f"{file}: {one.describe()}")
+    if picture is not None:
+        from oed_sysid.report import figure_record
+
+        draw(partial(figure_record, records[0]), picture)
+        if len(records) > 1:
+            note(f"The picture shows {records[0].name}; choose another with --experiment.")
     if chosen.truth and not truth:
         note("Simulated with the believed values; --truth simulates the problem's truth.")
 

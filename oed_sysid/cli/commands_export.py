@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from oed_sysid.cli.terminal import note, say
+from oed_sysid.cli.terminal import answer, note, say
 from oed_sysid.errors import DataError
 
 
@@ -58,7 +58,10 @@ def export(
         except ValueError:
             raise DataError(f"--at {text!r} is no NAME=VALUE. Write --at u=1.5, say.") from None
     result = Fit.load(fit)
-    for file in write(result, kind, out, trim=trim or None):
+    files = list(write(result, kind, out, trim=trim or None))
+    n = len(result.names)
+    answer(f"{result.model.name} as {kind}, with {n} parameters and their covariance: {files[0]}")
+    for file in files[1:]:
         say(str(file))
     if not result.status.ok:
         note(f"The fit ended as {result.status}")

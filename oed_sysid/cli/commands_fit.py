@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from oed_sysid.cli.answers import of_comparison, of_fit
 from oed_sysid.cli.options import (
+    Files,
     Fresh,
     HtmlFile,
+    IfValidated,
     JournalFolder,
     JsonFile,
     KnownNoise,
+    PictureFile,
     ProblemName,
-    Test,
-    Train,
+    Validate,
     Variant,
 )
 from oed_sysid.cli.terminal import (
     INTERRUPTED,
+    answer,
+    draw,
     invocation,
     journal,
     note,
@@ -35,6 +41,7 @@ if TYPE_CHECKING:
     from oed_sysid.batch.journal import Journal
     from oed_sysid.cli.terminal import Shown
     from oed_sysid.data.dataset import Dataset
+    from oed_sysid.diagnosis.compare import Comparison
     from oed_sysid.fitting.fit import Fit
     from oed_sysid.model import Model
     from oed_sysid.problem import Problem
@@ -42,24 +49,20 @@ if TYPE_CHECKING:
 
 def fit(
     problem: ProblemName,
-    files: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="CSV...",
-            help="Records to fit: files, folders or patterns.",
-            show_default=False,
-        ),
-    ],
+    files: Files,
+    validate: IfValidated = None,
     model: Variant = None,
     known_noise: KnownNoise = False,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
+    picture: PictureFile = None,
     save: Annotated[
         Path | None,
         typer.Option(
             "--save",
             metavar="FILE",
-            help="Keep the whole fit, data included, for `oed-sysid report` and Fit.load.",
+            help="Keep the whole fit, data included, for report, export, compare --with, design "
+            "--after and Fit.load.",
             show_default=False,
         ),
     ] = None,
@@ -68,22 +71,36 @@ def fit(
 ) -> None:
     """Estimate the parameters of a problem's model from measured records.
 
-    [bold]Example[/bold]: oed-sysid fit remus_diving_plane dive_1.csv dive_2.csv --json fit.json
+    [bold]Example[/bold]: oed-sysid fit remus_diving_plane dive_1.csv dive_2.csv
+    --validate dive_3.csv --save fit.json
     """
     from oed_sysid.compatibility import quick_check
     from oed_sysid.data.dataset import read_csv
+    from oed_sysid.data.overlap import check_disjoint
+    from oed_sysid.diagnosis.compare import compare as compare_models
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     dataset = read_csv(files, chosen.channels)
+    validation = read_csv(validate, chosen.channels) if validate else None
+    if validation is not None:
+        check_disjoint(dataset, validation)
     log = quick_check(dataset, chosen.model)
     noise = "given" if known_noise else "auto"
     with journal(kept_in, fresh) as keep:
         with progress("Fitting") as show:
             result = _fits({"": chosen.model}, dataset, noise, keep, show)[""]
+            comparison = None
+            if validation is not None:
+                show.say("Predicting")
+                comparison = compare_models({chosen.model.name: result}, validation)
         say_log(log)
-        say(result.report())
-        store({**result.to_dict(), "log": log.to_dict()}, json_file, records=[dataset])
+        answer(of_fit(result, comparison), result.report())
+        content = {**result.to_dict(), "log": log.to_dict()}
+        if comparison is not None:
+            say(f"\n{comparison.report()}")
+            content["validation"] = comparison.to_dict()
+        store(content, json_file, records=[dataset, validation])
         if save is not None:
             command, settings = invocation()
             result.save(save, command=command, settings=settings)
@@ -91,20 +108,22 @@ def fit(
         if html_file is not None:
             from oed_sysid.report import fit_page
 
-            note(f"Written: {fit_page(result, log=log).write(html_file)}")
+            note(f"Written: {fit_page(result, comparison, log=log).write(html_file)}")
+        draw(partial(_figure, result, comparison), picture)
         _end([result], suspect=log.contradictory)
 
 
 def compare(
     problem: ProblemName,
-    train: Train,
-    test: Test,
+    files: Files,
+    validate: Validate,
     added: Annotated[
         list[str] | None,
         typer.Option(
             "--with",
-            metavar="EFFECT...",
-            help="Also compare the model with these candidates added, one by one; a+b adds two.",
+            metavar="EFFECT|FIT...",
+            help="Also compare the model with these candidates added, one by one; a+b adds two. "
+            "A file that --save wrote joins with the fit that it holds.",
             show_default=False,
         ),
     ] = None,
@@ -112,30 +131,35 @@ def compare(
     known_noise: KnownNoise = False,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
+    picture: PictureFile = None,
     kept_in: JournalFolder = None,
     fresh: Fresh = False,
 ) -> None:
     """Fit to training records and say where predictions of other records fail.
 
-    [bold]Example[/bold]: oed-sysid compare remus_diving_plane --train t1.csv t2.csv --test v.csv
+    [bold]Example[/bold]: oed-sysid compare remus_diving_plane dive_1.csv dive_2.csv
+    --validate dive_3.csv
     """
     from oed_sysid.compatibility import quick_check
     from oed_sysid.data.dataset import read_csv
-    from oed_sysid.data.overlap import together
+    from oed_sysid.data.overlap import check_disjoint, together
     from oed_sysid.diagnosis.compare import compare as compare_models
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
-    training, validation = (read_csv(files, chosen.channels) for files in (train, test))
+    training, validation = (read_csv(given, chosen.channels) for given in (files, validate))
+    models, kept = _models(chosen, added or [])
+    for used in (training, *(fit.dataset for fit in kept.values())):
+        check_disjoint(used, validation)
     log = quick_check(together(training, validation), chosen.model).without("duplicate")
     noise = "given" if known_noise else "auto"
     with journal(kept_in, fresh) as keep:
         with progress("Fitting") as show:
-            fits = _fits(_models(chosen, added or []), training, noise, keep, show)
+            fits = _fits(models, training, noise, keep, show) | kept
             show.say("Predicting")
             result = compare_models(fits, validation)
         say_log(log)
-        say(result.report())
+        answer(of_comparison(result), result.report())
         for name, fit in fits.items():
             if not fit.status.ok:
                 note(f"The fit of {name} ended as {fit.status}")
@@ -148,6 +172,12 @@ def compare(
 
             page = comparison_page(result, title=chosen.title, log=log)
             note(f"Written: {page.write(html_file)}")
+        if picture is not None:
+            from oed_sysid.report import figure_predictions
+
+            labels = [part.label for part in result.models]
+            predictions = [part.prediction for part in result.models]
+            draw(partial(figure_predictions, predictions, labels=labels), picture)
         _end(list(fits.values()), suspect=log.contradictory)
 
 
@@ -206,19 +236,12 @@ def report(
     out: Annotated[
         Path, typer.Option("--out", metavar="FILE", help="The report, one HTML file.")
     ] = Path("report.html"),
-    test: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--test",
-            metavar="CSV...",
-            help="Also show what the fit predicts for these records.",
-            show_default=False,
-        ),
-    ] = None,
+    validate: IfValidated = None,
+    picture: PictureFile = None,
 ) -> None:
     """Write the report on a saved fit, with its predictions of other records.
 
-    [bold]Example[/bold]: oed-sysid report fit.json --test validation.csv --out fit.html
+    [bold]Example[/bold]: oed-sysid report fit.json --validate dive_3.csv --out fit.html
     """
     from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.compare import compare as compare_models
@@ -233,10 +256,10 @@ def report(
             f"{saved} holds the numbers of a fit only. For pictures and predictions repeat the fit "
             "with --save FILE and report on that file."
         )
-        if test:
+        if validate or picture is not None:
             raise DataError(
                 f"{saved} holds no model, so it predicts nothing. Repeat the fit with --save FILE, "
-                "or leave out --test."
+                "or leave out --validate and --picture."
             )
         return
     kept = Fit.load(saved)
@@ -244,19 +267,45 @@ def report(
     if made.get("command"):
         note(f"Made by oed_sysid {made.get('version')}: {made['command']}")
     comparison = None
-    if test:
-        comparison = compare_models({kept.model.name: kept}, read_csv(test, kept.model.channels))
-        say(comparison.verdict)
+    if validate:
+        comparison = compare_models(
+            {kept.model.name: kept}, read_csv(validate, kept.model.channels)
+        )
+    answer(of_fit(kept, comparison), "" if comparison is None else comparison.verdict)
     note(f"Written: {fit_page(kept, comparison).write(out)}")
+    draw(partial(_figure, kept, comparison), picture)
 
 
-def _models(problem: Problem, added: list[str]) -> dict[str, Model]:
-    """The nominal model, and one for each group of candidates added to it."""
-    models = {"nominal": problem.model}
+def _figure(fit: Fit, comparison: Comparison | None) -> Any:
+    """Predictions of the validation records, or the fit where there are none."""
+    from oed_sysid.report import figure_fit, figure_predictions
+
+    if comparison is None:
+        return figure_fit(fit)
+    return figure_predictions([comparison.best.prediction], labels=[comparison.best.label])
+
+
+def _models(problem: Problem, added: list[str]) -> tuple[dict[str, Model], dict[str, Fit]]:
+    """The nominal model and one for each group of candidates added to it; and saved fits."""
+    from oed_sysid.fitting.fit import Fit
+
+    models, kept = {"nominal": problem.model}, {}
+    known = {effect.name for effect in problem.effects}
     for group in added:
-        effects = [problem.effect(name.strip()) for name in group.split("+")]
+        names = [name.strip() for name in group.split("+")]
+        is_path = group.lower().endswith(".json") or Path(group).exists()
+        if is_path and not known.issuperset(names):
+            fit = Fit.load(group)
+            if fit.model.channels != problem.channels:
+                raise DataError(
+                    f"{group} holds a fit of {fit.model.name!r}, whose inputs and outputs are not "
+                    f"those of {problem.name!r}: they cannot be compared on the same records."
+                )
+            kept[Path(group).stem] = fit
+            continue
+        effects = [problem.effect(name) for name in names]
         models[f"with {' and '.join(effect.name for effect in effects)}"] = problem.model + effects
-    return models
+    return models, kept
 
 
 COMMANDS = (fit, compare, report)

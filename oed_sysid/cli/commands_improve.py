@@ -2,34 +2,51 @@
 
 from __future__ import annotations
 
+import re
+import time
+from functools import partial
 from typing import Annotated
 
 import typer
 
+from oed_sysid.cli.answers import of_diagnosis, of_improvement
 from oed_sysid.cli.options import (
+    Files,
     Fresh,
     HtmlFile,
+    IfValidated,
     JournalFolder,
     JsonFile,
     KnownNoise,
+    PictureFile,
     ProblemName,
-    Train,
     Variant,
 )
-from oed_sysid.cli.terminal import journal, note, progress, say, say_log, store
+from oed_sysid.cli.terminal import (
+    Shown,
+    answer,
+    draw,
+    invocation,
+    journal,
+    note,
+    progress,
+    say_log,
+    store,
+)
 
 
 def diagnose(
     problem: ProblemName,
-    train: Train,
+    files: Files,
     model: Variant = None,
     known_noise: KnownNoise = False,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
+    picture: PictureFile = None,
 ) -> None:
     """Say where a model fails and which effects may be missing, without adding any.
 
-    [bold]Example[/bold]: oed-sysid diagnose remus_diving_plane --train train_*.csv
+    [bold]Example[/bold]: oed-sysid diagnose remus_diving_plane dive_1.csv dive_2.csv
     """
     from oed_sysid.compatibility import quick_check
     from oed_sysid.data.dataset import read_csv
@@ -37,13 +54,17 @@ def diagnose(
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
-    records = read_csv(train, chosen.channels)
+    records = read_csv(files, chosen.channels)
     log = quick_check(records, chosen.model)
     with progress("Looking"):
         result = look(chosen.model, records, candidates=chosen.effects, known_noise=known_noise)
     say_log(log)
-    say(result.report())
+    answer(of_diagnosis(result), result.report())
     store(result.to_dict(), json_file, records=[records])
+    if picture is not None:
+        from oed_sysid.report import figure_diagnosis
+
+        draw(partial(figure_diagnosis, result.location, result.ranking), picture)
     if html_file is not None:
         from oed_sysid.report import diagnosis_page
 
@@ -52,17 +73,8 @@ def diagnose(
 
 def improve(
     problem: ProblemName,
-    train: Train,
-    test: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--test",
-            metavar="CSV...",
-            help="Validation records to test the claim with; of a single record without them the "
-            "last part is kept for that.",
-            show_default=False,
-        ),
-    ] = None,
+    files: Files,
+    validate: IfValidated = None,
     model: Variant = None,
     known_noise: KnownNoise = False,
     max_effects: Annotated[
@@ -70,16 +82,23 @@ def improve(
     ] = 4,
     save: Annotated[
         str | None,
-        typer.Option("--save", metavar="FILE", help="Keep the fit of the improved model."),
+        typer.Option(
+            "--save",
+            metavar="FILE",
+            help="Keep the fit of the improved model, for report, export, compare --with and "
+            "design --after.",
+        ),
     ] = None,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
+    picture: PictureFile = None,
     kept_in: JournalFolder = None,
     fresh: Fresh = False,
 ) -> None:
     """Find the effects that a model lacks, and test the claim on validation records.
 
-    [bold]Example[/bold]: oed-sysid improve remus_diving_plane --train train_*.csv --test test_*.csv
+    [bold]Example[/bold]: oed-sysid improve remus_diving_plane dive_1.csv dive_2.csv
+    --validate dive_3.csv --save better.json
     """
     from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.compare import compare
@@ -88,8 +107,8 @@ def improve(
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
-    training = read_csv(train, chosen.channels)
-    validation = read_csv(test, chosen.channels) if test else None
+    training = read_csv(files, chosen.channels)
+    validation = read_csv(validate, chosen.channels) if validate else None
     with journal(kept_in, fresh) as keep:
         with progress("Starting") as show:
             result = improve(
@@ -99,13 +118,14 @@ def improve(
                 candidates=chosen.effects,
                 known_noise=known_noise,
                 max_effects=max_effects,
-                progress=show.say,
+                progress=partial(_tell, show, _Rounds(max_effects)),
                 journal=keep,
             )
-        say(result.report())
+        answer(of_improvement(result), result.report())
         store(result.to_dict(), json_file, records=[training, validation])
         if save is not None:
-            result.fit.save(save)
+            command, settings = invocation()
+            result.fit.save(save, command=command, settings=settings)
             note(f"Written: {save}")
         if html_file is not None:
             from oed_sysid.report import improvement_page
@@ -115,8 +135,43 @@ def improve(
             comparison = compare(fits, ready.validation or ready.train)
             page = improvement_page(result, comparison, train=ready.train, title=chosen.title)
             note(f"Written: {page.write(html_file)}")
+        if picture is not None:
+            from oed_sysid.report import plot_error_fall
+
+            draw(partial(plot_error_fall, result), picture)
         if result.remains.kind == "log suspect":
             raise typer.Exit(1)
+
+
+class _Rounds:
+    """How long the search goes on at most: every round adds one effect.
+
+    Parameters
+    ----------
+    n_most : int
+        Rounds at most.
+    """
+
+    def __init__(self, n_most: int) -> None:
+        self._n_most = n_most
+        self._began: list[float] = []
+
+    def left(self, round: int, now: float) -> float | None:
+        """Return the seconds left at most when a round begins; None before the second."""
+        if round == len(self._began) + 1:
+            self._began.append(now)
+        if len(self._began) < 2:
+            return None
+        longest = max(b - a for a, b in zip(self._began, self._began[1:], strict=False))
+        return longest * (self._n_most - round + 1)
+
+
+def _tell(show: Shown, rounds: _Rounds, what: str) -> None:
+    show.say(what)
+    named = re.search(r"round (\d+)", what)
+    left = rounds.left(int(named[1]), time.monotonic()) if named else None
+    if left is not None:
+        show.left(left, at_most=True)
 
 
 COMMANDS = (diagnose, improve)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from oed_sysid.cli.options import JsonFile, Variant
-from oed_sysid.cli.terminal import note, progress, say, store
+from oed_sysid.cli.options import JsonFile, PictureFile, Variant
+from oed_sysid.cli.terminal import answer, draw, note, progress, say, store
 from oed_sysid.errors import DataError
 
 if TYPE_CHECKING:
@@ -64,14 +65,15 @@ def import_(
         Path, typer.Option("--out", metavar="FOLDER", help="Where the records go, as CSV.")
     ] = Path("data"),
     json_file: JsonFile = None,
+    picture: PictureFile = None,
 ) -> None:
     """Make records of a vehicle's own log: list its fields, map them to channels, cut, check.
 
     Ends with exit code 1 when the log is suspect; the records are written all the same.
 
-    [bold]Example[/bold]: oed-sysid import flight.ulg --list
+    [bold]Example[/bold]: oed-sysid import trial.ulg --list
 
-    [bold]Example[/bold]: oed-sysid import flight.ulg --map my_auv.toml --out my_auv/data
+    [bold]Example[/bold]: oed-sysid import trial.ulg --map ship.toml --out my_ship/sea
     """
     from oed_sysid.logs import draft as guess
     from oed_sysid.logs import open_log
@@ -82,7 +84,8 @@ def import_(
     with progress(f"Reading {log.name}"):
         found = open_log(log)
     if listing or (mapping is None and draft is None):
-        say(found.describe(find))
+        first, *rest = found.describe(find).splitlines()
+        answer(first, "\n".join(rest))
         keys = ("field", "samples", "rate", "span", "unit", "range")
         rows = [dict(zip(keys, row, strict=True)) for row in found.rows(find)]
         store({"log": str(log), "kind": found.kind, "fields": rows}, json_file)
@@ -106,14 +109,20 @@ def import_(
     result, files = _written(found, chosen, target, out)
     for line in result.notes:
         note(line)
-    for file, record in zip(files, result.dataset, strict=True):
-        rate = record.n_samples / max(record.duration, 1e-9)
-        say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
     from oed_sysid.compatibility import quick_check, signal_check
 
     dataset = result.dataset
     checked = signal_check(dataset) if target is None else quick_check(dataset, target.model)
+    n = len(files)
+    answer(f"{n} {'record' if n == 1 else 'records'} written to {out}. {checked.verdict}")
+    for file, record in zip(files, dataset, strict=True):
+        rate = record.n_samples / max(record.duration, 1e-9)
+        say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
     say(checked.report())
+    if picture is not None:
+        from oed_sysid.report import figure_record
+
+        draw(partial(figure_record, dataset.records[0]), picture)
     store(
         {"log": str(log), "files": [str(file) for file in files], "notes": list(result.notes)}
         | {"check": checked.to_dict()},

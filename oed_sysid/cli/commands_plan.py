@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from oed_sysid.cli.answers import of_design, of_ranking
 from oed_sysid.cli.options import (
+    Criterion,
+    Effort,
+    Family,
     Fresh,
     HtmlFile,
     JournalFolder,
@@ -18,35 +23,45 @@ from oed_sysid.cli.options import (
     Sea,
     Variant,
 )
-from oed_sysid.cli.terminal import journal, note, progress, say, store, write
+from oed_sysid.cli.terminal import (
+    answer,
+    draw,
+    journal,
+    note,
+    progress,
+    store,
+    write,
+)
 from oed_sysid.errors import DesignError, ProblemError
 
 if TYPE_CHECKING:
+    from oed_sysid.cli.terminal import Shown
     from oed_sysid.data.dataset import Dataset
+    from oed_sysid.design.search import Progress as SearchProgress
     from oed_sysid.experiment import Experiment
     from oed_sysid.problem import Problem
 
 # Starts that are refined, rough manoeuvres tried, and steps of refinement.
+N_FINISHES = 3
 EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
 
 
 def rank(
     problem: ProblemName,
+    files: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[CSV...]",
+            help="Records in hand instead of planned experiments.",
+            show_default=False,
+        ),
+    ] = None,
     experiment: Annotated[
         list[str] | None,
         typer.Option(
             "--experiment",
             metavar="NAME...",
             help="Planned experiments, together; by default all of the problem.",
-            show_default=False,
-        ),
-    ] = None,
-    records: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--records",
-            metavar="CSV...",
-            help="Records in hand instead of planned experiments.",
             show_default=False,
         ),
     ] = None,
@@ -63,19 +78,18 @@ def rank(
     from oed_sysid.sensitivity import identifiable_subset, information_of, rank_parameters
 
     chosen = load_problem(problem, variant=model)
-    runs = _runs(chosen, experiment or [], records or [])
-    ranking = rank_parameters(chosen.model, runs)
-    subset = identifiable_subset(
-        information_of(chosen.model, runs, priors=None), chosen.model.values
-    )
-    say(ranking.report())
-    say()
-    say(subset.report())
+    runs = _runs(chosen, experiment or [], files or [])
+    with progress("Ranking"):
+        ranking = rank_parameters(chosen.model, runs)
+        subset = identifiable_subset(
+            information_of(chosen.model, runs, priors=None), chosen.model.values
+        )
+    answer(of_ranking(ranking, subset), f"{ranking.report()}\n\n{subset.report()}")
     store({"ranking": ranking.to_dict(), "subset": subset.to_dict()}, json_file)
     if picture is not None:
         from oed_sysid.report import plot_sensitivity
 
-        _draw(plot_sensitivity(ranking).figure, picture)
+        draw(partial(plot_sensitivity, ranking), picture)
     if html_file is not None:
         from oed_sysid.report import ranking_page
 
@@ -103,8 +117,8 @@ def design(
         typer.Option(
             "--limit",
             metavar="NAME=VALUE...",
-            help="What must be kept, in degrees and SI units: pitch=20, depth=80:120. Also as "
-            "--max-fin 10, --max-rate 2.5, --max-pitch 20, --min-depth 80 and so on.",
+            help="What must be kept, in degrees and SI units: pitch=20, depth=80:120. The "
+            "problem's own options are easier: `oed-sysid design PROBLEM --help` lists them.",
             show_default="those of the problem",
         ),
     ] = None,
@@ -126,9 +140,7 @@ def design(
             help="How wrong coefficients may be; after a fit its own covariance is used.",
         ),
     ] = 0.3,
-    criterion: Annotated[
-        str, typer.Option("--criterion", metavar="D|A|E", help="What is good: see docs.")
-    ] = "D",
+    criterion: Criterion = "D",
     discriminate: Annotated[
         list[str] | None,
         typer.Option(
@@ -138,9 +150,7 @@ def design(
             show_default=False,
         ),
     ] = None,
-    family: Annotated[
-        str, typer.Option("--family", metavar="levels|multisine|pulses", help="Kind of command.")
-    ] = "levels",
+    family: Family = "levels",
     avoid: Annotated[
         list[str] | None,
         typer.Option(
@@ -150,20 +160,13 @@ def design(
             show_default=False,
         ),
     ] = None,
-    effort: Annotated[
-        str,
-        typer.Option(
-            "--effort",
-            metavar="quick|normal|thorough",
-            help="How many starts and steps: seconds, a minute, several minutes.",
-        ),
-    ] = "quick",
+    effort: Effort = "quick",
     after: Annotated[
         Path | None,
         typer.Option(
             "--after",
             metavar="FIT",
-            help="Complete what a fit knows already, as kept by `oed-sysid fit --save`.",
+            help="Complete what a fit knows already, as kept by --save of fit or improve.",
             show_default=False,
         ),
     ] = None,
@@ -193,7 +196,6 @@ def design(
     [bold]Example[/bold]: oed-sysid design auv_diving_plane --duration 120 --max-fin 10
     """
     from dataclasses import replace
-    from functools import partial
 
     import numpy as np
 
@@ -230,9 +232,7 @@ def design(
                 n_candidates=n_candidates,
                 n_steps=n_steps,
                 journal=keep,
-                progress=lambda now: show.say(
-                    f"designing: start {now.start + 1}, round {now.round + 1}, {now.value:.4g}"
-                ),
+                progress=partial(_tell, show, n_starts, n_steps),
             )
             if found.assurance is None:
                 show.say("simulating other vehicles")
@@ -250,7 +250,7 @@ def design(
                     prior=found.prior,
                 )  # fmt: skip
                 found = replace(found, spread=keep.once("accuracy", other))
-        say(found.report() if card is not None else found.sea_trial_card())
+        answer(of_design(found), found.report() if card is not None else found.sea_trial_card())
         if out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)
             found.write_csv(out)
@@ -265,14 +265,15 @@ def design(
         if picture is not None:
             from oed_sysid.report import figure_design
 
-            _draw(figure_design(found), picture)
+            draw(partial(figure_design, found), picture)
 
 
-def _draw(figure: Any, path: Path) -> None:
-    from oed_sysid.report import save_figure
-
-    save_figure(figure, path, dpi=150, bbox_inches="tight")
-    note(f"Written: {path}")
+def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None:
+    show.say(f"designing: start {now.start + 1}, round {now.round + 1}, {now.value:.4g}")
+    # After the starts the best three are finished, in up to twice the rounds each.
+    rounds = (n_starts + 2 * N_FINISHES) * n_steps
+    done = min(now.start, n_starts) + 2 * max(now.start - n_starts, 0)
+    show.share((done * n_steps + now.round + 1) / rounds, at_most=True)
 
 
 def _pattern(problem: Problem, name: str | None) -> Experiment:
@@ -330,14 +331,14 @@ def _runs(
     from oed_sysid.data.dataset import read_csv
 
     if records and experiments:
-        raise ProblemError("Give either --experiment or --records, not both.")
+        raise ProblemError("Give either --experiment or records, not both.")
     if records:
         return read_csv(records, problem.channels)
     names = experiments or list(problem.experiments)
     if not names:
         raise ProblemError(
             f"Problem {problem.name!r} has no experiments. Add one to its problem.py, or give "
-            "--records."
+            "records."
         )
     return [problem.experiment(name) for name in names]
 

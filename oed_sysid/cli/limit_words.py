@@ -6,16 +6,22 @@ Words that people use stand for the model's channels; angles are in degrees.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from math import inf, radians
+from math import degrees, inf, isfinite, radians
 
 from oed_sysid.channels import Input, Output, State
-from oed_sysid.cli.arguments import SIGNALS
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Limits
 from oed_sysid.model import Model
 
+# Words for one channel each, whatever its name in the model.
+SIGNALS = {
+    "pitch": "theta", "heel": "phi", "roll": "phi", "heading": "psi", "yaw": "psi",
+    "depth": "z", "speed": "u", "surge": "u", "sway": "v", "heave": "w",
+    "distance": "x", "advance": "x", "transfer": "y",
+    "pitch-rate": "q", "roll-rate": "p", "yaw-rate": "r",
+}  # fmt: skip
 # A control surface answers to these words if its name or description holds one of its group.
 SURFACES = (
     {"fin", "fins", "plane", "planes", "stern plane", "sternplane", "elevator", "hydroplane"},
@@ -58,6 +64,93 @@ def with_limits(model: Model, limits: Limits, given: Sequence[str]) -> tuple[Lim
             limits, words = _range(model, limits, word, side, value)
         said.append(words)
     return limits, said
+
+
+def limit_words(model: Model, limits: Limits) -> list[tuple[str, tuple[str, ...], str]]:
+    """Return what can be limited: side, words for it (the first to be shown), and what it is.
+
+    Parameters
+    ----------
+    model : Model
+        Whose channels are limited.
+    limits : Limits
+        Those that hold without a word.
+
+    Returns
+    -------
+    list of (str, tuple of str, str)
+        The side is ``"max"``, ``"min"``, or empty for a range.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> problem = load_problem("auv_diving_plane")
+    >>> offered = limit_words(problem.model, problem.limits)
+    >>> [words[:2] for side, words, _ in offered if side == "min" and "pitch" in words]
+    [('pitch', 'theta')]
+    """
+    offered: list[tuple[str, tuple[str, ...], str]] = []
+    for moved in model.inputs:
+        words = _words(model, moved, sorted(set().union(*SURFACES)))
+        label = f"{moved.label or 'input'} {moved.name}"
+        both = ", both ways" if moved.unit.startswith("rad") else ""
+        now = limits.inputs.get(moved.name)
+        offered.append(("max", words, f"{label}, {_unit(moved)}{both}{_now(moved, now)}"))
+        offered.append(("min", words, f"{label}, {_unit(moved)}"))
+        rate = limits.rates.get(moved.name)
+        stands = "" if rate is None else f"; now {_shown(moved, rate)}"
+        rates = tuple(f"{word}-rate" for word in words)
+        offered.append(("max", rates, f"slope of {moved.name}, {_unit(moved)}/s{stands}"))
+    if model.inputs:
+        offered.append(("max", ("rate",), "slope of every angle that is commanded, deg/s"))
+    signals: dict[str, State | Output] = {o.name: o for o in model.outputs}
+    signals |= {s.name: s for s in model.states}
+    taken = {word for _, words, _ in offered for word in words}
+    for name, channel in signals.items():
+        words = tuple(w for w in _words(model, channel, SIGNALS) if w not in taken)
+        if not words:
+            continue
+        label = f"{getattr(channel, 'label', '') or 'signal'} {name}, {_unit(channel)}"
+        both = ", both ways" if channel.unit.startswith("rad") else ""
+        offered.append(("max", words, f"{label}{both}{_now(channel, limits.signals.get(name))}"))
+        offered.append(("min", words, label))
+        spoken = tuple(word for word in words if word in SIGNALS)
+        if spoken:
+            offered.append(("", spoken, f"{label}: range"))
+    return offered
+
+
+def _words(model: Model, channel: Input | State | Output, common: Iterable[str]) -> tuple[str, ...]:
+    """Words that mean this channel and no other, those of the trade first."""
+    found = []
+    for word in common:
+        if " " in word:
+            continue
+        try:
+            if _channel(model, word).name == channel.name:
+                found.append(word)
+        except DesignError:  # means several, or none
+            continue
+    found.sort(key=lambda word: (word not in ("fin", "rudder", "thrust"), len(word)))
+    name = channel.name
+    return tuple(dict.fromkeys([*found, name, name.replace("_", "-"), name.lower()]))
+
+
+def _unit(channel: Input | State | Output) -> str:
+    return channel.unit.replace("rad", "deg") or "1"
+
+
+def _shown(channel: Input | State | Output, value: float) -> str:
+    return f"{degrees(value) if channel.unit in ('rad', 'rad/s') else value:.4g}"
+
+
+def _now(channel: Input | State | Output, now: tuple[float, float] | None) -> str:
+    if now is None or not any(map(isfinite, now)):
+        return ""
+    lower, upper = now
+    if lower == -upper:
+        return f"; now ±{_shown(channel, upper)}"
+    return f"; now {_shown(channel, lower)} to {_shown(channel, upper)}"
 
 
 def _range(model: Model, limits: Limits, word: str, side: str, text: str) -> tuple[Limits, str]:

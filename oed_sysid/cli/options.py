@@ -2,36 +2,84 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-# Options that take several values after one flag; see oed_sysid.cli.arguments.
-SEVERAL = (
-    *(
-        "--train",
-        "--test",
-        "--experiment",
-        "--records",
-        "--with",
-        "--discriminate",
-        "--limit",
-        "--avoid",
-        "--at",
-        "--patterns",
-        "--goal",
-        "--sensor",
-    ),
-    *("--problems", "--estimators", "--noise", "--sampling"),
-)
 
+def _problems(incomplete: str) -> list[str]:
+    """Shipped problems whose names begin so; folders are completed by the shell itself."""
+    from oed_sysid.problem import list_problems
+
+    return [name for name in list_problems() if name.startswith(incomplete)]
+
+
+def _one_of(*choices: str) -> Callable[[str], list[str]]:
+    def complete(incomplete: str) -> list[str]:
+        return [choice for choice in choices if choice.startswith(incomplete)]
+
+    return complete
+
+
+_PROBLEM = "A shipped problem (see: oed-sysid problems) or the path of a folder of your own."
 ProblemName = Annotated[
     str,
+    typer.Argument(metavar="PROBLEM", help=_PROBLEM, show_default=False, autocompletion=_problems),
+]
+Files = Annotated[
+    list[str],
     typer.Argument(
-        metavar="PROBLEM",
-        help="A shipped problem (see: oed-sysid problems) or the path of a folder of your own.",
+        metavar="CSV...",
+        help="Records to learn from: files, folders or patterns.",
         show_default=False,
+    ),
+]
+Validate = Annotated[
+    list[str],
+    typer.Option(
+        "--validate",
+        metavar="CSV...",
+        help="Records to judge with; nothing is fitted to them.",
+        show_default=False,
+    ),
+]
+IfValidated = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--validate",
+        metavar="CSV...",
+        help="Records to judge with; nothing is fitted to them. Of a single record without them the "
+        "last part is kept for that.",
+        show_default=False,
+    ),
+]
+Effort = Annotated[
+    str,
+    typer.Option(
+        "--effort",
+        metavar="quick|normal|thorough",
+        help="How many starts and steps: seconds, a minute, several minutes.",
+        autocompletion=_one_of("quick", "normal", "thorough"),
+    ),
+]
+Criterion = Annotated[
+    str,
+    typer.Option(
+        "--criterion",
+        metavar="D|A|E",
+        help="What is good: see docs.",
+        autocompletion=_one_of("D", "A", "E"),
+    ),
+]
+Family = Annotated[
+    str,
+    typer.Option(
+        "--family",
+        metavar="levels|multisine|pulses",
+        help="Kind of command.",
+        autocompletion=_one_of("levels", "multisine", "pulses"),
     ),
 ]
 Variant = Annotated[
@@ -71,24 +119,9 @@ HtmlFile = Annotated[
 PictureFile = Annotated[
     Path | None,
     typer.Option(
-        "--picture", metavar="FILE", help="Also draw the result (PNG, PDF).", show_default=False
-    ),
-]
-Train = Annotated[
-    list[str],
-    typer.Option(
-        "--train",
-        metavar="CSV...",
-        help="Records to learn from: files, folders or patterns; several after one --train.",
-        show_default=False,
-    ),
-]
-Test = Annotated[
-    list[str],
-    typer.Option(
-        "--test",
-        metavar="CSV...",
-        help="Records to judge with; nothing is fitted to them.",
+        "--picture",
+        metavar="FILE",
+        help="Also draw the result (PNG, PDF, SVG).",
         show_default=False,
     ),
 ]

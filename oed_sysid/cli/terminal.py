@@ -9,12 +9,16 @@ from __future__ import annotations
 import json
 import math
 import shlex
+import shutil
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from oed_sysid.cli.arguments import QUIET
 from oed_sysid.files import write_text
 
 if TYPE_CHECKING:
@@ -25,16 +29,45 @@ if TYPE_CHECKING:
 
 # Exit code of a command that Ctrl-C ended.
 INTERRUPTED = 130
+# Promised decrease of the cost below which a fit ends.
+TOLERANCE = 1e-6
+
+
+# Seconds after which a calculation says how far it is, and then how often where lines stay.
+PATIENCE, EVERY = 2.0, 10.0
 
 
 def say(text: str = "") -> None:
     """Print a result."""
+    if not quiet():
+        print(text)
+
+
+def answer(text: str, report: str = "") -> None:
+    """Print the answer in one line, and below it what it rests on.
+
+    Parameters
+    ----------
+    text : str
+        One line that answers the question of the command; all that ``--quiet`` leaves.
+    report : str
+        Everything else.
+    """
     print(text)
+    if report and not quiet():
+        print(f"\n{report}")
 
 
 def note(text: str) -> None:
     """Print something worth knowing that is not the result."""
-    print(text, file=sys.stderr)
+    if not quiet():
+        print(text, file=sys.stderr)
+
+
+def quiet() -> bool:
+    """Whether the command that is being worked on was asked for its answer alone."""
+    context = _context()
+    return context is not None and bool(context.meta.get(QUIET))
 
 
 def say_log(log: LogCheck) -> None:
@@ -60,33 +93,93 @@ def table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 class Shown:
-    """A line on the terminal that says what is being done.
+    """What is being done, and for how much longer.
 
     Parameters
     ----------
-    update : callable
-        Shows a text.
     what : str
         What is being done.
+    clock : callable
+        Returns seconds.
     """
 
-    def __init__(self, update: Callable[[str], None], what: str) -> None:
-        self._update = update
+    def __init__(self, what: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._began = clock()
         self._what = what
+        self._detail = ""
+        self._first: tuple[float, float] | None = None
+        self._left: tuple[float, float] | None = None  # when it was said, and seconds
+        self._most = self._fitting = False
 
     def say(self, what: str) -> None:
         """Tell what is being done from now on."""
-        self._what = what[:1].upper() + what[1:]
-        self._update(self._what)
+        self._what, self._detail, self._first = what[:1].upper() + what[1:], "", None
+        if self._fitting:
+            self._left, self._fitting = None, False
 
     def iteration(self, state: Progress) -> None:
-        """Tell how far a fit is; an estimator's ``progress``."""
-        self._update(f"{self._what}: iteration {state.iteration}, cost {state.cost:.6g}")
+        """Tell how far a fit is; an estimator's ``progress``.
+
+        The decrease that the next step promises falls about as fast from step to step, so its
+        logarithm tells how far it is to the tolerance.
+        """
+        self._detail = f"iteration {state.iteration}, cost {state.cost:.6g}"
+        if not state.decrement > 0:
+            return
+        now, here = self._clock(), math.log(state.decrement)
+        if state.iteration <= 1 or self._first is None or self._first[1] < here:
+            self._first = (now, here)
+        began, top = self._first
+        if now > began and top - here > 1.0:
+            speed = (top - here) / (now - began)
+            self._left = (now, max(0.0, (here - math.log(TOLERANCE)) / speed))
+            self._most, self._fitting = False, True
+
+    def share(self, done: float, *, at_most: bool = False) -> None:
+        """Tell which share of the work is done.
+
+        Parameters
+        ----------
+        done : float
+            Between 0 and 1.
+        at_most : bool
+            Whether it may end earlier.
+        """
+        now = self._clock()
+        if 0.0 < done <= 1.0:
+            self._left = (now, (now - self._began) * (1.0 - done) / done)
+            self._most = at_most
+
+    def left(self, seconds: float, *, at_most: bool = False) -> None:
+        """Tell how many seconds are left."""
+        self._left, self._most = (self._clock(), seconds), at_most
+
+    @property
+    def line(self) -> str:
+        """What is being done, with the time since the beginning and the time left."""
+        now = self._clock()
+        text = f"{self._what}: {self._detail}" if self._detail else self._what
+        text += f" ({_duration(now - self._began)}"
+        if self._left is not None:
+            left = max(0.0, self._left[1] - (now - self._left[0]))
+            text += f", {'at most' if self._most else 'about'} {_duration(left)} left"
+        return f"{text})"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = seconds / 60
+    return f"{minutes:.0f} min" if minutes < 90 else f"{minutes / 60:.1f} h"
 
 
 @contextmanager
 def progress(what: str) -> Iterator[Shown]:
-    """Show what is being done, and for how long, on a terminal; nothing in a pipe.
+    """Show what is being done and for how much longer, once it takes two seconds.
+
+    On a terminal in one line that goes away; elsewhere as plain lines on standard error, one
+    every ten seconds.
 
     Parameters
     ----------
@@ -98,15 +191,38 @@ def progress(what: str) -> Iterator[Shown]:
     Shown
         To be told how things go on.
     """
-    from rich.console import Console
-    from rich.progress import Progress as Bar
-    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+    shown = Shown(what)
+    if quiet():
+        yield shown
+        return
+    ended = threading.Event()
+    stream = sys.stderr
+    lasting = not stream.isatty()
 
-    console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=None)
-        yield Shown(lambda text: bar.update(task, description=text), what)
+    def tell() -> None:
+        width, wait = 0, PATIENCE
+        while not ended.wait(wait):
+            line = shown.line
+            try:
+                if lasting:
+                    print(line, file=stream, flush=True)
+                else:
+                    line = line[: shutil.get_terminal_size().columns - 1]
+                    print(f"\r{line:<{width}}", end="", file=stream, flush=True)
+                    width = len(line)
+            except (OSError, ValueError):  # the stream is closed
+                return
+            wait = EVERY if lasting else 0.2
+        if width:
+            print(f"\r{'':<{width}}\r", end="", file=stream, flush=True)
+
+    teller = threading.Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield shown
+    finally:
+        ended.set()
+        teller.join(timeout=1.0)
 
 
 @contextmanager
@@ -184,17 +300,42 @@ def store(
 
 def invocation() -> tuple[str, dict[str, Any]]:
     """Return the command line that is being worked on, and every option of it."""
-    try:  # typer carries its own copy of click since 0.20
-        from typer._click.globals import get_current_context
-    except ImportError:
-        from click import get_current_context  # type: ignore[no-redef]
-
-    context = get_current_context(silent=True)
+    context = _context()
     if context is None:
         return "", {}
     settings = {name: _plain(value) for name, value in context.params.items()}
     given = context.find_root().obj or ()
     return shlex.join(["oed-sysid", *given]), settings
+
+
+def _context() -> Any:
+    """The call that is being worked on; None outside of one."""
+    try:  # typer carries its own copy of click since 0.20
+        from typer._click.globals import get_current_context
+    except ImportError:
+        from click import get_current_context  # type: ignore[no-redef]
+
+    return get_current_context(silent=True)
+
+
+def draw(make: Callable[[], Any], path: Path | None) -> None:
+    """Draw a result where the user asked for it, and say so.
+
+    Parameters
+    ----------
+    make : callable
+        Returns a figure or axes; called only if a picture is wanted.
+    path : Path or None
+        The file; ``None`` draws nothing.
+    """
+    if path is None:
+        return
+    from oed_sysid.report import save_figure
+
+    made = make()
+    figure = getattr(made, "figure", made)
+    save_figure(figure, path, dpi=150, bbox_inches="tight")
+    note(f"Written: {path}")
 
 
 def write(text: str, path: Path) -> None:

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from oed_sysid.display import as_html
+
 # A normal variable's 95 % interval in standard deviations.
 TWO_SIDED_95 = 1.96
 
@@ -174,6 +176,11 @@ class LogCheck:
     balances: tuple[Balance, ...] = field(default=(), repr=False)
     unchecked: tuple[str, ...] = ()
     duration: float = math.nan
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        return f"<LogCheck of {len(self.records)} records: {self.verdict}>"
 
     @property
     def suspect(self) -> bool:

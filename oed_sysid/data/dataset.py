@@ -21,6 +21,7 @@ from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.csv_table import read_table, write_table
 from oed_sysid.data.frames import RECORD, frame, tables_of
 from oed_sysid.data.record import Record, closest
+from oed_sysid.display import as_html
 from oed_sysid.errors import DataError
 from oed_sysid.language.units import parse_header
 
@@ -68,6 +69,13 @@ class Dataset:
                     f"Record {record.name!r} has other channels than {self.records[0].name!r}. "
                     "Read both with the channels of the same model."
                 )
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        names = ", ".join(self.names[:8]) + (", ..." if len(self) > 8 else "")
+        samples = sum(record.n_samples for record in self)
+        return f"<Dataset of {len(self)} records, {samples} samples: {names}>"
 
     def __iter__(self) -> Iterator[Record]:
         return iter(self.records)

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from oed_sysid.channels import Channels
 from oed_sysid.data.angles import TURN, clear_wraps, on_circle, unwrapped
+from oed_sysid.display import as_html
 from oed_sysid.errors import DataError
 
 MINIMUM_SAMPLES = 5
@@ -258,6 +259,11 @@ class Record:
             )
         if len(empty) == len(names):
             raise DataError(f"Record {self.name!r} has no measured output. At least one is needed.")
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        return f"<Record {self.name!r}: {self.duration:.4g} s, {self.n_samples} samples>"
 
     @cached_property
     def content_hash(self) -> str:

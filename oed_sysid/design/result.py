@@ -14,6 +14,7 @@ from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.card import sea_trial_card
 from oed_sysid.design.quantities import percent
 from oed_sysid.design.reference import Reference
+from oed_sysid.display import as_html
 from oed_sysid.experiment import Experiment
 from oed_sysid.information import Information
 from oed_sysid.model import Model
@@ -79,6 +80,16 @@ class Design:
     assurance: Assurance | None = None
     sea: NoiseModel | None = None
     spread: AccuracyRange | None = None
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        worst = int(np.argmax(self.relative_errors))
+        return (
+            f"<Design {self.experiment.name!r} for {self.model.name!r}: "
+            f"{self.experiment.duration:g} s, {self.names[worst]} least certain, "
+            f"+/- {1.96 * self.relative_errors[worst]:.2%} (95 %)>"
+        )
 
     # -- accuracy ------------------------------------------------------------------
 

@@ -15,6 +15,7 @@ from oed_sysid.design.accuracy import AccuracyRange, stated
 from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.library import Candidate
 from oed_sysid.design.quantities import percent
+from oed_sysid.display import as_html
 from oed_sysid.information import Information
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
@@ -120,6 +121,11 @@ class Programme:
     turnaround: float
     budget: tuple[float | None, int | None]
     seconds: float
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        return f"<Programme for {self.model.name!r}: {len(self.runs)} runs, {self.hours:.3g} h>"
 
     @property
     def hours(self) -> float:

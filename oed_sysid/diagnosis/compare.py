@@ -15,10 +15,12 @@ from oed_sysid.data.overlap import check_disjoint
 from oed_sysid.diagnosis.forecasts import Forecasts, forecasts
 from oed_sysid.diagnosis.misfit import OutputMisfit, output_misfit
 from oed_sysid.diagnosis.regimes import Signal, regimes
+from oed_sysid.display import as_html
 from oed_sysid.errors import DataError
 from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.fitting.noise_levels import credible_levels, given_levels
 from oed_sysid.fitting.prediction import WAYS, Initial, Prediction, predict
+from oed_sysid.language.units import shown_unit
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
 
@@ -99,6 +101,12 @@ class Comparison:
     models: tuple[ModelMisfit, ...]
     sigma: np.ndarray
     notes: tuple[str, ...]
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        errors = ", ".join(f"{part.label} {part.relative:.3g} x noise" for part in self.models)
+        return f"<Comparison on {len(self.dataset)} records: {errors}>"
 
     def __getitem__(self, key: str | int) -> ModelMisfit:
         if isinstance(key, int):
@@ -379,11 +387,12 @@ def _table(part: ModelMisfit) -> list[tuple[str, ...]]:
     ]
     for output, ahead in zip(part.outputs, part.forecasts.relative, strict=True):
         name, begin, end, value = output.worst
+        factor, unit = shown_unit(output.output.unit)  # angles are read in degrees
         rows.append(
             (
                 output.output.name,
-                f"{output.rmse:.3g}",
-                output.output.unit,
+                f"{factor * output.rmse:.3g}",
+                unit,
                 f"{output.relative:.3f}",
                 f"{100 * output.coverage:.0f} %",
                 f"{output.effective_samples:.0f}",

@@ -11,6 +11,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.rank import Ranking, rank
 from oed_sysid.diagnosis.study import Study
+from oed_sysid.display import as_html
 from oed_sysid.effects import Effect
 from oed_sysid.model import Model
 
@@ -30,6 +31,11 @@ class Diagnosis:
     model: Model
     location: Located
     ranking: Ranking
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis of {self.model.name!r}: lacks {', '.join(self.group) or 'nothing'}>"
 
     @property
     def best(self) -> Effect | None:

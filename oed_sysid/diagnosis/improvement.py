@@ -15,6 +15,7 @@ from oed_sysid.diagnosis.locate import Located
 from oed_sysid.diagnosis.propose import Proposals
 from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.diagnosis.remainder import Remains
+from oed_sysid.display import as_html
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.fitting.noise_levels import signal_spread
@@ -223,6 +224,15 @@ class Improvement:
     notes: tuple[str, ...] = ()
     log: LogCheck | None = None
     skipped: tuple[str, ...] = ()
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        added = ", ".join(step.added for step in self.steps) or "nothing"
+        errors = " to ".join(f"{e['test']:.3g}" for e in (self.base_error, self.final_error))
+        return (
+            f"<Improvement of {self.base.name!r}: added {added}; validation error {errors} x noise>"
+        )
 
     @property
     def fits(self) -> tuple[Fit, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.display import as_html
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.effects.base import RandomProcess
 from oed_sysid.fitting.archive import encode
@@ -22,6 +23,7 @@ from oed_sysid.fitting.prediction import Initial, Prediction, predict
 from oed_sysid.fitting.saved import check_fit, decode_result, made_by, write_result
 from oed_sysid.information import Information
 from oed_sysid.language.callables import Function
+from oed_sysid.language.units import shown_unit
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import places
 from oed_sysid.noise.model import NoiseModel
@@ -29,6 +31,8 @@ from oed_sysid.parameters import Parameter
 
 # Residuals that count fewer independent samples than this share are coloured.
 COLOUR_LIMIT = 0.8
+# What stands behind +/- is half of a 95 % interval, in standard errors.
+TWO_SIDED_95 = 1.96
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +137,14 @@ class Fit(Estimate):
         check_fit(fit, str(path))
         return fit
 
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        return (
+            f"<Fit of {self.model.name!r}: {self.status.code}, {len(self.names)} parameters, "
+            f"residuals {self.normalised_rms:.3g} x noise>"
+        )
+
     # -- words ---------------------------------------------------------------------
 
     def report(self) -> str:
@@ -196,11 +208,13 @@ class Fit(Estimate):
         lines = []
         for record, known in zip(self.dataset.names, self.start_states, strict=False):
             words = [
-                f"{name} {value:.4g} held" if std == 0.0 else f"{name} {value:.4g} +/- {std:.2g}"
+                f"{name} {value:.4g} held"
+                if std == 0.0
+                else f"{name} {value:.4g} +/- {TWO_SIDED_95 * std:.2g}"
                 for name, (value, std) in known.items()
             ]
             if words:
-                lines.append(f"  start of {record} given: {', '.join(words)} (one std. error)")
+                lines.append(f"  start of {record} given: {', '.join(words)} (95 %)")
         return lines
 
     def _output_table(self) -> list[str]:
@@ -211,15 +225,16 @@ class Fit(Estimate):
             self.model.outputs, self.sigma, self.sigma_estimated, strict=True
         ):
             count, total = effective[output.name]
+            factor, unit = shown_unit(output.unit)  # angles are read in degrees
             rows.append(
                 (
                     output.name,
-                    f"{rms[output.name]:.3g}",
-                    f"{sigma:.3g}",
+                    f"{factor * rms[output.name]:.3g}",
+                    f"{factor * sigma:.3g}",
                     ("estimated" if estimated else "given") if total else "not measured",
                     f"{count:.0f}",
                     f"{total}",
-                    output.unit,
+                    unit,
                 )
             )
         return [f"  {line}" for line in align(rows)]

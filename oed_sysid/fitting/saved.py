@@ -100,7 +100,10 @@ def read_result(path: str | Path, kind: str) -> tuple[Any, dict[str, Any]]:
         If the file is missing, damaged, or something else; the message says which.
     """
     data = read_json(path)
-    wanted = f"Expected what fit.save() or `oed-sysid fit ... --save` writes ({kind})."
+    wanted = (
+        "Expected what fit.save(), or --save of `oed-sysid fit` and `oed-sysid improve`, writes "
+        f"({kind})."
+    )
     if not isinstance(data, dict):
         raise DataError(f"{path} holds a {_WORDS[type(data)]}, not a saved result. {wanted}")
     version = data.get("format")
@@ -220,6 +223,11 @@ def read_json(path: str | Path) -> Any:
         raise DataError(
             f"{path} is no text file (UTF-8), so it is not a saved result but {_likely(raw)}."
         ) from None
+    if text.lstrip().startswith("<"):
+        raise DataError(
+            f"{path} is a page to read in a browser; it holds no model. Give the file that --save "
+            "of fit or improve wrote."
+        )
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:

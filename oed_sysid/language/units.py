@@ -15,6 +15,7 @@ import re
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
+from math import pi
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -366,6 +367,31 @@ def to_si(values: ArrayLike, unit: str) -> tuple[np.ndarray, str]:
     parsed = _parse(unit)
     converted = np.array(values, dtype=float) * parsed.factor + parsed.offset
     return np.asarray(converted), _text(dict(parsed.symbols))
+
+
+def shown_unit(unit: str) -> tuple[float, str]:
+    """Return the factor and the unit in which people read a quantity: degrees for radians.
+
+    Parameters
+    ----------
+    unit : str
+        SI unit of a signal.
+
+    Returns
+    -------
+    factor : float
+        How many of the shown unit are one of the unit.
+    shown : str
+
+    Examples
+    --------
+    >>> factor, unit = shown_unit("rad/s")
+    >>> f"{0.1 * factor:.3f} {unit}", shown_unit("m/s")
+    ('5.730 deg/s', (1.0, 'm/s'))
+    """
+    if unit == "rad" or unit.startswith(("rad/", "rad ")):
+        return 180.0 / pi, f"deg{unit[3:]}"
+    return 1.0, unit
 
 
 def parse_header(text: str) -> tuple[str, str | None]:

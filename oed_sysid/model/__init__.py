@@ -7,12 +7,13 @@ expressions and :mod:`oed_sysid.compiled.kernels` into compiled code.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, replace
 
+from oed_sysid.display import as_html
 from oed_sysid.effects import Effect
 from oed_sysid.errors import ModelError
-from oed_sysid.language import callables, expressions
+from oed_sysid.language import callables, expressions, notation
 from oed_sysid.model.parts import settle_parts
 from oed_sysid.model.structure import Structure
 from oed_sysid.model.validation import validate
@@ -142,40 +143,98 @@ class Model(Structure):
 
     # -- words ---------------------------------------------------------------------
 
+    def __repr__(self) -> str:
+        names = ", ".join(self.effect_names[:6]) or "none"
+        more = ", ..." if len(self.effects) > 6 else ""
+        return (
+            f"<Model {self.name!r}: {len(self.states)} states, {len(self.free_names)} free "
+            f"parameters, effects {names}{more}>"
+        )
+
+    _repr_html_ = as_html
+
+    @property
+    def content(self) -> str:
+        """Everything in the model as one text: equal models have equal texts."""
+        listed = ", ".join(f"{one.name}={getattr(self, one.name)!r}" for one in fields(self))
+        return f"Model({listed})"
+
     def equations(self) -> str:
         """Return the model as readable equations, one per line."""
         write = expressions.to_text
-        lines: list[str] = []
+        lines = []
+        for kind, left, right, effect in self._rows():
+            if kind == "axis":
+                left = self._inertia(left, write).replace("_prime_", "'")
+            mark = "'" if kind == "rate" else ""
+            sign = "<-" if kind in ("change", "measured change") else "="
+            measured = "measured " if kind.startswith("measured") else ""
+            tag = f"   [{effect}]" if effect else ""
+            lines.append(f"{measured}{left}{mark} {sign} {write(right)}{tag}")
+        return "\n".join(lines)
+
+    def latex(self) -> str:
+        r"""Return the equations as LaTeX, one per line, aligned at ``&``; without dollar signs.
+
+        Examples
+        --------
+        >>> from oed_sysid import load_problem
+        >>> print(load_problem("nomoto_sparse_heading").model.latex().splitlines()[0])
+        \dot{\psi} &= r
+        """
+        write = expressions.to_latex
+        lines = []
+        for kind, left, right, effect in self._rows():
+            if kind == "axis":
+                left = self._inertia(left, write)
+                for state in self.axes.values():
+                    rate = f"\\dot{{{notation.latex(state)}}}"
+                    left = left.replace(notation.latex(f"{state}_prime_"), rate)
+            else:
+                left = notation.latex(left)
+            if kind == "rate":
+                left = f"\\dot{{{left}}}"
+            if kind.startswith("measured"):
+                left = f"\\text{{measured }}{left}"
+            sign = r"\leftarrow" if kind in ("change", "measured change") else "="
+            tag = f"\\quad\\text{{({effect.replace('_', ' ')})}}" if effect else ""
+            lines.append(f"{left} &{sign} {write(right)}{tag}")
+        return "\n".join(lines)
+
+    def _rows(self) -> list[tuple[str, str, str, str]]:
+        """Every equation: its kind, left and right side, and the effect that it belongs to."""
+        rows: list[tuple[str, str, str, str]] = []
         for signal, text in self.actuator_signals.items():
             changes = self._changes("actuator", signal)
             if text != signal or changes:
-                lines += [f"{signal} = {write(text)}", *changes]
+                rows += [("signal", signal, text, ""), *changes]
         for signal, text in self.signals.items():
-            lines += [f"{signal} = {write(text)}", *self._changes("environment", signal)]
+            rows += [("signal", signal, text, ""), *self._changes("environment", signal)]
         for effect in self.effects:
-            definitions = effect.definitions.items()
-            lines += [f"{name} = {write(text)}   [{effect.name}]" for name, text in definitions]
-        for axis, state in self.axes.items():
-            lines.append(f"{self._inertia_text(axis, state)} = {write(self._force(axis))}")
+            rows += [("signal", k, text, effect.name) for k, text in effect.definitions.items()]
+        rows += [("axis", axis, self._force(axis), "") for axis in self.axes]
         for state, rate in self.kinematics.items():
             added = self._force(state)
-            lines.append(f"{state}' = {write(rate if added == '0' else f'{rate} + {added}')}")
+            rows.append(("rate", state, rate if added == "0" else f"{rate} + {added}", ""))
         for effect in self.effects:
-            lines += [f"{s.name}' = {write(s.rate)}   [{effect.name}]" for s in effect.states]
+            rows += [("rate", s.name, s.rate, effect.name) for s in effect.states]
         for output in self.outputs:
-            lines.append(f"measured {output.name} = {write(output.source)}")
-            lines += [f"measured {text}" for text in self._changes("sensor", output.name)]
-        return "\n".join(lines)
+            rows.append(("measured", output.name, output.source, ""))
+            changes = self._changes("sensor", output.name)
+            rows += [("measured change", signal, text, name) for _, signal, text, name in changes]
+        return rows
 
-    def _changes(self, stage: str, signal: str) -> list[str]:
-        """Lines that say what the effects of a stage turn a signal into."""
+    def _changes(self, stage: str, signal: str) -> list[tuple[str, str, str, str]]:
+        """What the effects of a stage turn a signal into."""
         return [
-            f"{signal} <- {expressions.to_text(effect.terms[signal])}   [{effect.name}]"
+            ("change", signal, effect.terms[signal], effect.name)
             for effect in self.effects
             if effect.stage == stage and signal in effect.terms
         ]
 
-    def _inertia_text(self, axis: str, state: str) -> str:
+    def _inertia(self, axis: str, write: Callable[[str], str]) -> str:
+        """Left side of the equation of an axis; the rate of w stands as w_prime_."""
+        state = self.axes[axis]
         entries = list(self.inertia.items())
         for effect in self.effects:
             entries += effect.terms.items() if effect.stage == "inertia" else ()
@@ -183,11 +242,11 @@ class Model(Structure):
         for other in self.axes.values():
             texts = [text for key, text in entries if key == (axis, other)]
             if texts:
-                # A name that text can carry; printed as w' below.
+                # A name that text can carry.
                 parts.append(f"({' + '.join(texts)})*{other}_prime_")
         if not any(key[0] == axis for key in self.inertia):
             parts.insert(0, f"{state}_prime_")
-        return expressions.to_text(" + ".join(parts)).replace("_prime_", "'")
+        return write(" + ".join(parts))
 
     def _force(self, key: str) -> str:
         terms = [

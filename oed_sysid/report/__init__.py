@@ -14,6 +14,7 @@ from oed_sysid.report.design_plots import (
     figure_design,
     plot_accuracy,
     plot_bode,
+    plot_output_change,
     plot_sensitivity,
 )
 from oed_sysid.report.diagnosis_page import diagnosis_page
@@ -34,7 +35,12 @@ from oed_sysid.report.force_plots import (
     plot_residual_force,
 )
 from oed_sysid.report.improvement_page import improvement_page
-from oed_sysid.report.improvement_plots import plot_error_fall, plot_located, plot_ranking
+from oed_sysid.report.improvement_plots import (
+    figure_diagnosis,
+    plot_error_fall,
+    plot_located,
+    plot_ranking,
+)
 from oed_sysid.report.live_plots import LiveParameters, plot_history
 from oed_sysid.report.multistart_plots import plot_waterfall
 from oed_sysid.report.numbers_page import numbers_page
@@ -46,12 +52,13 @@ from oed_sysid.report.prediction_plots import (
     plot_prediction,
     plot_prediction_error,
 )
+from oed_sysid.report.profile_plots import plot_ellipses, plot_profile
 from oed_sysid.report.programme_page import programme_page
 from oed_sysid.report.programme_plots import figure_programme
 from oed_sysid.report.ranking_page import ranking_page
 from oed_sysid.report.record_plots import figure_record
-from oed_sysid.report.style import model_style, new_figure, save_figure
-from oed_sysid.report.track_plots import plot_track, plot_zigzag
+from oed_sysid.report.style import finding, model_style, new_figure, save_figure
+from oed_sysid.report.track_plots import plot_phase, plot_track, plot_zigzag
 
 __all__ = [
     "LiveParameters",
@@ -67,11 +74,13 @@ __all__ = [
     "diagnosis_page",
     "figure_check",
     "figure_design",
+    "figure_diagnosis",
     "figure_fit",
     "figure_force",
     "figure_predictions",
     "figure_record",
     "figure_whiteness",
+    "finding",
     "fit_page",
     "improvement_page",
     "model_style",
@@ -85,6 +94,7 @@ __all__ = [
     "plot_bode",
     "plot_comparison",
     "plot_correlation",
+    "plot_ellipses",
     "plot_error_fall",
     "plot_force_against",
     "plot_history",
@@ -92,9 +102,12 @@ __all__ = [
     "plot_intervals",
     "plot_located",
     "plot_output",
+    "plot_output_change",
+    "plot_phase",
     "plot_polar",
     "plot_prediction",
     "plot_prediction_error",
+    "plot_profile",
     "plot_ranking",
     "plot_residual",
     "plot_residual_force",

@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed_sysid.compatibility import Balance, LogCheck
+from oed_sysid.language.units import shown_unit
 from oed_sysid.report.style import (
     COLOURS,
-    DEGREE,
     NEUTRAL,
     TRUTH,
     clean,
@@ -74,8 +74,7 @@ def plot_balance(balance: Balance, record: str, ax: Axes | None = None) -> Axes:
     far more than the corrected one, the axis follows the corrected one, twelve times as wide.
     """
     ax = new_axes(ax, size=(6.4, 2.4))
-    turn = DEGREE if balance.unit.startswith("rad") else 1.0
-    unit = balance.unit.replace("rad", "deg")
+    turn, unit = shown_unit(balance.unit)
     chosen = [part for part in balance.series if part[0] == record]
     shown: list[np.ndarray] = []
     for number, (_, times, before, after) in enumerate(chosen):

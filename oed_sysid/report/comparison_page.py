@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from oed_sysid.compatibility import LogCheck
 from oed_sysid.diagnosis.compare import Comparison, ModelMisfit
+from oed_sysid.language.units import shown_unit
 from oed_sysid.report.page import Page, Picture, Section, Table
 from oed_sysid.report.prediction_plots import figure_predictions, plot_comparison
 from oed_sysid.report.style import new_figure
@@ -66,11 +67,12 @@ def _table(part: ModelMisfit) -> Table:
     rows = []
     for one, ahead in zip(part.outputs, part.forecasts.relative, strict=True):
         name, begin, end, value = one.worst
+        factor, unit = shown_unit(one.output.unit)
         rows.append(
             (
                 one.output.name,
-                f"{one.rmse:.3g} {one.output.unit}",
-                f"{one.sigma:.3g}",
+                f"{factor * one.rmse:.3g} {unit}",
+                f"{factor * one.sigma:.3g}",
                 f"{one.relative:.3g}",
                 f"{100 * one.coverage:.0f} %",
                 f"{one.effective_samples:.0f} of {one.n_samples}",

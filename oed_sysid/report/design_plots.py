@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,13 +14,15 @@ from oed_sysid.channels import Input, Output, State
 from oed_sysid.design import Design
 from oed_sysid.report.style import (
     COLOURS,
-    DEGREE,
     NEUTRAL,
     TRUTH,
+    between,
     clean,
     label,
     new_axes,
     new_figure,
+    say,
+    shown,
     spread_legend,
     symbol_of,
 )
@@ -58,7 +63,51 @@ def plot_sensitivity(ranking: SensitivityRanking, *, ax: Axes | None = None) -> 
     clean(ax)
     _in_percent(ax)
     spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    return ax
+    known = sum(row.error < 1.0 for row in rows)
+    return say(
+        ax,
+        f"{known} of {len(rows)} parameters have a standard error below their value; best known is "
+        f"{rows[-1].name} ({100 * rows[-1].error:.2g} %), least {rows[0].name} "
+        f"({100 * rows[0].error:.2g} %).",
+    )
+
+
+def plot_output_change(ranking: SensitivityRanking, *, ax: Axes | None = None) -> Axes:
+    """Plot how much each parameter moves the outputs, as bars, the strongest above.
+
+    What the bars leave out is whether other parameters move the outputs in the same way; that is
+    in :func:`plot_sensitivity`.
+
+    Parameters
+    ----------
+    ranking : SensitivityRanking
+        From :func:`~oed_sysid.sensitivity.rank_parameters`.
+    ax : Axes, optional
+        Where to draw.
+    """
+    rows = [ranking.row(name) for name in reversed(ranking.by_output_change)]
+    ax = new_axes(ax, size=(6.4, 1.2 + 0.28 * len(rows)))
+    places = np.arange(len(rows))
+    poor = [row.error >= 1.0 for row in rows]
+    for flag, colour, hatch, words in (
+        (False, COLOURS[1], "", "determined by these runs"),
+        (True, COLOURS[5], "///", "error beyond the value"),
+    ):
+        chosen = [i for i, one in enumerate(poor) if one is flag]
+        if chosen:
+            lengths = [rows[i].output_change for i in chosen]
+            ax.barh(places[chosen], lengths, height=0.62, color=colour, hatch=hatch,
+                    edgecolor="0.25", lw=0.6, label=words)  # fmt: skip
+    ax.set(xlabel=f"change of the outputs for {100 * ranking.change:g} % of the parameter [-]")
+    ax.set_yticks(places, [symbol_of(row.name) for row in rows])
+    clean(ax)
+    ax.grid(False, axis="y")
+    spread_legend(ax, loc="lower right")
+    return say(
+        ax,
+        f"{rows[-1].name} moves the outputs most ({rows[-1].output_change:.3g}), {rows[0].name} "
+        f"least ({rows[0].output_change:.3g}).",
+    )
 
 
 def plot_accuracy(design: Design, *, ax: Axes | None = None) -> Axes:
@@ -71,25 +120,100 @@ def plot_accuracy(design: Design, *, ax: Axes | None = None) -> Axes:
     ax : Axes, optional
         Where to draw.
     """
-    order = np.argsort(-design.relative_errors)
-    ax = new_axes(ax, size=(6.8, 1.4 + 0.28 * len(order)))
-    place = np.arange(len(order))
-    columns = [("designed", design.relative_errors, COLOURS[1], "o")]
+    columns = [Column("designed", design.relative_errors, COLOURS[1], "o")]
     for index, reference in enumerate(design.references):
         errors = reference.information.std_errors / design.sizes
-        columns.append(
-            (reference.name, errors, COLOURS[(2 * index) % len(COLOURS)], _MARKERS[1 + index % 3])
-        )
+        colour, marker = COLOURS[(2 * index) % len(COLOURS)], _MARKERS[1 + index % 3]
+        columns.append(Column(reference.name, errors, colour, marker))
     if np.isfinite(design.prior_errors).any():
-        columns.append(("before", design.prior_errors, NEUTRAL, "|"))
-    for name, errors, colour, marker in columns:
-        ax.plot(errors[order], place, marker, color=colour, ms=6, mew=1.2, label=name, ls="none")
+        columns.append(Column("before", design.prior_errors, NEUTRAL, "|"))
+    return draw_accuracy(design.names, columns, ax=ax)
+
+
+@dataclass(frozen=True)
+class Column:
+    """Relative errors of all parameters in one case, shape ``(n,)``, and their mark."""
+
+    name: str
+    errors: np.ndarray
+    colour: str
+    marker: str
+
+
+def draw_accuracy(
+    names: Sequence[str],
+    columns: Sequence[Column],
+    *,
+    ranges: tuple[np.ndarray, np.ndarray] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw expected relative errors, one row per parameter, the largest of the first case below.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Parameters.
+    columns : sequence of Column
+        Cases, the one that matters first.
+    ranges : tuple of ndarray (n,), optional
+        Lowest and highest errors of the first case on other vehicles.
+    ax : Axes, optional
+        Where to draw.
+    """
+    order = np.argsort(-columns[0].errors)
+    ax = new_axes(ax, size=(6.8, 1.4 + 0.28 * len(order)))
+    place = np.arange(len(order))
+    if ranges is not None:
+        ax.hlines(place, ranges[0][order], ranges[1][order], color=columns[0].colour, lw=4,
+                  alpha=0.35, label="other vehicles")  # fmt: skip
+    for one in columns:
+        ax.plot(one.errors[order], place, one.marker, color=one.colour, ms=6, mew=1.3,
+                label=one.name, ls="none")  # fmt: skip
     ax.set(xscale="log", xlabel="expected standard error / value [%]")
-    ax.set_yticks(place, [symbol_of(design.names[i]) for i in order])
+    ax.set_yticks(place, [symbol_of(names[i]) for i in order])
     clean(ax)
     _in_percent(ax)
-    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(columns))
-    return ax
+    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(len(columns) + 1, 3))
+    worst = order[0]
+    said = [f"{one.name} {100 * one.errors[worst]:.2g} %" for one in columns]
+    return say(
+        ax,
+        f"Least certain is {names[worst]}; its expected standard error is {', '.join(said)} of "
+        "the value.",
+    )
+
+
+def draw_motion(
+    ax: Axes,
+    channel: Input | Output | State,
+    times: np.ndarray,
+    values: np.ndarray,
+    bounds: tuple[float, float] | None,
+) -> None:
+    """Draw a command or a motion in the unit that people read, with limits where they are near.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where to draw.
+    channel : Input, Output or State
+        What it is.
+    times, values : ndarray (n_times,)
+        Over time, SI.
+    bounds : tuple of float, optional
+        Limits, SI.
+    """
+    turned = shown(channel, values)
+    held = isinstance(channel, Input) and channel.interpolation == "hold"
+    ax.plot(times, turned, color=COLOURS[1], lw=1.3,
+            drawstyle="steps-post" if held else "default")  # fmt: skip
+    for bound in shown(channel, bounds or ()):
+        inside = abs(bound - turned).min() < 1.5 * (np.ptp(turned) + 1e-9)
+        if np.isfinite(bound) and inside:
+            ax.axhline(bound, color=TRUTH, ls="--", lw=0.9)
+    ax.set_ylabel(label(channel, lines=2))
+    clean(ax)
+    say(ax, between(channel, turned))
 
 
 def figure_design(design: Design) -> Figure:
@@ -104,30 +228,16 @@ def figure_design(design: Design) -> Figure:
     limits = design.experiment.limits
     varied = [i for i in model.inputs if np.ptp(run.signal(i.name)) > 0]
     outputs = {o.name: o for o in model.outputs}
-    channels = {s.name: s for s in model.states} | outputs
-    shown: list[Input | Output | State] = [*varied]
-    names = dict.fromkeys((*limits.signals, *_TELLING, *channels))
-    shown += [channels[n] for n in names if n in channels][:3]
-    figure, grid = new_figure(len(shown), 2, size=(11.0, 1.7 * max(len(shown), 3)))
-    for row, channel in enumerate(shown):
-        ax = grid[row, 0]
-        turn = DEGREE if channel.unit in ("rad", "rad/s") else 1.0
-        values = turn * run.signal(channel.name)
-        step = "post" if isinstance(channel, Input) and channel.interpolation == "hold" else None
-        if step:
-            ax.step(run.times, values, where=step, color=COLOURS[1], lw=1.3)
-        else:
-            ax.plot(run.times, values, color=COLOURS[1], lw=1.3)
-        pair = (limits.inputs if isinstance(channel, Input) else limits.signals).get(channel.name)
-        for bound in pair or ():
-            inside = abs(turn * bound - values).min() < 1.5 * np.ptp(values)
-            if np.isfinite(bound) and inside:
-                ax.axhline(turn * bound, color=TRUTH, ls="--", lw=0.9)
-        text = label(channel, lines=2)
-        ax.set_ylabel(text.replace("[rad", "[deg") if turn != 1.0 else text)
-        clean(ax)
-        if row < len(shown) - 1:
-            ax.tick_params(labelbottom=False)
+    moved = {s.name: s for s in model.states} | outputs
+    names = dict.fromkeys((*limits.signals, *_TELLING, *moved))
+    channels: list[Input | Output | State] = [*varied]
+    channels += [moved[n] for n in names if n in moved][:3]
+    figure, grid = new_figure(len(channels), 2, size=(11.0, 1.7 * max(len(channels), 3)))
+    for ax, channel in zip(grid[:, 0], channels, strict=True):
+        kind = limits.inputs if isinstance(channel, Input) else limits.signals
+        bounds = kind.get(channel.name)
+        draw_motion(ax, channel, run.times, run.signal(channel.name), bounds)
+        ax.tick_params(labelbottom=ax is grid[-1, 0])
     grid[-1, 0].set_xlabel("time [s]")
     grid[0, 0].set_title("commands and predicted motion; dashed: limits")
     spec = grid[0, 1].get_gridspec()

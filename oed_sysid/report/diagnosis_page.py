@@ -54,8 +54,9 @@ def located_section(located: Located, train: Dataset | None) -> Section:
     pictures = [
         Picture.of(
             figure,
-            "Gain that a disturbance at each place of the signal chain brings over noise alone. "
-            "Beyond the line it is more than chance.",
+            "How far a disturbance at each place of the signal chain is behind the best one in "
+            "explaining what is left. Within the grey band the records cannot tell them apart; "
+            "the last row is no disturbance at all.",
         )
     ]
     words = [located.verdict]

@@ -7,6 +7,7 @@ import numpy as np
 from oed_sysid.compatibility import LogCheck
 from oed_sysid.diagnosis.compare import Comparison
 from oed_sysid.fitting.fit import Fit
+from oed_sysid.language.units import shown_unit
 from oed_sysid.report.comparison_page import comparison_sections, log_verdict
 from oed_sysid.report.fit_plots import (
     figure_fit,
@@ -178,16 +179,17 @@ def residual_section(fit: Fit, *, style: int = 0) -> Section:
         fit.model.outputs, fit.sigma, fit.sigma_estimated, strict=True
     ):
         independent, total = effective[output.name]
+        factor, unit = shown_unit(output.unit)
         white = sum(test.is_white for test in tests[output.name])
         rows.append(
             (
                 output.name,
-                f"{fit.rms[output.name]:.3g}",
-                f"{sigma:.3g} {'estimated' if estimated else 'declared'}",
+                f"{factor * fit.rms[output.name]:.3g}",
+                f"{factor * sigma:.3g} {'estimated' if estimated else 'declared'}",
                 f"{fit.rms[output.name] / sigma:.3g}",
                 f"{independent:.0f} of {total}",
                 f"{white} of {len(tests[output.name])}",
-                output.unit,
+                unit,
             )
         )
     headers = (

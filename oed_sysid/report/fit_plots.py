@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from oed_sysid.data.dataset import Record
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import autocorrelation, effective_sample_size
+from oed_sysid.language.units import shown_unit
 from oed_sysid.report.style import (
     DATA,
     NEUTRAL,
@@ -22,6 +23,8 @@ from oed_sysid.report.style import (
     model_style,
     new_axes,
     new_figure,
+    say,
+    shown,
     spread_legend,
     symbol_of,
 )
@@ -53,18 +56,23 @@ def plot_output(
     ax = new_axes(ax)
     row, times = _record(fit, record)
     column = fit.model.output_names.index(output)
-    measured = fit.dataset[row].outputs[:, column]
-    predicted = fit.predictions[row][:, column]
-    half = TWO_SIDED_95 * fit.sigma[column]
+    channel = fit.model.outputs[column]
+    measured = shown(channel, fit.dataset[row].outputs[:, column])
+    predicted = shown(channel, fit.predictions[row][:, column])
+    half = TWO_SIDED_95 * shown(channel, fit.sigma[column])
     look = model_style(style)
     ax.plot(times, measured, ".", color=DATA, ms=2.5, label="measured", rasterized=True)
     ax.fill_between(
         times, predicted - half, predicted + half, color=look.colour, alpha=0.25, lw=0,
-        label="model ± 1.96 noise", rasterized=True,
+        label="model ± noise (95 %)", rasterized=True,
     )  # fmt: skip
     ax.plot(times, predicted, color=look.colour, lw=1.5, label="model")
-    ax.set(xlabel="time $t$ [s]", ylabel=label(fit.model.outputs[column]))
-    return clean(ax)
+    ax.set(xlabel="time $t$ [s]", ylabel=label(channel))
+    return say(
+        clean(ax),
+        f"{fit.dataset[row].name}: residuals of {output} are "
+        f"{fit.rms[output] / fit.sigma[column]:.3g} times its noise.",
+    )
 
 
 def plot_residual(
@@ -74,14 +82,15 @@ def plot_residual(
     ax = new_axes(ax)
     row, times = _record(fit, record)
     column = fit.model.output_names.index(output)
-    half = TWO_SIDED_95 * fit.sigma[column]
+    channel = fit.model.outputs[column]
+    half = TWO_SIDED_95 * float(shown(channel, fit.sigma[column]))
     ax.axhspan(-half, half, color=NEUTRAL, alpha=0.3, lw=0, label="95 % of the noise")
     ax.axhline(0.0, color=TRUTH, lw=0.8)
     ax.plot(
-        times, fit.residuals[row][:, column], ".", color=model_style(style).colour, ms=2.5,
-        label="measured − model", rasterized=True,
+        times, shown(channel, fit.residuals[row][:, column]), ".", ms=2.5,
+        color=model_style(style).colour, label="measured − model", rasterized=True,
     )  # fmt: skip
-    ax.set(xlabel="time $t$ [s]", ylabel=f"residual [{fit.model.outputs[column].unit}]")
+    ax.set(xlabel="time $t$ [s]", ylabel=f"residual [{shown_unit(channel.unit)[1]}]")
     return clean(ax)
 
 
@@ -89,7 +98,7 @@ def plot_input(record: Record, name: str, *, ax: Axes | None = None) -> Axes:
     """Plot one commanded signal of a record, as it acts between samples."""
     ax = new_axes(ax, size=(6.4, 2.0))
     channel = record.channels.inputs[record.channels.input_names.index(name)]
-    values = record.input(name)
+    values = shown(channel, record.input(name))
     drawstyle = "steps-post" if channel.interpolation == "hold" else "default"
     ax.plot(record.times, values, color=TRUTH, lw=1.0, drawstyle=drawstyle)
     ax.set(xlabel="time $t$ [s]", ylabel=label(channel))
@@ -203,17 +212,20 @@ def plot_intervals(
     clean(ax)
     # Above: below, its distance from the axis' label would depend on the height.
     spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-    return ax
+    return say(ax, _least_certain(several))
 
 
 def plot_correlation(fit: Fit, *, ax: Axes | None = None) -> Axes:
     """Plot the correlation matrix of the estimates; numbers where it exceeds 0.5."""
     size = 1.6 + 0.42 * len(fit.names)
-    ax = new_axes(ax, size=(size + 0.8, size))
+    ax = new_axes(ax, size=(size + 1.6, size + 0.3))
     matrix = fit.correlation
     picture = ax.imshow(matrix, cmap=_DIVERGING, vmin=-1, vmax=1)
     ticks = range(len(fit.names))
-    ax.set_xticks(ticks, [symbol_of(name) for name in fit.names], rotation=60)
+    ax.set_xticks(
+        ticks, [symbol_of(name) for name in fit.names], rotation=60, ha="right",
+        rotation_mode="anchor",
+    )  # fmt: skip
     ax.set_yticks(ticks, [symbol_of(name) for name in fit.names])
     for i in ticks:
         for j in range(i):
@@ -226,7 +238,7 @@ def plot_correlation(fit: Fit, *, ax: Axes | None = None) -> Axes:
     ax.tick_params(labelsize=9, length=0)
     bar = ax.get_figure().colorbar(picture, ax=ax, shrink=0.8)  # type: ignore[union-attr]
     bar.set_label("correlation [-]")
-    return ax
+    return say(ax, _closest(fit))
 
 
 def figure_fit(fit: Fit, record: str | int = 0, *, style: int = 0) -> Figure:
@@ -274,6 +286,33 @@ def figure_whiteness(fit: Fit, *, style: int = 0) -> Figure:
     for ax in axes[:, 1:].flat:
         ax.set_ylabel("")
     return figure
+
+
+def _least_certain(fits: Sequence[Fit]) -> str:
+    """Which estimate has the widest interval, of each fit."""
+    said = []
+    for fit in fits:
+        half = {
+            name: TWO_SIDED_95 * fit.std_errors[name] / abs(value)
+            for name, value in fit.values.items()
+            if value
+        }
+        if half:
+            name = max(half, key=lambda one: half[one])
+            said.append(f"{fit.model.name}: least certain is {name}, ± {half[name]:.2g} (95 %).")
+    return " ".join(said)
+
+
+def _closest(fit: Fit) -> str:
+    """Which two estimates are hardest to tell apart."""
+    matrix = np.abs(np.tril(fit.correlation, -1))
+    if not matrix.size or not np.isfinite(matrix).any():
+        return ""
+    i, j = np.unravel_index(int(np.nanargmax(matrix)), matrix.shape)
+    return (
+        f"Hardest to tell apart are {fit.names[j]} and {fit.names[i]}: correlation "
+        f"{fit.correlation[i, j]:+.2f}."
+    )
 
 
 def _record(fit: Fit, record: str | int) -> tuple[int, np.ndarray]:

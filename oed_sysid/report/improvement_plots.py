@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from oed_sysid.diagnosis.improvement import Improvement
-from oed_sysid.diagnosis.locate import CLEAR, Located
+from oed_sysid.diagnosis.locate import GROUP_WIDTH, Located
 from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.report.style import (
     COLOURS,
@@ -16,6 +17,8 @@ from oed_sysid.report.style import (
     TRUTH,
     clean,
     new_axes,
+    new_figure,
+    say,
     spread_legend,
 )
 
@@ -77,7 +80,14 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
         handles=handles, frameon=False, fontsize=8.5, ncols=3, loc="upper center",
         bbox_to_anchor=(0.5, -0.18 - 0.4 / len(names)),
     )  # fmt: skip
-    return ax
+    if not ranking.refits:
+        return say(ax, "No candidate was worth a refit.")
+    best = ranking.refits[0]
+    return say(
+        ax,
+        f"{best.name} gains most, {best.gain:.4g} in twice the log-likelihood; "
+        f"{ranking.needed(best):.3g} are needed.",
+    )
 
 
 def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes:
@@ -129,14 +139,20 @@ def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes
     clean(ax)
     ax.grid(False, axis="x")
     spread_legend(ax, loc="upper right")
-    return ax
+    kind = "validation" if np.isfinite(test).any() else "training"
+    return say(
+        ax,
+        f"The error on the {kind} records goes from {shown[0]:.3g} to {shown[-1]:.3g} times the "
+        f"noise with {', '.join(step.added for step in steps) or 'nothing added'}.",
+    )
 
 
 def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None) -> Axes:
-    """Plot where a model fails: evidence for a disturbance at each place of the signal chain.
+    """Plot where a model fails: how far each place of the signal chain is behind the best.
 
-    The line is what chance rarely exceeds; hatched places cannot be told from
-    the best.
+    A disturbance at each place explains what is left, some better than others. Bars are what a
+    place falls short of the best one, in twice the log-likelihood; the last row is no disturbance
+    at all. Within the grey band records cannot tell a place from the best (hatched).
 
     Parameters
     ----------
@@ -147,23 +163,42 @@ def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None)
     ax : Axes, optional
         Where to draw.
     """
-    places = [(place.name, located.evidence[place.name]) for place in located.places[:n_shown]]
+    top = max([*located.evidence.values(), 0.0])
+    places = [(place.name, top - located.evidence[place.name]) for place in located.places]
+    places = [*places[:n_shown], ("no disturbance", top)]
     ax = new_axes(ax, size=(6.4, 1.2 + 0.3 * len(places)))
     rows = np.arange(len(places))[::-1]
-    for (name, value), row in zip(places, rows, strict=True):
+    ax.axvspan(
+        0.0, GROUP_WIDTH, color=NEUTRAL, alpha=0.3, lw=0, label="cannot be told from the best"
+    )
+    for (name, behind), row in zip(places, rows, strict=True):
         alike = name in located.group and name != located.best
-        colour = COLOURS[0] if name == located.best else "#f0b48a" if alike else "0.8"
         ax.barh(
-            row, max(value, 0.0), height=0.62, color=colour, edgecolor="0.25", lw=0.6,
+            row, behind, height=0.62, color="#f0b48a" if alike else "0.8", edgecolor="0.25", lw=0.6,
             hatch="///" if alike else None,
         )  # fmt: skip
-    ax.axvline(CLEAR, color=TRUTH, ls="--", lw=1.0)
-    _readable_scale(ax, max([value for _, value in places], default=1.0))
+        if name == located.best:
+            ax.plot(0.0, row, "D", ms=8, color=COLOURS[0], mec="0.25", clip_on=False, zorder=4)
+            words = f"  best: {top:,.0f} above no disturbance"
+            ax.annotate(words, (0.0, row), xytext=(6, 0), textcoords="offset points",
+                        va="center", fontsize=8.5)  # fmt: skip
+    _readable_scale(ax, max([behind for _, behind in places], default=1.0))
     ax.set_yticks(rows, [name for name, _ in places])
-    ax.set(xlabel="evidence: gain in twice the log-likelihood [-]")
+    ax.set(xlabel="behind the best place: twice the log-likelihood [-]")
     clean(ax)
     ax.grid(False, axis="y")
-    return ax
+    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    return say(ax, located.verdict)
+
+
+def figure_diagnosis(located: Located, ranking: Ranking) -> Figure:
+    """Where a model fails, above which candidates would explain it."""
+    n_places, n_names = min(len(located.places), 14), min(len(ranking.order), 12)
+    heights = (1.4 + 0.28 * n_places, 2.0 + 0.3 * n_names)
+    figure, axes = new_figure(2, 1, size=(7.4, sum(heights)), height_ratios=heights)
+    plot_located(located, ax=axes[0, 0])
+    plot_ranking(ranking, ax=axes[1, 0])
+    return figure
 
 
 def _readable_scale(ax: Axes, largest: float) -> None:

@@ -19,7 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from oed_sysid.errors import DataError
 from oed_sysid.estimators.multistart import SAME_OPTIMUM
 from oed_sysid.fitting.fit import Fit
-from oed_sysid.report.style import NEUTRAL, clean, model_style, new_axes, spread_legend
+from oed_sysid.report.style import NEUTRAL, clean, model_style, new_axes, say, spread_legend
 
 # Plateaus above the lowest one that get a number.
 MOST_NAMED = 4
@@ -121,4 +121,4 @@ def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
     ax.set_ylim(-0.5 * SAME_OPTIMUM, 3.0 * top)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     spread_legend(ax, loc="best")
-    return clean(ax)
+    return say(clean(ax), f"{title}{f'; {lost} diverged' if lost else ''}.")

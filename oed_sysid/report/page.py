@@ -13,6 +13,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from oed_sysid import files
+from oed_sysid.report.style import finding
 from oed_sysid.version import __version__
 
 _RESOLUTION = 110
@@ -27,11 +28,14 @@ class Picture:
     source : str
         Data URI of the picture.
     caption : str
-        What it shows and how to read it; also its text for those who cannot see it.
+        What it shows and how to read it.
+    finding : str
+        What is to be seen, in words, for those who cannot see it.
     """
 
     source: str
     caption: str
+    finding: str = ""
 
     @classmethod
     def of(cls, figure: Figure, caption: str) -> Picture:
@@ -41,7 +45,7 @@ class Picture:
         with mpl.rc_context({"svg.hashsalt": "oed_sysid"}):
             figure.savefig(target, format="svg", dpi=_RESOLUTION, metadata={"Date": None})
         coded = base64.b64encode(target.getvalue()).decode("ascii")
-        return cls(f"data:image/svg+xml;base64,{coded}", caption)
+        return cls(f"data:image/svg+xml;base64,{coded}", caption, finding(figure))
 
 
 @dataclass(frozen=True)

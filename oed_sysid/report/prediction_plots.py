@@ -21,6 +21,8 @@ from oed_sysid.report.style import (
     model_style,
     new_axes,
     new_figure,
+    say,
+    shown,
     spread_legend,
 )
 
@@ -61,13 +63,15 @@ def plot_prediction(
     several, row, column, styles = _chosen(predictions, output, record, styles)
     ax = new_axes(ax)
     data = several[0].dataset[row]
+    channel = data.channels.outputs[column]
     ax.plot(
-        data.times, data.outputs[:, column], ".", color=DATA, ms=2.5, label="measured",
-        rasterized=True,
+        data.times, shown(channel, data.outputs[:, column]), ".", color=DATA, ms=2.5,
+        label="measured", rasterized=True,
     )  # fmt: skip
     for number, (place, one) in enumerate(zip(styles, several, strict=True)):
         look = model_style(place)
-        mean, half = one.outputs[row][:, column], TWO_SIDED_95 * one.std[row][:, column]
+        mean = shown(channel, one.outputs[row][:, column])
+        half = TWO_SIDED_95 * shown(channel, one.std[row][:, column])
         ax.fill_between(
             data.times, mean - half, mean + half, color=look.colour, alpha=0.2, lw=0,
             rasterized=True,
@@ -76,8 +80,8 @@ def plot_prediction(
             data.times, mean, color=look.colour, linestyle=look.dashes, lw=1.5,
             label=labels[number] if labels else f"model {number + 1}",
         )  # fmt: skip
-    ax.set(xlabel="time $t$ [s]", ylabel=label(data.channels.outputs[column]))
-    return clean(ax)
+    ax.set(xlabel="time $t$ [s]", ylabel=label(channel))
+    return say(clean(ax), " ".join(_errors(several, row, column, labels)))
 
 
 def plot_prediction_error(
@@ -146,7 +150,7 @@ def plot_comparison(comparison: Comparison, *, ax: Axes | None = None) -> Axes:
     clean(ax)
     ax.grid(False, axis="x")
     spread_legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
-    return ax
+    return say(ax, comparison.verdict.splitlines()[-1])
 
 
 def figure_predictions(
@@ -185,6 +189,21 @@ def figure_predictions(
     spread_legend(axes[0, 0], loc="upper right", ncols=3, fontsize=8, markerscale=3)
     figure.align_ylabels()
     return figure
+
+
+def _errors(
+    several: Sequence[Prediction], row: int, column: int, labels: Sequence[str] | None
+) -> list[str]:
+    """Root mean square error of each model on one output, in units of the noise."""
+    said = []
+    for number, one in enumerate(several):
+        off = one.residuals[row][:, column] / one.sigma[column]
+        name = labels[number] if labels else f"model {number + 1}"
+        output = one.dataset.channels.output_names[column]
+        if np.isfinite(off).any():
+            size = float(np.sqrt(np.nanmean(off**2)))
+            said.append(f"{name} misses {output} by {size:.3g} times its noise.")
+    return said
 
 
 def _chosen(

@@ -8,19 +8,9 @@ from matplotlib.figure import Figure
 
 from oed_sysid.channels import Input, Output, State
 from oed_sysid.design import Candidate, Programme
-from oed_sysid.report.design_plots import _in_percent
-from oed_sysid.report.style import (
-    COLOURS,
-    DEGREE,
-    NEUTRAL,
-    TRUTH,
-    clean,
-    label,
-    new_axes,
-    new_figure,
-    spread_legend,
-    symbol_of,
-)
+from oed_sysid.language.units import shown_unit
+from oed_sysid.report.design_plots import Column, draw_accuracy, draw_motion
+from oed_sysid.report.style import COLOURS, NEUTRAL, new_figure
 from oed_sysid.simulation import simulate
 
 _TELLING = ("theta", "psi", "phi", "r", "q", "z", "u")
@@ -38,27 +28,16 @@ def plot_programme_accuracy(programme: Programme, *, ax: Axes | None = None) -> 
     ax : Axes, optional
         Where to draw.
     """
-    errors = programme.relative_errors
-    order = np.argsort(-errors)
-    ax = new_axes(ax, size=(6.8, 1.4 + 0.28 * len(order)))
-    place = np.arange(len(order))
-    names = [programme.names[i] for i in order]
-    if programme.spread is not None:
-        ax.hlines(place, programme.spread.lowest[order], programme.spread.highest[order],
-                  color=COLOURS[1], lw=4, alpha=0.35, label="other vehicles")  # fmt: skip
-    ax.plot(errors[order], place, "o", color=COLOURS[1], ms=6, label="programme")
+    columns = [Column("programme", programme.relative_errors, COLOURS[1], "o")]
     if programme.standard is not None:
-        theirs = [programme.standard.errors[name] for name in names]
-        ax.plot(theirs, place, "s", color=COLOURS[0], ms=6, label="standard trials, equal time")
+        theirs = np.array([programme.standard.errors[name] for name in programme.names])
+        columns.append(Column("standard trials, equal time", theirs, COLOURS[0], "s"))
     if programme.prior is not None:
         before = programme.prior.std_errors / programme.sizes
-        ax.plot(before[order], place, "|", color=NEUTRAL, ms=8, mew=1.5, label="before")
-    ax.set(xscale="log", xlabel="expected standard error / value [%]")
-    ax.set_yticks(place, [symbol_of(name) for name in names])
-    clean(ax)
-    _in_percent(ax)
-    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    return ax
+        columns.append(Column("before", before, NEUTRAL, "|"))
+    spread = programme.spread
+    ranges = None if spread is None else (spread.lowest, spread.highest)
+    return draw_accuracy(programme.names, columns, ranges=ranges, ax=ax)
 
 
 def figure_programme(programme: Programme) -> Figure:
@@ -95,17 +74,11 @@ def _draw_run(programme: Programme, run: Candidate, left: Axes, right: Axes) -> 
     times = run.experiment.times
     number = [i for i, one in enumerate(programme.runs, start=1) if one.name == run.name]
     left.set_title(f"{', '.join(map(str, number))}: {run.name}", fontsize=9, loc="left")
+    kept = programme.assurances.get(run.name)
     for ax, channel, values in shown:
-        turn = DEGREE if channel.unit in ("rad", "rad/s") else 1.0
-        ax.plot(times, turn * values, color=COLOURS[1], lw=1.2)
-        text = label(channel, lines=2)
-        ax.set_ylabel(text.replace("[rad", "[deg") if turn != 1.0 else text)
-        kept = programme.assurances.get(run.name)
+        kind = limits.inputs if isinstance(channel, Input) else limits.signals
+        draw_motion(ax, channel, times, values, kind.get(channel.name))
         if not isinstance(channel, Input) and kept is not None and channel.name in kept.ranges:
+            factor = shown_unit(channel.unit)[0]
             for bound in kept.ranges[channel.name]:
-                ax.axhline(turn * bound, color=NEUTRAL, ls=":", lw=1)
-        pair = (limits.inputs if isinstance(channel, Input) else limits.signals).get(channel.name)
-        for bound in pair or ():
-            if np.isfinite(bound) and abs(bound - values).min() < 1.5 * (np.ptp(values) + 1e-9):
-                ax.axhline(turn * bound, color=TRUTH, ls="--", lw=0.9)
-        clean(ax)
+                ax.axhline(factor * bound, color=NEUTRAL, ls=":", lw=1)

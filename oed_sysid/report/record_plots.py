@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from oed_sysid.channels import Input, Output
 from oed_sysid.data.record import Record
-from oed_sysid.report.style import DATA, DEGREE, TRUTH, clean, label, new_figure
+from oed_sysid.report.style import DATA, TRUTH, between, clean, label, new_figure, say, shown
 
 
 def figure_record(record: Record) -> Figure:
@@ -22,23 +22,21 @@ def figure_record(record: Record) -> Figure:
         The record.
     """
     measured = [o for o in record.channels.outputs if np.isfinite(record.output(o.name)).any()]
-    shown: list[Input | Output] = [*record.channels.inputs, *measured]
-    columns = 1 if len(shown) < 4 else 2
-    rows = -(-len(shown) // columns)
+    channels: list[Input | Output] = [*record.channels.inputs, *measured]
+    columns = 1 if len(channels) < 4 else 2
+    rows = -(-len(channels) // columns)
     figure, grid = new_figure(rows, columns, size=(5.4 * columns, 1.9 * rows), sharex=True)
-    for ax, channel in zip(grid.T.flat, shown, strict=False):
-        turn = DEGREE if channel.unit in ("rad", "rad/s") else 1.0
+    for ax, channel in zip(grid.T.flat, channels, strict=False):
         if isinstance(channel, Input):
             style = "steps-post" if channel.interpolation == "hold" else "default"
-            values = turn * record.input(channel.name)
+            values = shown(channel, record.input(channel.name))
             ax.plot(record.times, values, color=TRUTH, lw=1.0, drawstyle=style)
         else:
-            values = turn * record.output(channel.name)
+            values = shown(channel, record.output(channel.name))
             ax.plot(record.times, values, ".", color=DATA, ms=2.0, rasterized=True)
-        text = label(channel, lines=2)
-        ax.set_ylabel(text.replace("[rad", "[deg") if turn != 1.0 else text)
-        clean(ax)
-    for ax in list(grid.T.flat)[len(shown) :]:
+        ax.set_ylabel(label(channel, lines=2))
+        say(clean(ax), between(channel, values))
+    for ax in list(grid.T.flat)[len(channels) :]:
         ax.set_visible(False)
     for column in grid.T:
         lowest = [ax for ax in column if ax.get_visible()][-1]

@@ -16,11 +16,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from oed_sysid.channels import Input, Output, State
 from oed_sysid.errors import FileError
 from oed_sysid.files import whole_file
 from oed_sysid.language import notation
+from oed_sysid.language.units import shown_unit
 
 TRUTH = "black"
 DATA = "0.45"
@@ -79,6 +81,10 @@ def save_figure(figure: Figure, path: str | Path, **settings: Any) -> Path:
         raise FileError(
             f"{str(path)!r} does not end like a picture. Choose .{', .'.join(sorted(formats))}."
         )
+    key = {"png": "Description", "svg": "Description", "pdf": "Subject"}.get(ending)
+    text = finding(figure)
+    if key and text:
+        settings = {"metadata": {key: text}} | settings
     with whole_file(path) as part:
         figure.savefig(part, **settings)
     return Path(path)
@@ -115,19 +121,62 @@ def clean(ax: Axes) -> Axes:
 
 
 def label(channel: State | Input | Output, *, lines: int = 1) -> str:
-    """Axis label of a signal: words, symbol and unit.
+    """Axis label of a signal: words, symbol and the unit that is shown; see :func:`shown`.
 
     Examples
     --------
+    >>> label(State("q", "rad/s", "pitch rate"))
+    'pitch rate $q$ [deg/s]'
     >>> label(Output("w", "m/s", "heave velocity")), label(Input("thrust", "N", "thrust"))
     ('heave velocity $w$ [m/s]', 'thrust [N]')
     """
-    symbol, unit = symbol_of(channel.name), f"[{channel.unit or '-'}]"
+    symbol, unit = symbol_of(channel.name), f"[{shown_unit(channel.unit)[1] or '-'}]"
     if symbol.startswith("$"):
         parts = (channel.label, f"{symbol} {unit}")
     else:
         parts = (channel.label or symbol, unit)
     return ("\n" if lines > 1 else " ").join(part for part in parts if part)
+
+
+def shown(channel: State | Input | Output, values: ArrayLike) -> np.ndarray:
+    """Values of a signal in the unit of its label: angles in degrees.
+
+    Examples
+    --------
+    >>> shown(State("theta", "rad"), [0.1, 0.2]).round(2).tolist()
+    [5.73, 11.46]
+    """
+    return shown_unit(channel.unit)[0] * np.asarray(values, dtype=float)
+
+
+def say(ax: Axes, finding: str) -> Axes:
+    """Attach the finding of a picture to its axes, for those who cannot see it.
+
+    It is written into the file by :func:`save_figure`; :func:`finding` reads it.
+    """
+    ax.set_label(finding)
+    return ax
+
+
+def between(channel: State | Input | Output, values: np.ndarray) -> str:
+    """Range of a signal, given in the unit that is shown, as a sentence."""
+    unit = shown_unit(channel.unit)[1]
+    words = f"{channel.name} between {np.nanmin(values):.3g} and {np.nanmax(values):.3g} {unit}"
+    return f"{words.rstrip()}."
+
+
+def finding(picture: Axes | Figure) -> str:
+    """What a picture shows, in words.
+
+    Examples
+    --------
+    >>> ax = say(new_axes(None), "Z_w is 12 % too small.")
+    >>> finding(ax.figure)
+    'Z_w is 12 % too small.'
+    """
+    several = picture.axes if isinstance(picture, Figure) else [picture]
+    said = [str(ax.get_label()) for ax in several]
+    return " ".join(text for text in dict.fromkeys(said) if text and not text.startswith("<"))
 
 
 def symbol_of(name: str) -> str:

@@ -1,0 +1,146 @@
+"""The answer of each command in one line: what a reader asked, before what it rests on."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from oed_sysid.benchmark import Benchmark
+    from oed_sysid.design.result import Design
+    from oed_sysid.diagnosis.compare import Comparison
+    from oed_sysid.diagnosis.diagnose import Diagnosis
+    from oed_sysid.diagnosis.improvement import Improvement
+    from oed_sysid.fitting.fit import Fit
+    from oed_sysid.sensitivity import SensitivityRanking, Subset
+
+# Multiple of the noise up to which residuals say no more than noise would.
+NOISE = 1.2
+# Standard errors in half of a 95 % interval.
+HALF_WIDTH = 1.96
+# Share of possible vehicles that have to keep the limits.
+SAFE = 0.9
+
+
+def of_fit(fit: Fit, comparison: Comparison | None = None) -> str:
+    """Say whether a fit can be used, how certain it is, and how well it fits and predicts."""
+    n = len(fit.names)
+    known = f"{n} parameters" if n != 1 else "1 parameter"
+    if not fit.status.ok:
+        return f"Not usable: the fit of {fit.model.name} ended as {fit.status.code}."
+    if fit.grave:
+        return f"Not usable: {fit.grave[0].text}"
+    errors = {
+        name: HALF_WIDTH * fit.std_errors[name] / abs(value) if value else math.inf
+        for name, value in fit.values.items()
+    }
+    words = f"{fit.model.name}: {known} estimated"
+    if errors:
+        worst = max(errors, key=lambda name: errors[name])
+        words += f", the least certain {worst} ± {share(errors[worst])} (95 %)"
+    size = fit.normalised_rms
+    words += f"; residuals are {size:.3g} × noise"
+    if not size < NOISE:
+        words += ", so the model lacks something"
+    if comparison is not None:
+        words += f"; errors on the validation records {comparison.best.relative:.3g} × noise"
+    return f"{words}."
+
+
+def of_comparison(comparison: Comparison) -> str:
+    """Say which model predicts best, and whether what is left is noise."""
+    best = comparison.best
+    left = "noise is left" if best.is_noise else "more than noise is left"
+    if len(comparison.models) == 1:
+        return f"{best.label} predicts to {best.relative:.3g} × noise: {left}."
+    return (
+        f"{best.label} predicts best, to {best.relative:.3g} × noise: {left}; the others to "
+        + ", ".join(f"{m.relative:.3g} ({m.label})" for m in comparison.models if m is not best)
+        + "."
+    )
+
+
+def of_diagnosis(diagnosis: Diagnosis) -> str:
+    """Say which effect is missing."""
+    group = diagnosis.group
+    if not group:
+        return f"{diagnosis.model.name}: no candidate explains more than chance does."
+    others = f"; these records cannot tell it from {', '.join(group[1:])}" if group[1:] else ""
+    return f"{diagnosis.model.name} lacks {group[0]}{others}."
+
+
+def of_improvement(result: Improvement) -> str:
+    """Say what is missing, and what it is worth on the validation records."""
+    before, after = result.base_error, result.final_error
+    kind = "train" if math.isnan(before["test"]) else "test"
+    on = {"train": "training", "test": "validation"}[kind]
+    if result.remains.kind == "log suspect":
+        return f"Log suspect: nothing about {result.base.name} can be claimed from it."
+    if not result.steps:
+        return (
+            f"Nothing is missing from {result.base.name} that these records could show: error on "
+            f"the {on} records {before[kind]:.3g} × noise."
+        )
+    names = " and ".join(step.added for step in result.steps)
+    return (
+        f"{result.base.name} lacks {names}: with it the error on the {on} records falls from "
+        f"{before[kind]:.3g} to {after[kind]:.3g} × noise; {result.remains.kind}."
+    )
+
+
+def of_ranking(ranking: SensitivityRanking, subset: Subset) -> str:
+    """Say how many parameters can be estimated, and which not."""
+    n, of = len(subset.names), len(subset.order)
+    fixed = f"; fix {', '.join(subset.left_out)}" if subset.left_out else ""
+    runs = ", ".join(ranking.runs)
+    return f"{n} of {of} parameters can be estimated together from {runs}{fixed}."
+
+
+def of_design(design: Design) -> str:
+    """Say what the run will tell, and whether it keeps its limits."""
+    errors = HALF_WIDTH * design.relative_errors
+    words = f"{design.experiment.name}: "
+    found = design.assurance
+    if found is not None and found.limited and found.probability < SAFE:
+        words = f"DANGER: {words}"
+    worst = int(errors.argmax())
+    words += f"after {design.experiment.duration:g} s the least certain of {len(errors)} parameters"
+    words += f" is {design.names[worst]}, ± {share(errors[worst])} (95 %)"
+    if design.references:
+        reference = design.references[0]
+        gain = design.gain(reference)[0]
+        words += (
+            f"; {reference.name} would leave {gain:.3g} × larger errors"
+            if math.isfinite(gain)
+            else f"; {reference.name} alone would not determine all of them"
+        )
+    if found is not None and found.limited:
+        words += f"; limits kept on {found.probability:.0%} of possible vehicles"
+    return f"{words}."
+
+
+def share(value: float) -> str:
+    """Write a share in per cent."""
+    return f"{100 * value:.2g} %" if value < 10 else "more than 1000 %"
+
+
+def of_benchmark(result: Benchmark) -> str:
+    """Say who has the smallest errors, in how many settings."""
+    settings: dict[object, str] = {}
+    for row in result.rows:  # best first in each setting
+        if not row.refused:
+            settings.setdefault(row.setting, row.estimator)
+    wins = Counter(settings.values()).most_common(3)
+    return (
+        "Smallest errors of the parameters that the data determine: "
+        + ", ".join(f"{name} in {n} of {len(settings)} settings" for name, n in wins)
+        + "."
+    )
+
+
+def of_rates(n_cases: int, rates: Sequence[Mapping[str, Any]]) -> str:
+    """Say the first two rates of a benchmark of hidden effects."""
+    named = "; ".join(f"{one['name']} {one['value']:.3g} of {one['count']}" for one in rates[:2])
+    return f"{n_cases} cases: {named}."

@@ -1,0 +1,312 @@
+"""One grammar for all commands: files, records to judge with, limits, quiet, pictures, examples."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from test_walks import mapping_of, write_log
+
+from oed_sysid import new_problem
+from oed_sysid.cli import BAD_INPUT, DONE, main
+from oed_sysid.cli.application import app
+from oed_sysid.cli.terminal import Shown
+from oed_sysid.fitting.gauss_newton import Progress
+from oed_sysid.problem import list_problems
+
+PROBLEM = "remus_diving_plane"
+
+
+def commands() -> dict[str, object]:
+    """Every command with its words, ``benchmark estimators`` included."""
+    found = {}
+    for name, command in typer.main.get_command(app).commands.items():
+        inner = getattr(command, "commands", None)
+        if inner:
+            found |= {f"{name} {word}": one for word, one in inner.items()}
+        else:
+            found[name] = command
+    return found
+
+
+def examples() -> list[tuple[str, str]]:
+    """Name and line of every example in a help text."""
+    lines = []
+    for name, command in commands().items():
+        text = re.sub(r"\s*\n\s*(?=[^\n])", " ", command.help.replace("\n\n", "\f"))
+        lines += [(name, one) for one in re.findall(r"Example\[/bold\]: ([^\f]*)", text)]
+    return lines
+
+
+# What does not end within seconds.
+LONG = ("design", "programme", "campaign", "diagnose", "improve", "benchmark", "import")
+
+
+@pytest.fixture(name="dives", scope="module")
+def _dives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with three records of an AUV, and a saved fit of two of them."""
+    folder = tmp_path_factory.mktemp("dives")
+    line = ["simulate", PROBLEM, "--out", str(folder / "runs"), "--experiment"]
+    names = ("zigzag_5_5", "zigzag_10_10", "steps")
+    assert main([*line, *names]) == DONE
+    for number, name in enumerate(names, start=1):
+        shutil.copy(folder / "runs" / f"{name}.csv", folder / f"dive_{number}.csv")
+    files = [str(folder / f"dive_{number}.csv") for number in (1, 2)]
+    assert main(["fit", PROBLEM, *files, "--save", str(folder / "fit.json")]) == DONE
+    shutil.copy(folder / "fit.json", folder / "better.json")
+    return folder
+
+
+def test_every_command_has_examples() -> None:
+    """Each help text shows at least one line, which names its own command."""
+    shown = examples()
+    assert {name for name, _ in shown} == set(commands())
+    for name, line in shown:
+        assert line.startswith(f"oed-sysid {name} "), line
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        pytest.param(line, marks=pytest.mark.slow if name.split()[0] in LONG else ())
+        for name, line in examples()
+    ],
+)
+def test_example_runs(
+    line: str, dives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    """Every example of a help text ends well where the files that it names exist."""
+    started = []
+    monkeypatch.setattr("oed_sysid.app.launch.start", lambda *given, **_: started.append(given))
+    for file in dives.glob("*.*"):
+        shutil.copy(file, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    if " import " in line:
+        new_problem(tmp_path / "my_ship", template="ship")
+        write_log("ship", tmp_path)
+        Path("ship.toml").write_text(mapping_of("ship"))
+    assert main(shlex.split(line)[1:]) == DONE
+    assert capsys.readouterr().out.strip() or started == [(PROBLEM,)]
+    for option in ("--out", "--html", "--save"):
+        if option in shlex.split(line):
+            words = shlex.split(line)
+            assert Path(words[words.index(option) + 1]).exists()
+
+
+def test_older_words_mean_the_same(dives: Path, tmp_path: Path, capsys) -> None:
+    """--train, --test and --records give the numbers of the present words, and are not shown."""
+    one, two, three = (str(dives / f"dive_{number}.csv") for number in (1, 2, 3))
+    found = []
+    for given in (["--train", one, two, "--test", three], [one, two, "--validate", three]):
+        stored = tmp_path / "compare.json"
+        assert main(["compare", PROBLEM, *given, "--json", str(stored)]) == DONE
+        found.append(json.loads(stored.read_text())["models"])
+    assert found[0] == found[1]
+    capsys.readouterr()
+    for command in ("compare", "improve", "diagnose", "fit", "report", "rank", "check"):
+        assert main([command, "--help"]) == DONE
+        shown = capsys.readouterr().out
+        assert not re.search(r"--(train|test|records)\b", shown)
+
+
+def test_fit_judges_with_validation_records(dives: Path, tmp_path: Path, capsys) -> None:
+    """`fit --validate` predicts other records, and refuses those that it has learnt from."""
+    one, two, three = (str(dives / f"dive_{number}.csv") for number in (1, 2, 3))
+    stored = tmp_path / "fit.json"
+    assert main(["fit", PROBLEM, one, two, "--validate", three, "--json", str(stored)]) == DONE
+    (model,) = json.loads(stored.read_text())["validation"]["models"]
+    assert 0.9 < model["relative"] < 1.1
+    assert f"{model['relative']:.3g} × noise" in capsys.readouterr().out.splitlines()[0]
+    assert main(["fit", PROBLEM, one, two, "--validate", two]) == BAD_INPUT
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "problems",
+        f"problems {PROBLEM}",
+        "new made",
+        f"simulate {PROBLEM} --experiment steps --out one.csv",
+        f"check {PROBLEM} dive_1.csv",
+        f"rank {PROBLEM} dive_1.csv",
+        f"fit {PROBLEM} dive_1.csv",
+        f"compare {PROBLEM} dive_1.csv --validate dive_2.csv",
+        "report fit.json --validate dive_3.csv",
+        "export fit.json --as python --out model.py",
+    ],
+)
+def test_quiet_is_one_line(line: str, dives: Path, monkeypatch, capfd) -> None:
+    """With --quiet a command prints its answer in one line and nothing on standard error."""
+    monkeypatch.chdir(dives)
+    assert main([*line.split(), "--quiet"]) == DONE
+    printed = capfd.readouterr()
+    assert len(printed.out.splitlines()) == 1
+    assert not [text for text in printed.err.splitlines() if "compiling" not in text]
+    shutil.rmtree(dives / "made", ignore_errors=True)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"simulate {PROBLEM} --experiment steps --out one.csv",
+        f"check {PROBLEM} dive_1.csv",
+        f"rank {PROBLEM} dive_1.csv",
+        f"fit {PROBLEM} dive_1.csv",
+        f"fit {PROBLEM} dive_1.csv --validate dive_2.csv",
+        f"compare {PROBLEM} dive_1.csv --validate dive_2.csv",
+        "report fit.json --validate dive_3.csv",
+    ],
+)
+def test_picture_of_a_result(line: str, dives: Path, monkeypatch) -> None:
+    """--picture draws the result of a command, never a blank page."""
+    import matplotlib.image
+
+    monkeypatch.chdir(dives)
+    picture = dives / "result.png"
+    picture.unlink(missing_ok=True)
+    assert main([*line.split(), "--picture", str(picture), "--quiet"]) == DONE
+    pixels = matplotlib.image.imread(picture)[..., :3]
+    assert pixels.shape[0] > 200
+    assert (pixels < 0.9).any(axis=2).mean() > 0.01
+
+
+def test_every_result_can_be_drawn_and_silenced() -> None:
+    """--quiet belongs to every command, --picture to all whose result is more than text."""
+    words = {name: {w for p in one.params for w in p.opts} for name, one in commands().items()}
+    assert all("--quiet" in some for some in words.values())
+    without = {name for name, some in words.items() if "--picture" not in some}
+    plain = {"problems", "new", "export", "app", "campaign", "benchmark missing-physics"}
+    assert without <= plain
+    for name in ("fit", "compare", "improve", "report", "check"):
+        assert "--validate" in words[name]
+
+
+# -- limits ------------------------------------------------------------------------------
+
+
+def test_limits_of_a_problem_are_options(capsys) -> None:
+    """`design PROBLEM --help` lists the limits of that vehicle, with those that hold now."""
+    assert main(["design", "auv_diving_plane", "--help"]) == DONE
+    shown = capsys.readouterr().out
+    for word in ("--max-fin", "--max-fin-rate", "--max-pitch", "--min-depth", "--depth"):
+        assert re.search(rf"{word}\s", shown), word
+    assert "now ±5" in shown
+    assert "--max-rudder" not in shown
+    assert main(["design", "online_ship", "--help"]) == DONE
+    shown = capsys.readouterr().out
+    assert "--max-rudder" in shown
+    assert "--min-depth" not in shown
+    assert main(["fit", "auv_diving_plane", "--help"]) == DONE
+    assert "--min-depth" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "limit"),
+    [
+        (["--max-fin", "10"], "max:fin=10"),
+        (["--max-fin=10deg"], "max:fin=10deg"),
+        (["--max-delta_s", "10"], "max:delta_s=10"),
+        (["--max-delta-s", "10"], "max:delta-s=10"),
+        (["--depth", "80:120"], "depth=80:120"),
+        (["--pitch=-20:15"], "pitch=-20:15"),
+        (["--min-depth", "80", "--limit", "u=1:2"], "min:depth=80"),
+    ],
+)
+def test_limits_are_parsed_as_options(given: list[str], limit: str) -> None:
+    """An option of a limit is one value of --limit, wherever it stands on the line."""
+    command = commands()["design"]
+    for line in (["auv_diving_plane", *given], [*given, "--seed", "1"]):
+        if line[0].startswith("-"):
+            line = ["auv_diving_plane", *line]
+        context = command.make_context("design", list(line))
+        assert limit in context.params["limit"]
+        assert not [name for name in context.params if name.startswith("limit_")]
+
+
+def test_unknown_limit_is_an_unknown_option(capsys) -> None:
+    """A channel that the vehicle does not have is no option; the nearest ones are named."""
+    assert main(["design", "auv_diving_plane", "--max-finn", "10"]) == BAD_INPUT
+    assert "--max-fin" in capsys.readouterr().err.replace("--max-finn", "")
+
+
+# -- the shell ---------------------------------------------------------------------------
+
+
+def complete(line: str) -> list[str]:
+    """What the shell offers after a line."""
+    words = line.split(" ")
+    given = {"COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
+    done = subprocess.run(
+        [sys.executable, "-m", "oed_sysid.cli"],
+        env={**os.environ, **given, "_OED_SYSID_COMPLETE": "complete_bash"},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    return done.stdout.split()
+
+
+def test_shell_completes_commands_problems_and_choices() -> None:
+    """A command, the name of a shipped problem, and the word of a choice are completed."""
+    assert complete("oed-sysid imp") == ["improve", "import"] or set(complete("oed-sysid imp")) == {
+        "improve",
+        "import",
+    }
+    names = [name for name in list_problems() if name.startswith("remus")]
+    assert complete("oed-sysid fit remus") == names
+    assert complete("oed-sysid design online_ship --effort th") == ["thorough"]
+
+
+# -- progress ----------------------------------------------------------------------------
+
+
+def test_time_left_of_a_fit_follows_its_convergence() -> None:
+    """A tenfold fall of the promised decrease per second gives the seconds down to 1e-6."""
+    now = [0.0]
+    shown = Shown("fitting", clock=lambda: now[0])
+    for iteration in range(1, 5):
+        shown.iteration(Progress(iteration, 10.0, 0.0, 10.0 ** (3 - iteration)))
+        now[0] += 1.0
+    # At 3 s the promise was 0.1: five more decades, a second each; that was a second ago.
+    assert "(4 s, about 4 s left)" in shown.line
+    shown.say("predicting")
+    assert shown.line == "Predicting (4 s)"
+    shown.share(0.2, at_most=True)
+    assert shown.line == "Predicting (4 s, at most 16 s left)"
+
+
+def test_progress_in_a_pipe_is_plain_lines(monkeypatch, capsys) -> None:
+    """Without a terminal progress is lines on standard error, none for what is quick."""
+    from oed_sysid.cli import terminal
+
+    monkeypatch.setattr(terminal, "PATIENCE", 0.05)
+    monkeypatch.setattr(terminal, "EVERY", 0.05)
+    with terminal.progress("Quick"):
+        pass
+    assert capsys.readouterr().err == ""
+    with terminal.progress("Slow") as shown:
+        shown.share(0.5)
+        for _ in range(100):
+            time.sleep(0.02)
+            if capsys.readouterr().err.count("left)\n") >= 1:
+                break
+        else:
+            pytest.fail("nothing was said")
+
+
+def test_rounds_bound_the_time_of_a_search() -> None:
+    """After a round of 7 s a search of at most four has at most three such rounds left."""
+    from oed_sysid.cli.commands_improve import _Rounds
+
+    rounds = _Rounds(4)
+    assert rounds.left(1, 10.0) is None
+    assert rounds.left(2, 17.0) == pytest.approx(21.0)
+    assert np.isclose(rounds.left(3, 20.0), 14.0)

@@ -1,0 +1,147 @@
+"""Objects in a notebook: short texts, and HTML whose numbers are those of the objects."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bs4 import BeautifulSoup
+
+from oed_sysid import MultipleShooting, compare, improve, load_problem, new_problem
+from oed_sysid.compatibility import quick_check
+from oed_sysid.design import design_experiment
+from oed_sysid.errors import OedSysidError
+from oed_sysid.report.notebook import html
+
+
+@pytest.fixture(name="story", scope="module")
+def _story(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+    """One of each object, from the starter folder."""
+    problem = load_problem(new_problem(tmp_path_factory.mktemp("notebook") / "my_ship"))
+    train, test = problem.data().split(test=["turning_circle"])
+    fit = MultipleShooting(noise="given").fit(problem.model, train)
+    found = improve(
+        problem.model, train, test, candidates=problem.effects, known_noise=True, max_effects=1
+    )
+    design = design_experiment(
+        problem.model, limits=problem.limits, duration=40.0, sample_time=1.0,
+        rng=np.random.default_rng(0), n_starts=1, n_candidates=3, n_steps=1,
+    )  # fmt: skip
+    return {
+        "model": problem.model,
+        "record": test.records[0],
+        "dataset": train,
+        "fit": fit,
+        "comparison": compare(fit, test),
+        "improvement": found,
+        "design": design,
+        "check": quick_check(train, problem.model),
+    }
+
+
+def tables(thing: object) -> list[list[list[str]]]:
+    """Cells of all tables of an object's HTML, which is whole."""
+    text = thing._repr_html_()  # type: ignore[attr-defined]
+    soup = BeautifulSoup(text, "html.parser")
+    assert len(soup.find_all("div", class_="oed-sysid")) == 1
+    for tag in ("table", "tr", "td", "div", "p"):
+        assert text.count(f"<{tag}>") + text.count(f"<{tag} ") == text.count(f"</{tag}>"), tag
+    return [
+        [[c.get_text(strip=True) for c in row.find_all(["td", "th"])] for row in t.find_all("tr")]
+        for t in soup.find_all("table")
+    ]
+
+
+NAMES = ("model", "record", "dataset", "fit", "comparison", "improvement", "design", "check")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_short_text_is_one_line(name: str, story: dict[str, object]) -> None:
+    """The repr of a result is one line that names its kind, and heads its HTML."""
+    thing = story[name]
+    assert re.fullmatch(r"<\w+ .{5,240}>", repr(thing))
+    soup = BeautifulSoup(thing._repr_html_(), "html.parser")  # type: ignore[attr-defined]
+    assert soup.find("b").get_text() == str(thing)
+
+
+def test_fit_shows_values_with_95_per_cent(story: dict) -> None:
+    """Estimates, half intervals and residuals (angles in degrees) are those of the fit."""
+    fit = story["fit"]
+    estimates, residuals = tables(fit)
+    for name, value, half, share, unit in estimates[1:]:
+        assert float(value) == pytest.approx(fit.values[name], rel=1e-4)
+        assert float(half.removeprefix("± ")) == pytest.approx(
+            1.96 * fit.std_errors[name], rel=0.06
+        )
+        assert float(share.removesuffix(" %")) == pytest.approx(
+            196 * fit.std_errors[name] / abs(fit.values[name]), rel=0.06
+        )
+        assert unit == fit.model.parameter(name).unit
+    (psi,) = [row for row in residuals if row[0] == "psi"]
+    assert float(psi[1]) == pytest.approx(np.degrees(fit.rms["psi"]), rel=0.01)
+    assert psi[3] == "deg"
+
+
+def test_model_shows_typeset_equations(story: dict) -> None:
+    """Every line of the equations is one line of LaTeX, with values in the table."""
+    model = story["model"]
+    soup = BeautifulSoup(model._repr_html_(), "html.parser")
+    mathematics = soup.find("div", class_="oed-sysid").find("div").get_text()
+    assert mathematics.startswith(r"$$\begin{aligned}")
+    assert mathematics.count(r"\\ ") + 1 == len(model.equations().splitlines())
+    assert r"\dot{\psi} &= r" in mathematics
+    assert r"\frac{" in mathematics
+    (table,) = tables(model)
+    assert {row[0]: float(row[1]) for row in table[1:]} == pytest.approx(model.values, rel=1e-4)
+
+
+def test_dataset_shows_spans_in_degrees(story: dict) -> None:
+    """Length, samples and the range of each signal, angles in degrees."""
+    dataset = story["dataset"]
+    (table,) = tables(dataset)
+    heads = table[0]
+    for row, record in zip(table[1:], dataset, strict=True):
+        cells = dict(zip(heads, row, strict=True))
+        assert (cells["record"], int(cells["samples"])) == (record.name, record.n_samples)
+        low, high = map(float, cells["psi [deg]"].split(" to "))
+        psi = np.degrees(record.output("psi"))
+        assert (low, high) == pytest.approx((np.nanmin(psi), np.nanmax(psi)), rel=0.01)
+
+
+def test_comparison_and_improvement_show_errors(story: dict) -> None:
+    """Errors on the validation records, in degrees and in units of the noise."""
+    (table,) = tables(story["comparison"])
+    part = story["comparison"].models[0]
+    for row, one in zip(table[1:], part.outputs, strict=True):
+        factor = np.degrees(1.0) if one.output.unit.startswith("rad") else 1.0
+        assert float(row[2]) == pytest.approx(factor * one.rmse, rel=0.01)
+        assert float(row[4]) == pytest.approx(one.relative, rel=0.01)
+    found = story["improvement"]
+    (table,) = tables(found)
+    assert table[2][0] == found.steps[0].added
+    assert float(table[2][3]) == pytest.approx(found.final_error["test"], rel=1e-3)
+
+
+def test_design_shows_expected_intervals(story: dict) -> None:
+    """Half intervals after the designed run, in per cent of the values."""
+    design = story["design"]
+    (table,) = tables(design)
+    column = table[0].index("this run ± (95 %)")
+    for i, row in enumerate(table[1:]):
+        expected = 196 * design.relative_errors[i]
+        assert float(row[column].removesuffix(" %")) == pytest.approx(expected, rel=0.06)
+
+
+def test_text_of_users_is_escaped(story: dict, tmp_path: Path) -> None:
+    """A name with markup in it is shown as text."""
+    evil = story["record"].rename("<script>alert(1)</script>")
+    assert "<script>" not in html(evil)
+    assert "&lt;script&gt;" in html(evil)
+
+
+def test_other_objects_are_refused() -> None:
+    """What has no picture in a notebook is said so."""
+    with pytest.raises(OedSysidError, match="A list has no picture"):
+        html([])
