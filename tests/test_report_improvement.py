@@ -93,7 +93,7 @@ def test_force_against_yaw_rate_shows_the_missing_damping(story) -> None:
     # r|r| less the straight line that the free time constant absorbs: odd, and bent.
     outer, inner = np.abs(x) > 0.7 * np.abs(x).max(), np.abs(x) < 0.6 * np.abs(x).max()
     assert np.mean((np.sign(x) * y)[outer]) < np.mean((np.sign(x) * y)[inner])
-    assert ax.get_xlabel() == "yaw rate $r$ [rad/s]"
+    assert ax.get_xlabel() == "yaw rate $r$ [deg/s]"
 
 
 def test_force_figure_draws_every_record_and_varying_signal(story) -> None:
@@ -120,7 +120,7 @@ def test_prediction_plot_shows_the_uncertain_band(story) -> None:
     (band,) = ax.collections
     top = band.get_paths()[0].vertices[:, 1].max()
     expected = (prediction.outputs[0] + 1.96 * prediction.std[0])[:, 0].max()
-    assert top == pytest.approx(expected, rel=1e-6)
+    assert top == pytest.approx(np.degrees(expected), rel=1e-6)
     assert expected > (prediction.outputs[0] + 1.96 * prediction.sigma)[:, 0].max()
     errors = report.plot_prediction_error(prediction, "psi").get_lines()[-1].get_ydata()
     np.testing.assert_allclose(errors, prediction.residuals[0][:, 0] / prediction.sigma[0])

@@ -50,8 +50,8 @@ IfValidated = Annotated[
     typer.Option(
         "--validate",
         metavar="CSV...",
-        help="Records to judge with; nothing is fitted to them. Of a single record without them the "
-        "last part is kept for that.",
+        help="Records to judge with; nothing is fitted to them. Without them improve keeps "
+        "the end of a single record for that.",
         show_default=False,
     ),
 ]
