@@ -6,6 +6,7 @@ import re
 import shlex
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from oed_sysid import load_problem, write_csv
@@ -112,6 +113,12 @@ def _zigzags(model, folder: Path) -> None:
         write_csv(record, folder / f"zigzag_{angle}.csv")
 
 
+def _numbers(words: list[str]) -> list[float]:
+    """Numbers among words."""
+    found = [re.fullmatch(r"\(?([-+]?\d[\d.]*(?:e[-+]?\d+)?)", word) for word in words]
+    return [float(one[1]) for one in found if one]
+
+
 @pytest.mark.slow
 def test_tutorial_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     """Every command of the tutorial ends well and prints the numbers that the page shows."""
@@ -123,10 +130,15 @@ def test_tutorial_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     for command in commands:
         assert main(command[1:]) == DONE, command
     printed = capsys.readouterr().out
-    for name in ("K", "T"):
-        row = re.search(rf"^  {name} +([\d.]+) ", page.read_text(encoding="utf-8"), re.MULTILINE)
-        assert row is not None
-        assert re.search(rf"^  {name} +{row[1][:6]}", printed, re.MULTILINE)
+    # Rows of the page's tables, number by number: rounding may differ by machine.
+    shown = [line.split() for block in blocks(page, "") for line in block.splitlines()]
+    told = [line.split() for line in printed.splitlines()]
+    rows = [row for row in shown if len(row) >= 4 and _numbers(row[1:])]
+    assert len(rows) >= 10
+    for row in rows:
+        like = [one for one in told if len(one) == len(row) and one[0] == row[0]]
+        close = [np.allclose(_numbers(one), _numbers(row), rtol=0.03) for one in like]
+        assert any(close), " ".join(row)
     (code,) = blocks(page, "python")
     exec(code, {})
     assert "yaw_quadratic_damping" in capsys.readouterr().out
