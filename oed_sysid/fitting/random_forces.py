@@ -59,7 +59,7 @@ VANISHED = 0.02
 LEAST_START = 1.0
 # Factors on these levels of which the likeliest is begun at: where a model hardly damps what
 # disturbs it, records tell of levels far below those that act.
-LADDER = (1.0, 10.0, 1e2, 1e3, 1e4, 1e5)
+LADDER = tuple(10.0**power for power in range(10))
 # Iterations after which a further start is given up unless it promises to overtake.
 FIRST_LOOK = 6
 # Samples from the start of each record that give the sizes of disturbances where the model on
