@@ -16,6 +16,8 @@ SEVERAL = (
         "--records",
         "--with",
         "--discriminate",
+        "--reveal",
+        "--servo",
         "--limit",
         "--avoid",
         "--at",

@@ -1,4 +1,14 @@
-"""Schur complements with their derivatives: unknowns that are estimated but not of interest."""
+r"""Schur complements with their derivatives: unknowns that are estimated but not of interest.
+
+Of a joint information in blocks, the first unknowns eliminated,
+
+.. math:: S = F_{22} - F_{21} F_{11}^{-1} F_{12}, \qquad
+    \mathrm{d}S = T\, \mathrm{d}F\, T', \quad T = \left[-F_{21} F_{11}^{-1},\ I\right]
+
+so that a gradient :math:`\Gamma` by :math:`S` is :math:`T' \Gamma T` by :math:`F`. Blocks are
+equilibrated, and a multiple of 1e-13 of the identity is added to :math:`F_{11}`: a direction that
+nothing sees does not stop the elimination.
+"""
 
 from __future__ import annotations
 
