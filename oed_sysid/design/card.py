@@ -175,10 +175,6 @@ def _watch(design: Design) -> list[str]:
             "Stop when a limit is passed: controls neutral, recover, keep the log. Part of a run "
             "is useful."
         )
-    if limits and design.assurance is not None:
-        found = design.assurance
-        often = ", ".join(f"{n} on {c / found.n_checked:.0%}" for n, c in found.left.items())
-        words.append(f"Limits left first: {often or 'on none'} of the simulated vehicles.")
     lines = [
         line
         for text in words

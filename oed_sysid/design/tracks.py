@@ -79,13 +79,12 @@ class Tracks:
     def words(self) -> list[str]:
         """Sea room in words, in metres and lengths of the vehicle."""
         (back, ahead), (first, last) = self.room
-        lines = [f"ahead {self._far(ahead)}, astern of the start {self._far(-min(back, 0.0))}"]
+        lines = [f"ahead {self._far(ahead)}, astern of the start {self._far(abs(min(back, 0.0)))}"]
         if self.is_vertical:
             lines.append(f"depth {first:.3g} to {last:.3g} m")
         else:
-            lines.append(
-                f"to port {self._far(-min(first, 0.0))}, to starboard {self._far(max(last, 0.0))}"
-            )
+            port, starboard = abs(min(first, 0.0)), max(last, 0.0)
+            lines.append(f"to port {self._far(port)}, to starboard {self._far(starboard)}")
         spread = np.abs(self.plausible - self.believed).max(axis=(1, 2))
         lines.append(
             f"other vehicles are up to {self._far(float(np.quantile(spread, 1 - _TAIL)))} from the "

@@ -26,6 +26,9 @@ _A4 = (8.27, 11.69)
 _TOP, _BOTTOM, _LEFT, _RIGHT = 0.975, 0.02, 0.055, 0.975
 # Share of the page that pictures take, and the largest type, points.
 _PICTURES, _TYPE = 0.26, 7.2
+_HEADS = ("SEA TRIAL CARD", "STOP THE RUN", "ACCURACY TO EXPECT", "MISSING PHYSICS")
+# Orders above this number stand in two columns, this many characters apart.
+_MANY, _APART = 14, 54
 
 
 def plot_tracks(tracks: Tracks, *, ax: Axes | None = None) -> Axes:
@@ -61,7 +64,7 @@ def plot_tracks(tracks: Tracks, *, ax: Axes | None = None) -> Axes:
         ax.set(xlabel="to starboard [m]", ylabel="ahead [m]")
         ax.set_aspect("equal", adjustable="datalim")
     clean(ax)
-    spread_legend(ax, loc="best", fontsize=6.5)
+    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=6.5, ncols=2)
     return ax
 
 
@@ -85,8 +88,25 @@ def plot_orders(design: Design, *, ax: Axes | None = None) -> Axes:
                 drawstyle="steps-post", label=f"{symbol_of(channel.name)} [{unit}]")  # fmt: skip
     ax.set(xlabel="time $t$ [s]", ylabel="orders")
     clean(ax)
-    spread_legend(ax, loc="upper right", fontsize=6.5, ncols=len(moved))
+    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=6.5, ncols=len(moved))
     return ax
+
+
+def _folded(lines: list[str]) -> list[str]:
+    """The card with a long list of orders in two columns."""
+    if "RUN" not in lines:
+        return lines
+    first = lines.index("RUN") + 1
+    last = next((i for i in range(first, len(lines)) if not lines[i]), len(lines))
+    rows = lines[first:last]
+    # The head of the list, and its last words on how to give the orders, stay as they are.
+    head, orders, tail = rows[:1], rows[1:-1], rows[-1:]
+    if len(orders) <= _MANY:
+        return lines
+    half = (len(orders) + 1) // 2
+    right = [*orders[half:], *[""] * (2 * half - len(orders))]
+    pairs = [f"{a:<{_APART}}{b}".rstrip() for a, b in zip(orders[:half], right, strict=True)]
+    return [*lines[:first], *head, *pairs, *tail, *lines[last:]]
 
 
 def figure_card(design: Design, tracks: Tracks | None = None) -> Figure:
@@ -100,9 +120,9 @@ def figure_card(design: Design, tracks: Tracks | None = None) -> Figure:
     """
     figure = Figure(figsize=_A4)
     FigureCanvasAgg(figure)
-    lines = design.sea_trial_card().split("\n")
+    lines = _folded(design.sea_trial_card().split("\n"))
     if tracks is not None:
-        lines += ["SEA ROOM", *(f"  {words}" for words in tracks.words())]
+        lines += ["", "SEA ROOM", *(f"  {words}" for words in tracks.words())]
     height = _A4[1] * 72 * (_TOP - _BOTTOM - _PICTURES - 0.03)
     size = min(_TYPE, height / (1.25 * len(lines)))
     alarming = 0
@@ -110,7 +130,8 @@ def figure_card(design: Design, tracks: Tracks | None = None) -> Figure:
         alarming = next(i for i, text in enumerate(lines) if text.startswith("SEA TRIAL CARD"))
     step = 1.25 * size / (72 * _A4[1])
     for number, text in enumerate(lines):
-        bold = number < alarming or text.startswith("SEA TRIAL CARD") or text.isupper()
+        headed = text.startswith(_HEADS) or text.isupper()
+        bold = number < alarming or headed
         figure.text(
             _LEFT, _TOP - number * step, text, family="monospace", fontsize=size, va="top",
             color=DANGER if number < alarming else TRUTH, weight="bold" if bold else "normal",

@@ -133,7 +133,11 @@ class Shifts:
         for rival in rivals:
             first = len(models)
             if isinstance(rival, Model):
-                if rival.channels != believed.channels:
+                # Levels of noise may differ: those of the believed model count.
+                if (rival.input_names, rival.output_names) != (
+                    believed.input_names,
+                    believed.output_names,
+                ):
                     raise DesignError(
                         f"The rival {rival.name!r} has other inputs or outputs than "
                         f"{believed.name!r}. Give it the same channels."
