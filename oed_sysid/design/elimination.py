@@ -57,13 +57,13 @@ def eliminate(matrix: np.ndarray, n_drop: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def inverse(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of an information matrix in relative units, never infinite."""
-    regular = matrix + NOTHING * np.eye(len(matrix))
-    diagonal = np.sqrt(np.maximum(np.diag(regular), NOTHING))
-    scaled = regular / diagonal[:, None] / diagonal
-    values, vectors = np.linalg.eigh(scaled)
-    inner = (vectors / np.maximum(values, 1e-15)) @ vectors.T
-    return inner / diagonal[:, None] / diagonal
+    """Inverse of information matrices ``(..., n, n)`` in relative units, never infinite."""
+    regular = matrix + NOTHING * np.eye(matrix.shape[-1])
+    diagonal = np.sqrt(np.maximum(np.diagonal(regular, axis1=-2, axis2=-1), NOTHING))
+    outer = diagonal[..., :, None] * diagonal[..., None, :]
+    values, vectors = np.linalg.eigh(regular / outer)
+    inner = (vectors / np.maximum(values, 1e-15)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return inner / outer
 
 
 def log_determinant(matrix: np.ndarray) -> float:
