@@ -67,6 +67,11 @@ def test_design_completes_a_fit(ship: Path, tmp_path: Path) -> None:
         (["--effort", "huge"], "Choose one of quick"),
         (["--like", "spiral"], "no experiment 'spiral'"),
         (["--discriminate", "wind"], "no candidate 'wind'"),
+        (["--reveal", "wind"], "no candidate 'wind'"),
+        (["--reveal", "all"], "has no candidate effect"),
+        (["--discriminate", "a", "--reveal", "b"], "one run has one aim"),
+        (["--overrides", "o.csv"], "needs the channels"),
+        (["--overrides", "o.csv", "--servo", "fin=1"], "an input with a range: rudder"),
     ],
 )
 def test_design_names_what_there_is(arguments: list[str], words: str, ship: Path, capsys) -> None:
@@ -110,3 +115,19 @@ def test_limit_words_find_their_channels() -> None:
     ):
         with pytest.raises(DesignError, match=words):
             with_limits(model, Limits(), [wrong])
+
+
+def test_files_for_those_on_board(ship: Path, tmp_path: Path) -> None:
+    """One sheet of A4, pulses of the servo and a bag come from one command."""
+    pytest.importorskip("rosbags")
+    card, pulses, bag = tmp_path / "card.pdf", tmp_path / "o.csv", tmp_path / "bag"
+    arguments = ["design", str(ship), "--duration", "60", "--max-rudder", "8", "--length", "7"]
+    arguments += ["--card", str(card), "--overrides", str(pulses), "--servo", "rudder=2"]
+    assert main([*arguments, "--bag", str(bag)]) == DONE
+    assert card.read_bytes()[:5] == b"%PDF-"
+    assert card.read_bytes().count(b"/Type /Page\n") + card.read_bytes().count(b"/Type /Page ") == 1
+    table = np.genfromtxt(pulses, delimiter=",", skip_header=1)
+    assert table[-1, 0] == 60_000
+    assert table[:, 1].min() >= 1100
+    assert table[:, 1].max() <= 1900
+    assert (bag / "metadata.yaml").is_file()

@@ -134,7 +134,8 @@ def test_discrimination_gradient_equals_differences() -> None:
     """The soft minimum over pairs has the derivative that differences find."""
     rivals = (Force("a", {"r": "E_a*psi"}, (Parameter("E_a", 0.1),)),
               Force("e", {"r": "E_e*r**3"}, (Parameter("E_e", 1.0),)))  # fmt: skip
-    measure = Discriminate(rivals).bind_rivals(3)
+    criterion = Discriminate(rivals)
+    measure = criterion.bind_shifts(criterion.shifts(ship()), 3)
     rng = np.random.default_rng(1)
     rows = rng.standard_normal((20, 5))
     matrix = rows.T @ rows
@@ -356,7 +357,7 @@ def test_discrimination_raises_the_misfit_between_rivals() -> None:
 def _smallest_misfit(rivals: tuple[Force, ...], commands: np.ndarray) -> float:
     """Smallest pairwise misfit of given commands, by dense least squares."""
     model = ship()
-    criterion = Discriminate(rivals, size=1.0)
+    found = Discriminate(rivals, size=1.0).shifts(model)
     times = np.arange(len(commands)) * 0.5
     runner = kernel(model)
     z, _ = runner.start(np.zeros(2), commands[0], model.value_vector, 0.0)
@@ -365,9 +366,9 @@ def _smallest_misfit(rivals: tuple[Force, ...], commands: np.ndarray) -> float:
     sigma = np.array([5e-3, 2e-3])
     base = (run.output_sensitivities / sigma[:, None]).reshape(-1, 5)
     shifts = []
-    for rival in criterion.models(model):
+    for rival, factor in zip(found.models, found.factors, strict=True):
         other = simulate_inputs(rival, times, inputs=commands)
-        shifts.append(((other.outputs - run.outputs) / sigma).ravel())
+        shifts.append((factor * (other.outputs - run.outputs) / sigma).ravel())
     smallest = np.inf
     for i, shift in enumerate(shifts):
         for extra in ([], *([s] for j, s in enumerate(shifts) if j != i)):

@@ -32,13 +32,14 @@ from oed_sysid.cli.terminal import (
     store,
     write,
 )
-from oed_sysid.errors import DesignError, ProblemError
+from oed_sysid.errors import DesignError, FileError, ProblemError
 
 if TYPE_CHECKING:
     from oed_sysid.cli.terminal import Shown
     from oed_sysid.data.dataset import Dataset
+    from oed_sysid.design import Design, Servo, Tracks
     from oed_sysid.design.search import Progress as SearchProgress
-    from oed_sysid.experiment import Experiment
+    from oed_sysid.experiment import Experiment, Limits
     from oed_sysid.problem import Problem
 
 # Starts that are refined, rough manoeuvres tried, and steps of refinement.
@@ -127,9 +128,9 @@ def design(
         typer.Option(
             "--certainty",
             metavar="P",
-            help="Keep the limits with this probability although coefficients are uncertain, such "
-            "as 0.95; takes a minute. Otherwise the probability is only stated.",
-            show_default=False,
+            help="Keep the limits with this probability although coefficients are uncertain; takes "
+            "a minute. 0 only states the probability.",
+            show_default="0.95 with --after, else 0",
         ),
     ] = None,
     uncertainty: Annotated[
@@ -147,6 +148,16 @@ def design(
             "--discriminate",
             metavar="EFFECT...",
             help="Tell these candidates apart instead of sharpening parameters.",
+            show_default=False,
+        ),
+    ] = None,
+    reveal: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--reveal",
+            metavar="EFFECT...|all",
+            help="Make these candidates visible, should they be missing, or all of the problem; "
+            "with --after what its records have shown already counts.",
             show_default=False,
         ),
     ] = None,
@@ -180,7 +191,41 @@ def design(
     card: Annotated[
         Path | None,
         typer.Option(
-            "--card", metavar="FILE", help="One page for those on board.", show_default=False
+            "--card",
+            metavar="FILE",
+            help="One page for those on board: .txt, .html or .pdf (these with the track and the "
+            "sea room that it needs).",
+            show_default=False,
+        ),
+    ] = None,
+    length: Annotated[
+        float | None,
+        typer.Option(
+            "--length", metavar="M", help="Of the vehicle, for the sea room.", show_default=False
+        ),
+    ] = None,
+    servo: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--servo",
+            metavar="INPUT=CHANNEL...",
+            help="RC channels of the inputs for --overrides; their ends are those of the limits.",
+            show_default=False,
+        ),
+    ] = None,
+    overrides: Annotated[
+        Path | None,
+        typer.Option(
+            "--overrides",
+            metavar="CSV",
+            help="Commands as servo pulses, to send as MAVLink RC_CHANNELS_OVERRIDE.",
+            show_default=False,
+        ),
+    ] = None,
+    bag: Annotated[
+        Path | None,
+        typer.Option(
+            "--bag", metavar="FOLDER", help="Commands as a ROS 2 bag to play.", show_default=False
         ),
     ] = None,
     model: Variant = None,
@@ -200,7 +245,15 @@ def design(
     import numpy as np
 
     from oed_sysid.cli.limit_words import with_limits
-    from oed_sysid.design import Caution, accuracy_range, assess_limits, design_experiment
+    from oed_sysid.design import (
+        Caution,
+        accuracy_range,
+        assess_limits,
+        design_experiment,
+        plausible_tracks,
+        write_bag,
+        write_overrides,
+    )
     from oed_sysid.fitting.fit import Fit
     from oed_sysid.problem import load_problem
 
@@ -209,8 +262,14 @@ def design(
     limits, said = with_limits(chosen.model, chosen.limits, limit or [])
     for words in said:
         note(f"Limit: {words}.")
+    # What cannot be written is said now, not after the work.
+    servos = {} if overrides is None else _servos(servo or [], limits)
+    if bag is not None and bag.exists():
+        raise FileError(f"{str(bag)!r} exists already. Name a folder that does not.")
     spread = None if after else uncertainty
-    caution = None if certainty is None else Caution(certainty, spread)
+    caution: Caution | str | None = "auto" if after and certainty is None else None
+    if certainty:
+        caution = Caution(certainty, spread)
     n_starts, n_candidates, n_steps = _choice("effort", effort, EFFORTS)
     believed = Fit.load(after) if after else chosen.model
     noise = _noise(chosen, believed, sea)
@@ -222,7 +281,7 @@ def design(
                 duration=float(pattern.duration or 0.0) if duration is None else duration,
                 sample_time=pattern.sample_time,
                 rng=np.random.default_rng(seed),
-                criterion=_criterion(chosen, criterion, discriminate or []),
+                criterion=_criterion(chosen, criterion, discriminate or [], reveal or []),
                 parametrisation=_family(family, avoid or []),
                 constants=pattern.constants,
                 initial=pattern.initial,
@@ -255,8 +314,19 @@ def design(
             out.parent.mkdir(parents=True, exist_ok=True)
             found.write_csv(out)
             note(f"Written: {out}")
-        if card is not None:
+        if card is not None and card.suffix.lower() in (".html", ".pdf"):
+            show_track = partial(
+                plausible_tracks, found.model, found.experiment, spread=spread, sea=found.sea,
+                prior=found.prior, rng=np.random.default_rng(seed), length=length,
+            )  # fmt: skip
+            _card(found, keep.once("track", show_track), card, chosen.title)
+        elif card is not None:
             write(found.sea_trial_card() + "\n", card)
+        played = found.trajectory.times, found.trajectory.inputs
+        if overrides is not None:
+            note(f"Written: {write_overrides(overrides, found.model, *played, servos=servos)}")
+        if bag is not None:
+            note(f"Written: {write_bag(bag, found.model, *played)}")
         store(found.to_dict(), json_file)
         if html_file is not None:
             from oed_sysid.report import design_page
@@ -274,6 +344,35 @@ def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None
     rounds = (n_starts + 2 * N_FINISHES) * n_steps
     done = min(now.start, n_starts) + 2 * max(now.start - n_starts, 0)
     show.share((done * n_steps + now.round + 1) / rounds, at_most=True)
+
+
+def _card(design: Design, tracks: Tracks | None, path: Path, title: str) -> None:
+    """Write the card as a page or as one sheet of A4."""
+    from oed_sysid.report import card_page, figure_card, save_figure
+
+    if path.suffix.lower() == ".html":
+        card_page(design, tracks, title=title).write(path)
+    else:
+        save_figure(figure_card(design, tracks), path)
+    note(f"Written: {path}")
+
+
+def _servos(given: list[str], limits: Limits) -> dict[str, Servo]:
+    """Servos of the inputs, from one end of their limits to the other."""
+    from oed_sysid.design import Servo
+
+    found = {}
+    for text in given:
+        name, _, channel = text.partition("=")
+        if name not in limits.inputs or not channel.isdigit():
+            raise DesignError(
+                f"--servo {text}: write INPUT=CHANNEL, an input with a range: "
+                f"{', '.join(limits.inputs)}."
+            )
+        found[name] = Servo(int(channel), *limits.inputs[name])
+    if not found:
+        raise DesignError("--overrides needs the channels of the inputs: --servo fin_command=1.")
+    return found
 
 
 def _pattern(problem: Problem, name: str | None) -> Experiment:
@@ -298,11 +397,19 @@ def _noise(problem: Problem, believed: Any, sea: str | None) -> Any:
     return found
 
 
-def _criterion(problem: Problem, name: str, rivals: list[str]) -> Any:
-    from oed_sysid.design import AOptimal, Discriminate, DOptimal, EOptimal
+def _criterion(problem: Problem, name: str, rivals: list[str], hidden: list[str]) -> Any:
+    from oed_sysid.design import AOptimal, Discriminate, DOptimal, EOptimal, Reveal
 
+    if rivals and hidden:
+        raise DesignError("Give --discriminate or --reveal: one run has one aim.")
     if rivals:
         return Discriminate([problem.effect(rival) for rival in rivals])
+    if hidden == ["all"]:
+        if not problem.effects:
+            raise DesignError(f"Problem {problem.name!r} has no candidate effect. Name none.")
+        return Reveal(problem.effects)
+    if hidden:
+        return Reveal([problem.effect(one) for one in hidden])
     return _choice("criterion", name, {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()})
 
 

@@ -70,6 +70,25 @@ def programme(
     criterion: Annotated[
         str, typer.Option("--criterion", metavar="D|A", help="What is good: see docs.")
     ] = "A",
+    discriminate: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--discriminate",
+            metavar="EFFECT...",
+            help="Tell these candidates apart instead of sharpening parameters.",
+            show_default=False,
+        ),
+    ] = None,
+    reveal: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--reveal",
+            metavar="EFFECT...|all",
+            help="Make these candidates visible, should they be missing, or all of the problem; "
+            "with --after what its records have shown already counts.",
+            show_default=False,
+        ),
+    ] = None,
     uncertainty: Uncertainty = None,
     sensor: Annotated[
         list[str] | None,
@@ -113,8 +132,8 @@ def programme(
     """
     import numpy as np
 
-    from oed_sysid.cli.commands_plan import _choice, _noise
-    from oed_sysid.design import AOptimal, DOptimal, design_programme
+    from oed_sysid.cli.commands_plan import _criterion, _noise
+    from oed_sysid.design import design_programme
     from oed_sysid.fitting.fit import Fit
     from oed_sysid.problem import load_problem
 
@@ -128,7 +147,7 @@ def programme(
             rng=np.random.default_rng(seed),
             hours=hours,
             n_runs=runs,
-            criterion=_choice("criterion", criterion, {"D": DOptimal(), "A": AOptimal()}),
+            criterion=_criterion(chosen, criterion, discriminate or [], reveal or []),
             noise=_noise(chosen, believed, sea),
             spread=_spread(chosen, uncertainty, after),
             turnaround=60.0 * turnaround,

@@ -1,7 +1,8 @@
 """Experiments that tell most: criteria, families of commands, limits, search."""
 
 from oed_sysid.design.accuracy import AccuracyRange, accuracy_range
-from oed_sysid.design.assurance import Assurance, assess_limits
+from oed_sysid.design.assurance import AbortRule, Assurance, assess_limits
+from oed_sysid.design.autopilot import Servo, write_bag, write_overrides
 from oed_sysid.design.campaign import Stage, campaign
 from oed_sysid.design.caution import Caution
 from oed_sysid.design.criteria import (
@@ -23,7 +24,7 @@ from oed_sysid.design.decision import (
     decide,
     goals_of,
 )
-from oed_sysid.design.discrimination import Discriminate
+from oed_sysid.design.discrimination import ByShifts, Discriminate
 from oed_sysid.design.experiment_design import design_experiment, design_series
 from oed_sysid.design.library import Candidate, candidate_runs
 from oed_sysid.design.multisines import Multisines
@@ -31,9 +32,11 @@ from oed_sysid.design.parametrisation import Grid, Levels, Parametrisation, Puls
 from oed_sysid.design.programme import design_programme
 from oed_sysid.design.reference import Reference
 from oed_sysid.design.result import Design
+from oed_sysid.design.reveal import Chance, Reveal
 from oed_sysid.design.robust import Robust
 from oed_sysid.design.schedule import Programme, Standard
 from oed_sysid.design.search import Progress
+from oed_sysid.design.tracks import Tracks, plausible_tracks
 from oed_sysid.design.zigzags import ZigZags
 
 __all__ = [
@@ -64,11 +67,20 @@ __all__ = [
     "VOptimal",
     "GOptimal",
     "Discriminate",
+    "Reveal",
+    "Chance",
+    "ByShifts",
     "Robust",
     "Caution",
     "AccuracyRange",
     "accuracy_range",
     "Assurance",
+    "AbortRule",
+    "Tracks",
+    "plausible_tracks",
+    "Servo",
+    "write_overrides",
+    "write_bag",
     "assess_limits",
     "Parametrisation",
     "Grid",

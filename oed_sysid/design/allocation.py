@@ -173,6 +173,8 @@ def relaxed(library: Library, costs: np.ndarray, *, tolerance: float = GAP) -> W
             # A run of hardly any weight cannot come back unless its slope says so.
             w = np.where((w < 1e-10) & (d < w @ d), 0.0, w)
         grown = w * d**power
+        if not grown.sum() > 0:
+            break  # everything that these runs could tell is told already
         w = grown / grown.sum()
     assert best is not None
     return Weights(best.repetitions, best.value, ceiling, sweep)

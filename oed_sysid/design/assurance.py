@@ -1,9 +1,21 @@
-"""How surely an experiment keeps its limits when the parameters are uncertain."""
+r"""How surely an experiment keeps its limits when parameters, structure and sea are uncertain.
+
+Of :math:`n` vehicles drawn from what is known, each in waves of its own where any are expected,
+:math:`k` keep all limits. Stated are the share and the lower end of its one-sided 95 % interval
+(Clopper & Pearson),
+
+.. math:: \hat p = k / n, \qquad \sum_{i=k}^n \binom ni p_-^i (1 - p_-)^{n-i} = 0.05
+
+A limit says where the vehicle must not be; an *abort rule* says when the crew stops, before that:
+at nine tenths of the way from the start to a limit (:math:`x_0 + 0.9\,(l - x_0)`), or, for
+attitude, depth and speed without a limit, a tenth of the width outside the range that all but the
+most extreme vehicles stay within. How often each would fire is counted on the same vehicles.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +24,7 @@ from scipy.special import betaincinv
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.caution import Guards
 from oed_sysid.design.corridor import Corridor
-from oed_sysid.design.robust import draw_models
+from oed_sysid.design.robust import draw_structures
 from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.information import Information
@@ -23,8 +35,44 @@ from oed_sysid.sensitivity.sea import sea_words
 from oed_sysid.simulation import Trajectory, simulate, simulate_inputs
 
 _CONFIDENCE = 0.95
+# Below this probability of keeping the limits a run is not safe, if none was asked for.
+_SAFE = 0.9
 # Ranges of the motion that are stated leave out this share of the vehicles at either end.
 _TAIL = 0.025
+# Part of the way from the start to a limit at which a run is stopped, and, of the width of the
+# stated range, what an attitude, depth or speed without a limit may exceed it by.
+_STOP, _BEYOND = 0.9, 0.1
+# What a crew watches: attitude, depth, speed.
+WATCHED = ("phi", "theta", "z", "u")
+
+
+@dataclass(frozen=True)
+class AbortRule:
+    """When the crew stops a run.
+
+    Attributes
+    ----------
+    signal : str
+    lower, upper : float
+        Stop outside; infinite for none.
+    fires : float
+        Share of the simulated vehicles on which it would.
+    limited : bool
+        Whether it stands before a limit; otherwise outside what is expected.
+    """
+
+    signal: str
+    lower: float
+    upper: float
+    fires: float
+    limited: bool
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON."""
+        return {
+            "signal": self.signal, "lower": self.lower, "upper": self.upper, "fires": self.fires,
+            "limited": self.limited,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -47,6 +95,10 @@ class Assurance:
         Whether there is any limit on the motion.
     waves : str
         Random forces that every vehicle met, in words; empty for none.
+    rules : tuple of AbortRule
+        Where the crew stops, and how often it would.
+    any_fires : float
+        Share of the vehicles on which one rule or more fires.
     """
 
     n_kept: int
@@ -57,6 +109,13 @@ class Assurance:
     ranges: Mapping[str, tuple[float, float]]
     limited: bool
     waves: str = ""
+    rules: tuple[AbortRule, ...] = ()
+    any_fires: float = 0.0
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether the limits hold as surely as was asked for, or on nine vehicles of ten."""
+        return not self.limited or self.probability >= (self.wanted or _SAFE)
 
     @property
     def probability(self) -> float:
@@ -102,6 +161,8 @@ class Assurance:
             "spread": self.spread,
             "left": dict(self.left),
             "waves": self.waves,
+            "abort_rules": [rule.to_dict() for rule in self.rules],
+            "any_rule_fires": self.any_fires,
             "ranges": {name: list(pair) for name, pair in self.ranges.items()},
         }
 
@@ -117,6 +178,7 @@ def assess_limits(
     n_vehicles: int = 400,
     wanted: float | None = None,
     sea: NoiseModel | None = None,
+    others: Sequence[Model] = (),
 ) -> Assurance:
     """Simulate an experiment on vehicles whose coefficients are not those believed.
 
@@ -140,6 +202,8 @@ def assess_limits(
         Probability that is asked for, for the words of the report.
     sea : NoiseModel, optional
         Random forces: every vehicle meets waves of its own.
+    others : sequence of Model
+        Other structures that remain possible; the vehicles are drawn from all in turn.
 
     Returns
     -------
@@ -147,7 +211,7 @@ def assess_limits(
     """
     if n_vehicles < 20:
         raise DesignError(f"{n_vehicles} vehicles tell no probability. Give 20 or more.")
-    fresh = draw_models(model, spread, n_vehicles, prior, rng)
+    fresh = draw_structures(model, others, spread, n_vehicles, prior, rng)
     corridor = Corridor.of(model, limits or experiment.limits, {}, kernel(model).n_full)
     own = np.array([experiment.initial.get(n, 0.0) for n in model.state_names])
     guards = Guards(fresh, experiment.times, np.array([0]), own, corridor)
@@ -177,16 +241,55 @@ def assess_limits(
         kept += first is None
         if first is not None:
             left[first] += 1
-    ranges = {}
+    ranges: dict[str, tuple[float, float]] = {}
+    rules: tuple[AbortRule, ...] = ()
+    stopped = 0.0
     if extremes:
         ends = np.array(extremes)
         low = np.quantile(ends[:, :, 0], _TAIL, axis=0)
         high = np.quantile(ends[:, :, 1], 1 - _TAIL, axis=0)
         ranges = {n: (float(a), float(b)) for n, a, b in zip(names, low, high, strict=True)}
+        rules, stopped = _rules(experiment, corridor, names, ranges, ends, n_vehicles)
     return Assurance(
         kept, n_vehicles, wanted, spread, dict(left), ranges, bool(corridor.names),
-        sea_words(sea) if sea is not None and in_waves else "",
+        sea_words(sea) if sea is not None and in_waves else "", rules, stopped,
     )  # fmt: skip
+
+
+def _rules(
+    experiment: Experiment,
+    corridor: Corridor,
+    names: Sequence[str],
+    ranges: Mapping[str, tuple[float, float]],
+    ends: np.ndarray,
+    n_vehicles: int,
+) -> tuple[tuple[AbortRule, ...], float]:
+    """Abort rules, and the share of the vehicles on which any of them fires.
+
+    ``ends`` are lowest and highest values ``(n_finite, n_names, 2)``; vehicles that diverged fire
+    every rule.
+    """
+    diverged = n_vehicles - len(ends)
+    found, any_fires = [], np.zeros(len(ends), dtype=bool)
+    bounds = {
+        name: (corridor.lower[i], corridor.upper[i])
+        for i, name in enumerate(corridor.names)
+        if not corridor.at_end[i]
+    }
+    for name in dict.fromkeys((*bounds, *(n for n in WATCHED if n in names))):
+        if name in bounds:
+            first = experiment.initial.get(name, 0.0)
+            lower, upper = (first + _STOP * (bound - first) for bound in bounds[name])
+        else:
+            low, high = ranges[name]
+            room = _BEYOND * max(high - low, 1e-9)
+            lower, upper = low - room, high + room
+        column = ends[:, list(names).index(name)]
+        outside = (column[:, 0] < lower) | (column[:, 1] > upper)
+        any_fires |= outside
+        share = float((outside.sum() + diverged) / n_vehicles)
+        found.append(AbortRule(name, float(lower), float(upper), share, name in bounds))
+    return tuple(found), float((any_fires.sum() + diverged) / n_vehicles)
 
 
 def _first_left(corridor: Corridor, run: Trajectory) -> str | None:

@@ -1,4 +1,18 @@
-"""Design, measure, estimate, design again."""
+r"""Design, measure, estimate, design again.
+
+With all records up to run ``k`` the estimate and what is known of it are
+
+.. math::
+    \hat\theta_k = \arg\max_\theta \sum_{j \le k} \log L_j(\theta), \qquad
+    F_k = \sum_{j \le k} F_j(\hat\theta_k)
+
+and the next command is the best on them,
+
+.. math:: u_{k+1} = \arg\max_u \varphi\left(F_k + F(u; \hat\theta_k)\right)
+
+within limits that hold on the vehicles which :math:`F_k` leaves possible
+(:mod:`oed_sysid.design.caution`).
+"""
 
 from __future__ import annotations
 

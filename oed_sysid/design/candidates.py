@@ -1,4 +1,13 @@
-"""Rough manoeuvres from which a search begins."""
+r"""Rough manoeuvres from which a search begins.
+
+The pace of each (samples between changes) is drawn from a log-uniform distribution,
+
+.. math:: \log p \sim U\left(\log 2, \log \tfrac{n}{4}\right)
+
+for ``n`` samples, so that slow and quick ones are as frequent; then the wave :math:`g_k \in [-1,
+1]` of one of five kinds becomes :math:`\delta_k = \delta_0 + s\, g_k\, (\delta_{max} -
+\delta_0)`, with the largest share ``s`` of a falling sequence at which all limits hold.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,13 @@
-"""The sea-trial card: one page for the people on board."""
+r"""The sea-trial card: one page for the people on board.
+
+Accuracy is stated as :math:`s_i / |\theta_i|` from the bound :math:`s_i = \sqrt{[F^{-1}]_{ii}}`
+after the run; "times smaller than a zigzag's" is the ratio of the geometric means
+
+.. math:: \exp \frac1n \sum_i \log \frac{s_i^{zigzag}}{s_i}
+
+Orders merge a ramp within the actuator's rate into one line. Probabilities of limits and abort
+rules come from :mod:`oed_sysid.design.assurance`.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +18,7 @@ import numpy as np
 
 from oed_sysid.design.accuracy import TRUSTED
 from oed_sysid.design.quantities import quantity, span, units_of
+from oed_sysid.design.reveal import missing_physics
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity.sea import sea_words
@@ -21,8 +31,6 @@ _MOST_ORDERS = 40
 _WIDTH = 92
 # Relative errors up to which a coefficient counts as found, and as seen at all.
 _GOOD, _USABLE = 0.05, 0.5
-# Below this probability of keeping the limits the card begins with the danger.
-_SAFE = 0.9
 
 
 def sea_trial_card(design: Design) -> str:
@@ -59,14 +67,17 @@ def sea_trial_card(design: Design) -> str:
     else:
         lines += _orders(model, design.trajectory, units)
     lines += ["", *_motion(design, units), "", "WATCH", *_watch(design)]
-    lines += ["", *_accuracy(design), "", *_noise(model, design.sea)]
+    lines += ["", *_accuracy(design), ""]
+    if told := missing_physics(design.misfits, design.chances):
+        lines += ["MISSING PHYSICS", *told, ""]
+    lines += _noise(model, design.sea)
     return "\n".join(lines)
 
 
 def _danger(design: Design) -> list[str]:
     """First lines where limits are likely to be left."""
     found = design.assurance
-    if found is None or not found.limited or found.probability >= _SAFE:
+    if found is None or found.is_safe:
         return []
     return wrap(
         f"DANGER: on {1 - found.probability:.0%} of the vehicles that are possible "
@@ -151,7 +162,7 @@ def _watch(design: Design) -> list[str]:
         )
     if design.assurance is not None and limits:
         words.append(f"Certainty: {design.assurance.report()}.")
-        if design.assurance.probability < _SAFE:
+        if not design.assurance.is_safe:
             words.append(
                 "That is NOT safe unless the coefficients are known better: stand by to stop, fly "
                 "a gentler run first, or design with --certainty 0.95."
@@ -164,15 +175,32 @@ def _watch(design: Design) -> list[str]:
             "Stop when a limit is passed: controls neutral, recover, keep the log. Part of a run "
             "is useful."
         )
-    if limits and design.assurance is not None:
-        found = design.assurance
-        often = ", ".join(f"{n} on {c / found.n_checked:.0%}" for n, c in found.left.items())
-        words.append(f"Expect to have to stop: {often or 'on none'} of the simulated vehicles.")
-    return [
+    lines = [
         line
         for text in words
         for line in wrap(text, _WIDTH - 4, initial_indent="  - ", subsequent_indent="    ")
     ]
+    return lines + abort_lines(design)
+
+
+def abort_lines(design: Design) -> list[str]:
+    """When to stop, and how often that is to be expected."""
+    found = design.assurance
+    if found is None or not found.rules:
+        return []
+    units = units_of(design.model)
+    lines = ["", "STOP THE RUN (controls neutral, recover) when"]
+    for rule in found.rules:
+        bounds = [
+            f"{word} {quantity(bound, units[rule.signal])}"
+            for word, bound in (("below", rule.lower), ("above", rule.upper))
+            if np.isfinite(bound)
+        ]
+        why = "before its limit" if rule.limited else "outside what is expected"
+        lines.append(
+            f"  {rule.signal:<8} {' or '.join(bounds):<36} {why}; fires on {rule.fires:.1%}"
+        )
+    return [*lines, f"  Any of these fires on {found.any_fires:.1%} of {found.n_checked} vehicles."]
 
 
 def _accuracy(design: Design) -> list[str]:

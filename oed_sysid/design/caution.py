@@ -1,4 +1,17 @@
-"""Limits that are kept although the parameters are not known well."""
+r"""Limits that are kept although the parameters, and the structure, are not known well.
+
+With vehicles :math:`\theta_s` drawn from what is known (of every structure that remains possible
+in turn), motions :math:`x(t; \theta_s)` under one and the same command and a corridor :math:`h(x)
+\le 0`, the search keeps
+
+.. math:: \#\{s : \max_t h(x(t; \theta_s)) > 0\} \le k, \qquad
+    k = \left\lfloor \tfrac12 (1 - p)\, n \right\rfloor
+
+for a wanted probability :math:`p` and :math:`n` vehicles (scenarios with discarding; half of the
+allowed failures are left to vehicles that the search never saw). What is then stated is the share
+of fresh vehicles that keep all limits, with the lower end of its one-sided 95 % interval (Clopper
+& Pearson), not :math:`p` itself.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +23,10 @@ import numpy as np
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.corridor import Corridor
 from oed_sysid.errors import DesignError
+from oed_sysid.experiment import Experiment
 from oed_sysid.model import Model
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.noise.realisation import at_sea
 
 # Share of the allowed failures that the search may use; the rest is for vehicles it never saw.
 _USABLE = 0.5
@@ -37,6 +53,9 @@ class Caution:
         Vehicles that the search sees.
     n_checks : int
         Fresh vehicles that judge the result.
+    others : sequence of Model
+        Other structures that remain possible, such as refits with either member of a group that
+        the records cannot tell apart: the vehicles are drawn from all in turn.
 
     References
     ----------
@@ -51,6 +70,7 @@ class Caution:
     spread: float | None = None
     n_sets: int = 160
     n_checks: int = 600
+    others: Sequence[Model] = ()
 
     @property
     def n_waived(self) -> int:
@@ -88,6 +108,26 @@ class GuardRun:
     excess: float
 
 
+def in_waves(
+    models: Sequence[Model], experiment: Experiment, sea: NoiseModel, rng: np.random.Generator
+) -> tuple[tuple[Model, np.ndarray], ...]:
+    """Vehicles with random forces as inputs, and a draw of these for each.
+
+    Parameters
+    ----------
+    models : sequence of Model
+    experiment : Experiment
+        Lends its samples.
+    sea : NoiseModel
+    rng : numpy.random.Generator
+    """
+    found = []
+    for model in models:
+        vehicle, run = at_sea(model, experiment, sea, rng=rng)
+        found.append((vehicle, run.commands(vehicle.input_names)[:, len(model.inputs) :]))
+    return tuple(found)
+
+
 class Guards:
     """Uncertain vehicles on which limits are kept; their information does not matter.
 
@@ -96,7 +136,7 @@ class Guards:
     Parameters
     ----------
     models : sequence of Model
-        Of one structure, at drawn values.
+        At drawn values; of one structure or several with the same states and outputs.
     times : ndarray (n_times,)
     edges : ndarray of int (n_edges,)
         See :class:`~oed_sysid.design.scene.Scene`.
@@ -105,6 +145,8 @@ class Guards:
     corridor : Corridor
     n_waived : int
         How many of them may fail.
+    waves : sequence of (Model, ndarray (n_times, n_waves)), optional
+        Each of the vehicles with random forces as further inputs, and one draw of these.
     """
 
     def __init__(
@@ -115,10 +157,13 @@ class Guards:
         own: np.ndarray,
         corridor: Corridor,
         n_waived: int = 0,
+        waves: Sequence[tuple[Model, np.ndarray]] = (),
     ) -> None:
         self.models = tuple(models)
-        self.kernel = kernel(models[0])
-        self.values = [model.value_vector for model in models]
+        vehicles = [vehicle for vehicle, _ in waves] or list(models)
+        self.kernels = [kernel(model) for model in vehicles]
+        self.values = [model.value_vector for model in vehicles]
+        self._waves = [forces for _, forces in waves]
         self.times, self.edges, self.own = times, edges, own
         during = np.flatnonzero(~corridor.at_end)
         self._columns = corridor.columns[during]
@@ -141,8 +186,9 @@ class Guards:
     def run(self, index: int, commands: np.ndarray) -> GuardRun:
         """Simulate one vehicle."""
         values = self.values[index]
-        z, _ = self.kernel.start(self.own, commands[0], values, float(self.times[0]))
-        run = self.kernel.run(self.times, commands, values, z)
+        runner, commands = self.kernels[index], self._pushed(index, commands)
+        z, _ = runner.start(self.own, commands[0], values, float(self.times[0]))
+        run = runner.run(self.times, commands, values, z)
         signals = self._limited(run.states, run.outputs)
         excess = self.corridor.worst(signals) if run.ok else np.inf
         return GuardRun(signals, run.states[self.edges], excess)
@@ -150,15 +196,21 @@ class Guards:
     def change(self, index: int, before: GuardRun, commands: np.ndarray, edge: int) -> np.ndarray:
         """Change of the limited signals from an edge on, zero where the trajectory diverges."""
         first, values = int(self.edges[edge]), self.values[index]
-        z = before.nodes[edge]
+        z, runner = before.nodes[edge], self.kernels[index]
+        commands = self._pushed(index, commands)
         if edge == 0:
-            z, _ = self.kernel.start(self.own, commands[0], values, float(self.times[0]))
-        run = self.kernel.run(self.times[first:], commands[first:], values, z)
+            z, _ = runner.start(self.own, commands[0], values, float(self.times[0]))
+        run = runner.run(self.times[first:], commands[first:], values, z)
         changed = self._limited(run.states, run.outputs) - before.signals[first:]
         return changed if run.ok else np.zeros_like(changed)
 
+    def _pushed(self, index: int, commands: np.ndarray) -> np.ndarray:
+        """Commands with the waves of one vehicle beside them."""
+        return np.hstack([commands, self._waves[index]]) if self._waves else commands
+
     def _limited(self, states: np.ndarray, outputs: np.ndarray) -> np.ndarray:
-        n_full = self.kernel.n_full
+        # Own states come first in every structure; outputs are counted after those of the believed.
+        n_full = self.corridor.n_full
         signals = np.empty((len(states), len(self._columns)))
         for i, column in enumerate(self._columns):
             signals[:, i] = states[:, column] if column < n_full else outputs[:, column - n_full]

@@ -1,4 +1,13 @@
-"""Limits on what the vehicle does, as numbers for a search and as words for people."""
+r"""Limits on what the vehicle does, as numbers for a search and as words for people.
+
+Of a limited signal :math:`x_j` with bounds :math:`l_j, u_j` the excess is a share of its width
+:math:`b_j = u_j - l_j` (of a bound alone: its absolute value),
+
+.. math:: h_j(t) = \max\left(\frac{l_j - x_j(t)}{b_j}, \frac{x_j(t) - u_j}{b_j}\right)
+
+and a run is inside where :math:`\max_{j,t} h_j \le 0`; limits on the end count at the last sample
+only.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,20 @@
-"""What a good experiment is: a number, larger is better, of the information matrix.
+r"""What a good experiment is: a number, larger is better, of the information matrix.
+
+With information :math:`F` in units of the values, :math:`C = F^{-1}`, ``n`` parameters and rows
+:math:`c_k` of a prediction's derivatives,
+
+.. math::
+    D:\ \log\det F, \quad A:\ -\log \frac{\mathrm{tr}\, C}{n}, \quad
+    E:\ \log \lambda_{min}(F), \quad
+    D_s:\ \log\det\left(F_{ss} - F_{sr} F_{rr}^{-1} F_{rs}\right)
+
+.. math::
+    V:\ -\log \frac1m \sum_k c_k' C c_k, \quad G:\ -\log \max_k c_k' C c_k, \quad
+    \text{modified } E:\ \log \frac{\lambda_{min}(F)}{\lambda_{max}(F)}
+
+Each comes with its derivative :math:`\partial\varphi / \partial F`: for D :math:`C`, for A
+:math:`C^2 / \mathrm{tr}\, C`, for V with :math:`W = \tfrac1m \sum c c'` :math:`C W C /
+\mathrm{tr}(C W)`.
 
 All criteria see the information on the parameters in units of their values
 (or scales), start states eliminated, so that a relative error counts the same

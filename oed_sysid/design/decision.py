@@ -379,9 +379,10 @@ def decide(
 
 
 def _deviations(matrix: np.ndarray, rows: Sequence[np.ndarray]) -> np.ndarray:
-    """Largest standard deviation of each goal."""
+    """Largest standard deviation of each goal, for matrices ``(..., n, n)``: ``(..., n_goals)``."""
     bound = inverse(matrix)
-    return np.array([np.sqrt(np.einsum("ij,jk,ik->i", row, bound, row).max()) for row in rows])
+    parts = [np.sqrt(((row @ bound) * row).sum(axis=-1).max(axis=-1)) for row in rows]
+    return np.stack(parts, axis=-1)
 
 
 def _gains(
@@ -392,12 +393,11 @@ def _gains(
     wanted: np.ndarray,
 ) -> np.ndarray:
     """How much nearer each run brings the goals that are not met, per second."""
-    now = _deviations(matrix, rows)
-    found = []
-    for one, run in zip(told, runs, strict=True):
-        then = np.maximum(_deviations(matrix + one, rows), wanted)
-        found.append(float(np.sum(np.log(np.maximum(now, wanted) / then))) / run.cost)
-    return np.array(found)
+    if not len(told):
+        return np.zeros(0)
+    now = np.maximum(_deviations(matrix, rows), wanted)
+    then = np.maximum(_deviations(matrix + np.stack(told), rows), wanted)
+    return np.log(now / then).sum(axis=1) / np.array([run.cost for run in runs])
 
 
 def _ranked(

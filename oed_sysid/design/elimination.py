@@ -1,4 +1,14 @@
-"""Schur complements with their derivatives: unknowns that are estimated but not of interest."""
+r"""Schur complements with their derivatives: unknowns that are estimated but not of interest.
+
+Of a joint information in blocks, the first unknowns eliminated,
+
+.. math:: S = F_{22} - F_{21} F_{11}^{-1} F_{12}, \qquad
+    \mathrm{d}S = T\, \mathrm{d}F\, T', \quad T = \left[-F_{21} F_{11}^{-1},\ I\right]
+
+so that a gradient :math:`\Gamma` by :math:`S` is :math:`T' \Gamma T` by :math:`F`. Blocks are
+equilibrated, and a multiple of 1e-13 of the identity is added to :math:`F_{11}`: a direction that
+nothing sees does not stop the elimination.
+"""
 
 from __future__ import annotations
 
@@ -47,13 +57,13 @@ def eliminate(matrix: np.ndarray, n_drop: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def inverse(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of an information matrix in relative units, never infinite."""
-    regular = matrix + NOTHING * np.eye(len(matrix))
-    diagonal = np.sqrt(np.maximum(np.diag(regular), NOTHING))
-    scaled = regular / diagonal[:, None] / diagonal
-    values, vectors = np.linalg.eigh(scaled)
-    inner = (vectors / np.maximum(values, 1e-15)) @ vectors.T
-    return inner / diagonal[:, None] / diagonal
+    """Inverse of information matrices ``(..., n, n)`` in relative units, never infinite."""
+    regular = matrix + NOTHING * np.eye(matrix.shape[-1])
+    diagonal = np.sqrt(np.maximum(np.diagonal(regular, axis1=-2, axis2=-1), NOTHING))
+    outer = diagonal[..., :, None] * diagonal[..., None, :]
+    values, vectors = np.linalg.eigh(regular / outer)
+    inner = (vectors / np.maximum(values, 1e-15)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return inner / outer
 
 
 def log_determinant(matrix: np.ndarray) -> float:

@@ -1,4 +1,15 @@
-"""The verb of this package: design an experiment within limits."""
+r"""The verb of this package: design an experiment within limits.
+
+.. math::
+    \max_{u \in \mathcal U}\ \varphi\left(F_0 + F(u; \hat\theta)\right) \quad\text{subject to}
+    \quad h\left(x(t; u, \theta_s)\right) \le 0 \ \text{ for all but } k \text{ of the } \theta_s
+
+with the information :math:`F` of the run (start states eliminated) and :math:`F_0` in hand, the
+criterion :math:`\varphi` (:mod:`oed_sysid.design.criteria`), commands :math:`u` of a family within
+range and rate (:mod:`oed_sysid.design.parametrisation`), and limits :math:`h`
+(:mod:`oed_sysid.design.corridor`) on vehicles that are possible (:mod:`oed_sysid.design.caution`).
+Rough manoeuvres are refined by sequential linear programs (:mod:`oed_sysid.design.search`).
+"""
 
 from __future__ import annotations
 
@@ -14,7 +25,7 @@ from oed_sysid.batch.journal import Journal
 from oed_sysid.design.candidates import again, starts
 from oed_sysid.design.caution import Caution
 from oed_sysid.design.criteria import Criterion, DOptimal
-from oed_sysid.design.discrimination import Discriminate
+from oed_sysid.design.discrimination import ByShifts
 from oed_sysid.design.journal import opened
 from oed_sysid.design.objective import Objective, Score
 from oed_sysid.design.parametrisation import Grid, Levels, Parametrisation
@@ -38,6 +49,8 @@ from oed_sysid.simulation import simulate_inputs
 
 # Rounds with more and stricter vehicles, until fresh ones confirm the probability asked for.
 _N_STRICTER = 3
+# Vehicles of the caution that nobody asked for: it must not take minutes.
+_USUAL_SETS, _USUAL_CHECKS = 80, 400
 
 
 @single_threaded
@@ -48,7 +61,7 @@ def design_experiment(
     duration: float,
     sample_time: float,
     rng: np.random.Generator,
-    criterion: Criterion | Discriminate | Robust = DOptimal(),  # noqa: B008 (frozen)
+    criterion: Criterion | ByShifts | Robust = DOptimal(),  # noqa: B008 (frozen)
     parametrisation: Parametrisation | ZigZags = Levels(),  # noqa: B008 (frozen)
     inputs: Sequence[str] | None = None,
     constants: Mapping[str, float] | None = None,
@@ -59,7 +72,7 @@ def design_experiment(
     start: str | Mapping[str, float] = "unknown",
     noise: NoiseLevels | NoiseModel | Fit = None,
     coloured: Colour = None,
-    caution: Caution | None = None,
+    caution: Caution | str | None = "auto",
     n_starts: int = 3,
     n_candidates: int = 80,
     n_steps: int = 40,
@@ -84,8 +97,9 @@ def design_experiment(
         Length and sampling of the run, s.
     rng : numpy.random.Generator
         Source of rough manoeuvres and sampled values.
-    criterion : Criterion, Discriminate or Robust
-        What is good.
+    criterion : Criterion, Discriminate, Reveal or Robust
+        What is good. For the criteria of missing physics (``Discriminate``, ``Reveal``) a fit
+        brings its records: what these show already counts.
     parametrisation : Parametrisation or ZigZags
         Family of commands.
     inputs : sequence of str, optional
@@ -108,9 +122,12 @@ def design_experiment(
         forces included, by default. With random forces the search sees white noise
         (measured to cost 3 to 6 %); the choice among what it found, and the
         accuracy that is stated, see the forces.
-    caution : Caution, optional
-        How surely limits are to be kept although the parameters are uncertain;
-        without it they are kept at the nominal values (and those of ``Robust``).
+    caution : Caution, "auto" or None
+        How surely limits are to be kept although the parameters are uncertain. By default they
+        hold on 95 % of the vehicles that a fit leaves possible, where its covariance is known;
+        where no such manoeuvre is found, one that keeps them on the believed vehicle is returned
+        and its report begins with the danger. For a model alone, or None, limits are kept at the
+        nominal values (and those of ``Robust``).
     n_starts, n_candidates, n_steps : int
         Starts that are refined, rough manoeuvres tried, steps of refinement.
     n_workers : int, optional
@@ -143,6 +160,9 @@ def design_experiment(
             "n_candidates": n_candidates, "n_steps": n_steps, "name": name,
         },
     )  # fmt: skip
+    automatic = caution == "auto"
+    if isinstance(caution, str):
+        caution = _usual_caution(model, limits, prior) if automatic else _unknown(caution)
     plan = plan_of(
         model, limits=limits, duration=duration, sample_time=sample_time, rng=rng,
         criterion=criterion, inputs=inputs, constants=constants, neutral=neutral,
@@ -153,18 +173,34 @@ def design_experiment(
     references = zigzags(
         plan.model, plan.grid, plan.corridor, constants=plan.constants, initial=plan.initial
     )
+    if references:
+        plan = plan.told_under_forces(references[0][1])
     task = partial(
         _searched, parametrisation=parametrisation, references=references, rng=rng,
         n_candidates=n_candidates, n_starts=n_starts, n_steps=n_steps, workers=workers, name=name,
         progress=progress, keep=keep,
     )  # fmt: skip
-    objective, found, best, experiment = task(plan)
+    try:
+        objective, found, best, experiment = task(plan)
+    except DesignError:
+        if not automatic or caution is None:
+            raise
+        # Nothing keeps the limits as surely as that: what follows says so in its first line.
+        plan = replace(plan, guards=(), waves=())
+        objective, found, best, experiment = task(plan)
     assurance = keep.once("other vehicles", partial(plan.assured, experiment, rng), rng=rng)
     for _ in range(_N_STRICTER):
         if assurance is None or caution is None or assurance.probability >= caution.probability:
             break
+        if not plan.guards:
+            break
         plan = plan.stricter(assurance, rng)
-        objective, found, best, experiment = task(plan, begin=best)
+        try:
+            objective, found, best, experiment = task(plan, begin=best)
+        except DesignError:
+            if not automatic:
+                raise
+            break
         assurance = keep.once("other vehicles", partial(plan.assured, experiment, rng), rng=rng)
     trajectory = simulate_inputs(
         plan.model, plan.grid.times, inputs=best.commands, initial=plan.initial
@@ -195,10 +231,27 @@ def design_experiment(
         value=plan.worth(name, best),
         start_values=found.values,
         active=active,
-        misfits=plan.misfits(objective, best),
+        misfits=plan.misfits(plan.experiment(name, best.commands)),
+        chances=plan.chances(plan.experiment(name, best.commands)),
         n_evaluations=objective.n_evaluations,
         seconds=time.perf_counter() - began,
     )
+
+
+def _usual_caution(
+    given: Model | Fit, limits: Limits, prior: str | Information | None
+) -> Caution | None:
+    """Caution after a fit that tells how uncertain its parameters are; None for a model alone."""
+    if not isinstance(given, Fit) or not limits.signals or prior is None:
+        return None
+    known = given.information if isinstance(prior, str) else prior
+    if not np.all(np.isfinite(known.covariance)):
+        return None
+    return Caution(n_sets=_USUAL_SETS, n_checks=_USUAL_CHECKS)
+
+
+def _unknown(caution: str) -> Caution:
+    raise DesignError(f"caution is {caution!r}. Give a Caution, 'auto' or None.")
 
 
 def design_series(model: Model | Fit, n_experiments: int, **settings: object) -> tuple[Design, ...]:

@@ -1,4 +1,15 @@
-"""Sums of sines, with frequencies that must not be excited left out."""
+r"""Sums of sines, with frequencies that must not be excited left out.
+
+On a run of length :math:`T` with ``n`` lines at multiples of :math:`1/T`,
+
+.. math::
+    \delta(t) = \delta_0 + \rho\, \frac{\delta_{max} - \delta_{min}}2 \sum_{i=1}^n
+    \left(a_i \cos 2\pi f_i t + b_i \sin 2\pi f_i t\right), \qquad
+    f_i = \frac{k_i}{T} \notin \text{forbidden bands}
+
+with free :math:`a_i, b_i \in [-1, 1]`; :math:`\rho = 1` and the sum clipped, or with forbidden
+bands the largest :math:`\rho \le 1` that keeps range and rate unclipped.
+"""
 
 from __future__ import annotations
 

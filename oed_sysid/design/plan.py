@@ -9,15 +9,16 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.assurance import Assurance, assess_limits
-from oed_sysid.design.caution import Caution, Guards
+from oed_sysid.design.caution import Caution, Guards, in_waves
 from oed_sysid.design.corridor import Corridor
 from oed_sysid.design.criteria import Criterion, Setting
-from oed_sysid.design.discrimination import Discriminate, pair_misfits
-from oed_sysid.design.elimination import eliminate
+from oed_sysid.design.discrimination import ByShifts, Completing, Discriminate
+from oed_sysid.design.elimination import log_determinant
 from oed_sysid.design.objective import Objective, Score
 from oed_sysid.design.parametrisation import Grid, Levels, Shape
 from oed_sysid.design.reference import as_piecewise
-from oed_sysid.design.robust import Robust, draw_models
+from oed_sysid.design.reveal import Chance, Reveal
+from oed_sysid.design.robust import Robust, draw_models, draw_structures
 from oed_sysid.design.scene import Scene
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Experiment, Limits
@@ -29,6 +30,7 @@ from oed_sysid.sensitivity.bound import disturbed_noise, information_of, prior_f
 from oed_sysid.sensitivity.innovations import checked_noise
 from oed_sysid.sensitivity.noise import Colour, Noise, noise_of
 from oed_sysid.sensitivity.noise import Levels as NoiseLevels
+from oed_sysid.sensitivity.shifts import Shifts, joint_information, joint_prior
 from oed_sysid.simulation import simulate
 
 # Failures allowed in the next round, beside what proportion says.
@@ -44,7 +46,7 @@ class Plan:
     limits: Limits
     grid: Grid
     corridor: Corridor
-    criterion: Criterion | Discriminate
+    criterion: Criterion | ByShifts
     softness: float | None
     positions: np.ndarray
     constants: dict[str, float]
@@ -57,6 +59,10 @@ class Plan:
     guards: tuple[Model, ...] = ()
     caution: Caution | None = None
     n_waived: int = 0
+    shifts: Shifts | None = None
+    joint_prior: np.ndarray | None = None
+    raised: float = 1.0
+    waves: tuple[tuple[Model, np.ndarray], ...] = ()
 
     def still(self) -> np.ndarray:
         """Neutral commands of all inputs, ``(n_times, n_inputs)``."""
@@ -95,13 +101,58 @@ class Plan:
 
         A search sees white noise; what it found is chosen among with this.
         """
-        if self.sea is None or isinstance(self.criterion, Discriminate):
+        if self.sea is None:
             return score.value
-        scales = np.array([p.magnitude for p in self.model.free_parameters if not p.per_record])
-        found = self.bound(self.experiment(name, score.commands))
-        setting = Setting(self.model, found.names, scales, self.noise)
-        matrix = found.matrix * scales[:, None] * scales
+        experiment = self.experiment(name, score.commands)
+        if isinstance(self.criterion, ByShifts):
+            assert self.shifts is not None
+            measure = self.criterion.bind_shifts(self.shifts, len(self._scales))
+            return measure(self.joint(experiment))[0]
+        found = self.bound(experiment)
+        setting = Setting(self.model, found.names, self._scales, self.noise)
+        matrix = found.matrix * self._scales[:, None] * self._scales
         return self.criterion.bind(setting)(matrix)[0]
+
+    @property
+    def _scales(self) -> np.ndarray:
+        """Units of the shared parameters in all matrices."""
+        return np.array([p.magnitude for p in self.model.free_parameters if not p.per_record])
+
+    def joint(self, experiment: Experiment | None) -> np.ndarray:
+        """Scaled information on ``[parameters, shifts]``, that in hand included; None: only that.
+
+        Raises
+        ------
+        DesignError
+            If the criterion does not ask for shifts.
+        """
+        if self.shifts is None or self.joint_prior is None:
+            raise DesignError(f"The criterion {self.criterion.name!r} asks for no absent effect.")
+        matrix = self.joint_prior
+        if experiment is not None:
+            matrix = matrix + joint_information(
+                self.model, experiment, self.shifts, coloured=self.coloured, start=self.start,
+                noise=self.noise.sigma if self.sea is None else self.sea,
+            )  # fmt: skip
+        units = np.concatenate([self._scales, np.ones(len(self.shifts))])
+        return matrix * units[:, None] * units
+
+    def told_under_forces(self, experiment: Experiment) -> Plan:
+        """The plan whose search sees white noise as high as makes a run tell what it will tell.
+
+        Without it a search by shifts would take records in hand, judged under the random forces,
+        for worse than what it may plan.
+        """
+        if self.sea is None or not isinstance(self.criterion, ByShifts):
+            return self
+        told = [
+            information_of(self.model, experiment, noise=noise, priors=None).matrix
+            for noise in (self.noise.sigma, self.sea)
+        ]
+        units = self._scales[:, None] * self._scales
+        white, forced = (log_determinant(matrix * units) for matrix in told)
+        n = len(self._scales)
+        return replace(self, raised=float(np.exp(0.5 * max(white - forced, 0.0) / n)))
 
     def objective(self, shape: Shape | None, n_workers: int) -> Objective:
         """Return the function to maximise; without a shape only given commands can be scored."""
@@ -109,29 +160,33 @@ class Plan:
         scenes, measures, priors = [], [], []
         own = self.own
         for member in self.models:
-            rivals: tuple[Model, ...] = ()
-            if isinstance(self.criterion, Discriminate):
-                rivals = self.criterion.models(member)
+            shifts: Shifts | None = None
+            if isinstance(self.criterion, ByShifts):
+                shifts = self.shifts if member is self.model else self.criterion.shifts(member)
+            noise = replace(self.noise, sigma=self.raised * self.noise.sigma)
             scene = Scene(
-                member, self.grid.times, used.edges, own, self.noise, start=self.start,
-                rivals=rivals,
-            )  # fmt: skip
+                member, self.grid.times, used.edges, own, noise, start=self.start, shifts=shifts
+            )
             scales = scene.scales[scene.n_nuisance :]
-            if isinstance(self.criterion, Discriminate):
-                measures.append(self.criterion.bind_rivals(len(scene.names)))
+            if isinstance(self.criterion, ByShifts):
+                assert shifts is not None
+                measures.append(self.criterion.bind_shifts(shifts, len(scene.names)))
             else:
                 measures.append(
                     self.criterion.bind(Setting(member, scene.names, scales, self.noise))
                 )
             matrix = np.zeros((len(scales), len(scales)))
-            if self.prior is not None:
+            if shifts is not None:
+                matrix = self.joint(None)
+            elif self.prior is not None:
                 matrix = self.prior.matrix * scales[:, None] * scales
             scenes.append(scene)
             priors.append(matrix)
         guards = None
-        if self.caution is not None and self.corridor.names:
+        if self.caution is not None and self.corridor.names and self.guards:
             guards = Guards(
-                self.guards, self.grid.times, scenes[0].edges, own, self.corridor, self.n_waived
+                self.guards, self.grid.times, scenes[0].edges, own, self.corridor, self.n_waived,
+                self.waves,
             )  # fmt: skip
         return Objective(
             scenes, measures, priors, used, self.positions, self._base, self.corridor,
@@ -155,13 +210,23 @@ class Plan:
         caution = self.caution
         if caution is None:
             return self
-        more = draw_models(self.model, caution.spread, caution.n_sets, self.prior, rng)
+        more = draw_structures(
+            self.model, caution.others, caution.spread, caution.n_sets, self.prior, rng
+        )
         share = (1 - caution.probability) / max(1 - found.probability, 1e-3)
         n_sets = len(self.guards) + len(more)
         allowed = int(_STRICTER * share * self.n_waived * n_sets / len(self.guards))
         # Without progress by counting, none may fail any more.
         n_waived = allowed if allowed < self.n_waived * n_sets / len(self.guards) else 0
-        return replace(self, guards=(*self.guards, *more), n_waived=n_waived)
+        wider = replace(self, guards=(*self.guards, *more), n_waived=n_waived)
+        return wider.with_waves(rng)
+
+    def with_waves(self, rng: np.random.Generator) -> Plan:
+        """The plan whose uncertain vehicles meet waves, each its own, where any are expected."""
+        if self.sea is None or not self.sea.has_forces or not self.guards:
+            return self
+        still = self.experiment("waves", self.still())
+        return replace(self, waves=in_waves(self.guards, still, self.sea, rng))
 
     def assured(self, experiment: Experiment, rng: np.random.Generator) -> Assurance | None:
         """On how many fresh vehicles an experiment keeps the limits; None without caution."""
@@ -170,20 +235,24 @@ class Plan:
         return assess_limits(
             self.model, experiment, rng=rng, limits=self.limits, spread=self.caution.spread,
             prior=self.prior, n_vehicles=self.caution.n_checks, wanted=self.caution.probability,
-            sea=self.sea,
+            sea=self.sea, others=self.caution.others,
         )  # fmt: skip
 
-    def misfits(self, objective: Objective, score: Score) -> dict[tuple[str, str], float]:
+    def misfits(self, experiment: Experiment) -> dict[tuple[str, str], float]:
         """Expected gain of every rival over every other, at the nominal values."""
-        if not isinstance(self.criterion, Discriminate):
+        if not isinstance(self.criterion, Discriminate) or self.shifts is None:
             return {}
-        matrix = objective.information(0, score.views[0])
-        gram, _ = eliminate(matrix, len(objective.scenes[0].names))
-        names = self.criterion.rival_names
-        return {
-            (names[i], self.model.name if j < 0 else names[j]): value
-            for i, j, value in pair_misfits(gram, against_believed=True)
-        }
+        return self.criterion.misfits(
+            self.model, self.shifts, self.joint(experiment), len(self._scales)
+        )
+
+    def chances(self, experiment: Experiment) -> tuple[Chance, ...]:
+        """How surely every candidate would show, before and after; empty for other criteria."""
+        if not isinstance(self.criterion, Reveal) or self.shifts is None:
+            return ()
+        return self.criterion.chances(
+            self.shifts, self.joint(None), self.joint(experiment), len(self._scales)
+        )
 
 
 def plan_of(
@@ -193,7 +262,7 @@ def plan_of(
     duration: float,
     sample_time: float,
     rng: np.random.Generator,
-    criterion: Criterion | Discriminate | Robust,
+    criterion: Criterion | ByShifts | Robust,
     inputs: Sequence[str] | None,
     constants: Mapping[str, float] | None,
     neutral: Mapping[str, float] | None,
@@ -225,18 +294,31 @@ def plan_of(
     levels = noise_of(model, sigma, coloured)
     known = knowledge(given, model, prior)
     robust = criterion if isinstance(criterion, Robust) else None
-    return Plan(
+    judged: Criterion | ByShifts = robust.criterion if robust else criterion  # type: ignore[assignment]
+    shifts = judged.shifts(model) if isinstance(judged, ByShifts) else None
+    joint = None
+    if isinstance(judged, Completing):
+        joint = judged.known
+    elif shifts is not None:
+        joint = joint_knowledge(
+            given, model, shifts, sigma if sea is None else sea, prior, coloured
+        )
+    plan = Plan(
         model=model,
         models=(
             (model, *draw_models(model, robust.spread, robust.n_sets, known, rng))
             if robust
             else (model,)
         ),
-        guards=(draw_models(model, caution.spread, caution.n_sets, known, rng) if caution else ()),
+        guards=(
+            draw_structures(model, caution.others, caution.spread, caution.n_sets, known, rng)
+            if caution
+            else ()
+        ),
         limits=limits,
         grid=_grid(model, limits, names, neutral or {}, duration, sample_time),
         corridor=Corridor.of(model, limits, end or {}, kernel(model).n_full),
-        criterion=robust.criterion if robust else criterion,  # type: ignore[arg-type]
+        criterion=judged,
         softness=robust.softness if robust and robust.worst else None,
         positions=np.array([model.input_names.index(n) for n in names]),
         constants=held,
@@ -248,7 +330,10 @@ def plan_of(
         sea=sea,
         caution=caution,
         n_waived=caution.n_waived if caution else 0,
+        shifts=shifts,
+        joint_prior=joint,
     )
+    return plan.with_waves(rng)
 
 
 def _check_inputs(
@@ -348,3 +433,33 @@ def knowledge(
     if not rows.any():
         return None
     return Information(names, triangle(rows) * scales, scales)
+
+
+def joint_knowledge(
+    given: Model | Fit,
+    model: Model,
+    shifts: Shifts,
+    noise: NoiseModel | np.ndarray,
+    prior: str | Information | None,
+    coloured: Colour = None,
+) -> np.ndarray:
+    """What is known before the experiment on shared parameters and absent effects together.
+
+    A fit brings its records, judged at its values: what they would have shown is known.
+
+    Returns
+    -------
+    ndarray (n_shared + n_columns, n_shared + n_columns)
+        Parameters in SI units, effects in units of their size.
+    """
+    shared = tuple(p.name for p in model.free_parameters if not p.per_record)
+    if not (isinstance(given, Fit) and isinstance(prior, str) and prior == "auto"):
+        known = knowledge(given, model, prior)
+        matrix = np.zeros((len(shared),) * 2) if known is None else known.matrix
+        return joint_prior(matrix, len(shifts))
+    rows = prior_factor(model, shared, "model")
+    told = joint_information(
+        model, given.dataset, shifts, noise=noise, coloured=coloured,
+        initial_states=given.initial_states,
+    )  # fmt: skip
+    return joint_prior(rows.T @ rows, len(shifts)) + told

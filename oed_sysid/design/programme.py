@@ -33,12 +33,14 @@ from oed_sysid.design.accuracy import AccuracyRange
 from oed_sysid.design.allocation import Library, Selection, Weights, order, select, weights
 from oed_sysid.design.assurance import Assurance, assess_limits
 from oed_sysid.design.corridor import Corridor
-from oed_sysid.design.criteria import AOptimal, Criterion, Setting
+from oed_sysid.design.criteria import AOptimal, Criterion, EOptimal, Setting
+from oed_sysid.design.discrimination import ByShifts, Completing, Discriminate
 from oed_sysid.design.elimination import inverse
 from oed_sysid.design.experiment_design import design_experiment
 from oed_sysid.design.library import KINDS, Candidate, candidate_runs, kept_on
 from oed_sysid.design.parametrisation import Levels
-from oed_sysid.design.plan import believed_noise, knowledge
+from oed_sysid.design.plan import believed_noise, joint_knowledge, knowledge
+from oed_sysid.design.reveal import Chance, Reveal
 from oed_sysid.design.robust import draw_models
 from oed_sysid.design.schedule import Programme, Standard
 from oed_sysid.errors import DesignError, OedSysidError
@@ -50,6 +52,7 @@ from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity.bound import information_of
 from oed_sysid.sensitivity.noise import Levels as NoiseLevels
 from oed_sysid.sensitivity.noise import noise_of
+from oed_sysid.sensitivity.shifts import Shifts, joint_information
 
 # Shares of the corridor within which commands are refined: room for vehicles that differ.
 _ROOM = (0.75, 0.5)
@@ -69,7 +72,7 @@ def design_programme(
     rng: np.random.Generator,
     hours: float | None = None,
     n_runs: int | None = None,
-    criterion: Criterion = AOptimal(),  # noqa: B008 (frozen)
+    criterion: Criterion | ByShifts = AOptimal(),  # noqa: B008 (frozen)
     noise: NoiseLevels | NoiseModel | Fit = None,
     spread: float | None = None,
     prior: str | Information | None = "auto",
@@ -98,8 +101,9 @@ def design_programme(
         Time for everything, turnarounds and sensors included, h.
     n_runs : int, optional
         Largest number of runs. Give hours, a number of runs, or both.
-    criterion : Criterion
-        Smooth: D, A, Ds or V.
+    criterion : Criterion, Discriminate or Reveal
+        Smooth: D, A, Ds or V; or what a search for missing physics is to find, for which a fit
+        brings its records.
     noise : optional
         Levels, a noise model with random forces, or a fit; see
         :func:`~oed_sysid.sensitivity.information_of`.
@@ -143,6 +147,8 @@ def design_programme(
     believed, sea, levels = believed_noise(believed, noise)
     known = knowledge(given, believed, prior)
     vehicles = draw_models(believed, spread, max(n_vehicles, n_draws, _SCREENED), known, rng)
+    if isinstance(criterion, EOptimal):
+        raise DesignError("E is not smooth, so that no bound can be stated. Choose D or A.")
     listed = [patterns] if isinstance(patterns, Experiment) else list(patterns)
     tell("making candidate runs")
     runs = list(
@@ -151,9 +157,14 @@ def design_programme(
             durations=durations, turnaround=turnaround, kinds=kinds, kept=certainty,
         )
     )  # fmt: skip
+    expected = levels if sea is None else sea
+    shifts, before = None, None
+    if isinstance(criterion, ByShifts):
+        shifts = criterion.shifts(believed)
+        before = joint_knowledge(given, believed, shifts, expected, prior)
     task = _Task(
-        believed, (believed, *vehicles[:n_draws]), known, criterion,
-        levels if sea is None else sea, hours, n_runs,
+        believed, (believed, *vehicles[:n_draws]), known, criterion, expected, hours, n_runs,
+        shifts, before,
     )  # fmt: skip
     optional = dict(sensors or {})
     tell(f"information of {len(runs)} candidate runs")
@@ -201,8 +212,10 @@ def design_programme(
     plain = [run for run in runs if run.kind != "designed"]
     first = chosen if len(plain) == len(runs) else task.solve(plain, outputs, spent)[2]
     sequence = [runs[i] for i in order(library, [int(n) for n in chosen.counts])]
-    totals = library.total(chosen.counts.astype(float))
+    joint = library.total(chosen.counts.astype(float))
     names, scales = task.names, task.scales
+    n = len(names)
+    totals = joint[:, :n, :n]
     bound = Information.from_matrix(names, totals[0] / scales[:, None] / scales, scales)
     errors = np.array([np.sqrt(np.diag(inverse(matrix))) for matrix in totals])
     spread_of_errors = AccuracyRange(
@@ -236,6 +249,8 @@ def design_programme(
         } if optional else {},
         turnaround=turnaround,
         budget=(hours, n_runs),
+        misfits=task.misfits(joint[0]),
+        chances=task.chances(joint[0]),
         seconds=time.perf_counter() - began,
     )  # fmt: skip
 
@@ -266,10 +281,12 @@ class _Task:
         model: Model,
         vehicles: Sequence[Model],
         known: Information | None,
-        criterion: Criterion,
+        criterion: Criterion | ByShifts,
         noise: NoiseModel | np.ndarray,
         hours: float | None,
         n_runs: int | None,
+        shifts: Shifts | None = None,
+        before: np.ndarray | None = None,
     ) -> None:
         shared = [p for p in model.free_parameters if not p.per_record]
         self.model, self.vehicles, self.noise = model, tuple(vehicles), noise
@@ -277,11 +294,21 @@ class _Task:
         self.scales = np.array([p.reference for p in shared])
         self.criterion, self.hours, self.n_runs = criterion, hours, n_runs
         self.known = known
-        setting = Setting(model, self.names, self.scales, noise_of(model, _sigma(noise)))
-        self.measure = criterion.bind(setting)
-        self.prior = np.zeros((len(shared),) * 2)
-        if known is not None:
-            self.prior = known.matrix * self.scales[:, None] * self.scales
+        self.shifts = shifts
+        # Parameters in units of their values; effects are in units of their size already.
+        self.units = self.scales
+        if shifts is not None and before is not None:
+            assert isinstance(criterion, ByShifts)
+            self.measure = criterion.bind_shifts(shifts, len(shared))
+            self.units = np.concatenate([self.scales, np.ones(len(shifts))])
+            self.prior = before * self.units[:, None] * self.units
+        else:
+            assert isinstance(criterion, Criterion)
+            setting = Setting(model, self.names, self.scales, noise_of(model, _sigma(noise)))
+            self.measure = criterion.bind(setting)
+            self.prior = np.zeros((len(shared),) * 2)
+            if known is not None:
+                self.prior = known.matrix * self.scales[:, None] * self.scales
         self.kept: list[Candidate] = []
         self._cache: dict[tuple[int, tuple[str, ...]], np.ndarray | None] = {}
 
@@ -300,15 +327,33 @@ class _Task:
         key = (id(run), outputs)
         if key not in self._cache:
             try:
-                self._cache[key] = np.stack([
-                    information_of(
-                        vehicle, run.experiment, noise=self.noise, priors=None, outputs=outputs
-                    ).matrix * self.scales[:, None] * self.scales
-                    for vehicle in self.vehicles
-                ])  # fmt: skip
+                told = [self._told(vehicle, run, outputs) for vehicle in self.vehicles]
+                self._cache[key] = np.stack(told) * self.units[:, None] * self.units
             except OedSysidError:
                 self._cache[key] = None
         return self._cache[key]
+
+    def _told(self, vehicle: Model, run: Candidate, outputs: tuple[str, ...]) -> np.ndarray:
+        """Information of a run on one vehicle, SI units."""
+        if self.shifts is None:
+            return information_of(
+                vehicle, run.experiment, noise=self.noise, priors=None, outputs=outputs
+            ).matrix
+        assert isinstance(self.criterion, ByShifts)
+        shifts = self.shifts if vehicle is self.model else self.criterion.shifts(vehicle)
+        return joint_information(vehicle, run.experiment, shifts, noise=self.noise, outputs=outputs)
+
+    def misfits(self, total: np.ndarray) -> dict[tuple[str, str], float]:
+        """For discrimination: expected gain of every rival over every other."""
+        if not isinstance(self.criterion, Discriminate) or self.shifts is None:
+            return {}
+        return self.criterion.misfits(self.model, self.shifts, total, len(self.names))
+
+    def chances(self, total: np.ndarray) -> tuple[Chance, ...]:
+        """For effects to be revealed: how surely they show, before and after."""
+        if not isinstance(self.criterion, Reveal) or self.shifts is None:
+            return ()
+        return self.criterion.chances(self.shifts, self.prior, total, len(self.names))
 
     def solve(
         self,
@@ -355,13 +400,17 @@ def _refined(
     """Command that completes what all other runs tell; None where none is found."""
     counts = chosen.counts.astype(float)
     counts[j] -= 1
-    rest = library.total(counts)[0]
     scales = task.scales
-    before = Information.from_matrix(task.names, rest / scales[:, None] / scales, scales)
     n = len(scales)
+    joint = library.total(counts)[0]
+    rest = joint[:n, :n]
+    before = Information.from_matrix(task.names, rest / scales[:, None] / scales, scales)
+    criterion = task.criterion
+    if isinstance(criterion, ByShifts):
+        criterion = Completing(criterion, joint / task.units[:, None] / task.units)
     white = information_of(task.model, run.experiment, noise=_sigma(task.noise), priors=None)
     ratio = np.linalg.slogdet(white.matrix * scales[:, None] * scales + 1e-9 * np.eye(n))[1]
-    ratio -= np.linalg.slogdet(library.information[0, j] + 1e-9 * np.eye(n))[1]
+    ratio -= np.linalg.slogdet(library.information[0, j][:n, :n] + 1e-9 * np.eye(n))[1]
     raised = _sigma(task.noise) * np.exp(0.5 * max(ratio, 0.0) / n)
     pattern = run.experiment
     duration = float(pattern.duration or 0.0)
@@ -375,7 +424,7 @@ def _refined(
         try:
             found = design_experiment(
                 task.model, limits=tight, duration=duration, sample_time=float(coarse), rng=rng,
-                criterion=task.criterion, parametrisation=Levels(_LEVELS), prior=before,
+                criterion=criterion, parametrisation=Levels(_LEVELS), prior=before,
                 constants=pattern.constants, initial=pattern.initial, noise=raised, n_starts=2,
                 n_candidates=30, n_steps=10, n_workers=1, name=name,
             )  # fmt: skip
@@ -440,7 +489,8 @@ def _standard(
             low, high = (middle, high) if library.value(middle * counts) < target else (low, middle)
         factor = high
     own = float(chosen.counts @ library.costs)
-    errors = np.sqrt(np.diag(np.linalg.pinv(library.total(counts * own / cost)[0])))
+    n = len(task.names)
+    errors = np.sqrt(np.diag(np.linalg.pinv(library.total(counts * own / cost)[0][:n, :n])))
     return Standard(
         tuple(runs[i].name for i in picked), factor * cost / 3600.0, own / 3600.0,
         dict(zip(task.names, map(float, errors), strict=True)),

@@ -14,6 +14,7 @@ from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.card import sea_trial_card
 from oed_sysid.design.quantities import percent
 from oed_sysid.design.reference import Reference
+from oed_sysid.design.reveal import Chance, missing_physics
 from oed_sysid.display import as_html
 from oed_sysid.experiment import Experiment
 from oed_sysid.information import Information
@@ -61,6 +62,8 @@ class Design:
         where noise is white.
     spread : AccuracyRange or None
         Accuracy on other vehicles that are possible, if asked for.
+    chances : tuple of Chance
+        For :class:`~oed_sysid.design.Reveal`: how surely each candidate effect would show.
     """
 
     experiment: Experiment
@@ -80,6 +83,7 @@ class Design:
     assurance: Assurance | None = None
     sea: NoiseModel | None = None
     spread: AccuracyRange | None = None
+    chances: tuple[Chance, ...] = ()
 
     _repr_html_ = as_html
 
@@ -157,11 +161,7 @@ class Design:
                 f"  Errors of {reference.name}{note} are {mean:.3g} times larger on geometric "
                 f"mean, {worst:.3g} times for the worst parameter."
             )
-        for (first, second), misfit in self.misfits.items():
-            lines.append(
-                f"  If {first} is true, {second} is expected to fit worse by "
-                f"2 dlogL = {misfit:.3g}{'' if misfit > 16 else ' (not enough to decide)'}."
-            )
+        lines += missing_physics(self.misfits, self.chances)
         lines += [f"  Not determined: {text}." for text in self.information.null_directions()]
         return "\n".join(lines)
 
@@ -225,6 +225,7 @@ class Design:
             "active_limits": list(self.active),
             "assurance": None if self.assurance is None else self.assurance.to_dict(),
             "misfits": [[a, b, value] for (a, b), value in self.misfits.items()],
+            "chances": [one.to_dict() for one in self.chances],
             "n_evaluations": self.n_evaluations,
             "seconds": self.seconds,
         }

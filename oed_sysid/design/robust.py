@@ -100,6 +100,34 @@ def draw_models(
     return tuple(found)
 
 
+def draw_structures(
+    model: Model,
+    others: Sequence[Model],
+    spread: float | None,
+    n_sets: int,
+    prior: Information | None,
+    rng: np.random.Generator,
+) -> tuple[Model, ...]:
+    """Return sampled vehicles of several structures in turn.
+
+    Parameters
+    ----------
+    model : Model
+        The believed one, whose parameters the prior is about.
+    others : sequence of Model
+        Other structures; what the prior does not know of them stays at its value.
+    spread, n_sets, prior, rng
+        See :func:`draw_models`; ``n_sets`` over all structures.
+    """
+    structures = (model, *others)
+    counts = [len(range(i, n_sets, len(structures))) for i in range(len(structures))]
+    drawn = [
+        draw_models(one, spread, count, prior, rng)
+        for one, count in zip(structures, counts, strict=True)
+    ]
+    return tuple(drawn[i % len(structures)][i // len(structures)] for i in range(n_sets))
+
+
 def _bounded(model: Model, names: Sequence[str], drawn: np.ndarray) -> dict[str, float]:
     return {
         name: float(np.clip(value, model.parameter(name).lower, model.parameter(name).upper))

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import kernel
+from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.model import Model
 from oed_sysid.sensitivity.bound import start_weights
 from oed_sysid.sensitivity.noise import Noise
+from oed_sysid.sensitivity.shifts import Shifts
 
 # Relative sensitivities beyond this, in noise units, belong to a trajectory that runs away.
 _DIVERGED = 1e9
@@ -60,8 +60,8 @@ class Scene:
         Of the outputs.
     start : str or mapping
         See :func:`~oed_sysid.sensitivity.bound.information_of`.
-    rivals : sequence of Model
-        Rival models.
+    shifts : Shifts, optional
+        What absent effects and rival models would do.
     """
 
     def __init__(
@@ -73,13 +73,20 @@ class Scene:
         noise: Noise,
         *,
         start: object = "unknown",
-        rivals: Sequence[Model] = (),
+        shifts: Shifts | None = None,
     ) -> None:
         self.model, self.times, self.own, self.noise = model, times, own, noise
         self.edges = np.ascontiguousarray(edges, dtype=np.intc)
         self.kernel = kernel(model)
         self.values = model.value_vector
-        self.rivals = tuple((kernel(rival), rival.value_vector) for rival in rivals)
+        self.rivals: tuple[tuple[Kernel, np.ndarray, float], ...] = ()
+        if shifts is not None:
+            self.rivals = tuple(
+                (runner, rival.value_vector, float(factor))
+                for runner, rival, factor in zip(
+                    shifts.kernels, shifts.models, shifts.factors, strict=True
+                )
+            )
         n_own, free = len(model.states), model.free_parameters
         weights = start_weights(model, start)  # type: ignore[arg-type]
         states = [i for i in range(n_own) if np.isfinite(weights[i])]
@@ -121,12 +128,12 @@ class Scene:
         for i, (first, stop) in enumerate(zip(self.edges, stops, strict=True)):
             rows[first:stop, :, : len(self.columns)] = dy[first:stop] @ chains[i]
         rival_nodes = []
-        for position, (rival, values) in enumerate(self.rivals):
+        for position, (rival, values, factor) in enumerate(self.rivals):
             node, _ = rival.start(self.own, commands[0], values, float(self.times[0]))
             other = rival.run(self.times, commands, values, node)
             if not other.ok:
                 return None
-            rows[:, :, len(self.columns) + position] = other.outputs - run.outputs
+            rows[:, :, len(self.columns) + position] = factor * (other.outputs - run.outputs)
             rival_nodes.append(other.states[self.edges])
         rows /= self.noise.sigma[:, None]
         if not np.abs(rows).max() < _DIVERGED:
@@ -179,14 +186,15 @@ class Scene:
         # <W, S chain> = <W chain', S>: one product, no copy of the sensitivities.
         pulled = weights[:, :, :n_kept].reshape(-1, n_kept) @ chain.T
         total = float(np.vdot(pulled, run.output_sensitivities))
-        for position, (rival, values) in enumerate(self.rivals):
+        for position, (rival, values, factor) in enumerate(self.rivals):
             node = view.rival_nodes[position][edge]
             if edge == 0:
                 node, _ = rival.start(self.own, commands[0], values, float(times[0]))
             other = rival.run(times, part, values, node)
             if not other.ok:
                 return None
-            total += float(np.vdot(weights[:, :, n_kept + position], other.outputs - run.outputs))
+            moved = factor * (other.outputs - run.outputs)
+            total += float(np.vdot(weights[:, :, n_kept + position], moved))
         total -= float(np.vdot(by_rows[first:], view.rows[first:]))
         signals = np.empty((len(times), len(columns)))
         for index, column in enumerate(columns):

@@ -15,6 +15,7 @@ from oed_sysid.design.accuracy import AccuracyRange, stated
 from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.library import Candidate
 from oed_sysid.design.quantities import percent
+from oed_sysid.design.reveal import Chance, missing_physics
 from oed_sysid.display import as_html
 from oed_sysid.information import Information
 from oed_sysid.model import Model
@@ -95,6 +96,10 @@ class Programme:
         s.
     budget : tuple of (hours or None, number of runs or None)
     seconds : float
+    misfits : mapping of (str, str) to float
+        For discrimination: expected ``2 dlogL`` of the first rival over the second.
+    chances : tuple of Chance
+        For effects to be revealed: how surely each would show.
     """
 
     model: Model
@@ -121,6 +126,8 @@ class Programme:
     turnaround: float
     budget: tuple[float | None, int | None]
     seconds: float
+    misfits: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    chances: tuple[Chance, ...] = ()
 
     _repr_html_ = as_html
 
@@ -195,6 +202,7 @@ class Programme:
             "these forces and a model of this structure; other commands may do better.",
             _WIDTH, subsequent_indent="  ",
         )  # fmt: skip
+        lines += missing_physics(self.misfits, self.chances)
         if self.standard is not None:
             lines += wrap(f"  {self._compared()}", _WIDTH, subsequent_indent="  ")
         for words, (_, factor) in self.sensor_options.items():
@@ -278,6 +286,8 @@ class Programme:
             "sea": None if self.sea is None else self.sea.to_dict(),
             "outputs": list(self.outputs),
             "sensors": {name: list(pair) for name, pair in self.sensor_options.items()},
+            "misfits": [[a, b, value] for (a, b), value in self.misfits.items()],
+            "chances": [one.to_dict() for one in self.chances],
             "seconds": self.seconds,
         }
 

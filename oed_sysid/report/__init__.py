@@ -6,6 +6,8 @@ figure, and returns them; nothing is shown and no global setting is touched.
 report in one file.
 """
 
+from oed_sysid.report.card_page import card_page
+from oed_sysid.report.card_plots import figure_card, plot_orders, plot_tracks
 from oed_sysid.report.check_page import check_page
 from oed_sysid.report.check_plots import figure_check, plot_balance, plot_balances
 from oed_sysid.report.comparison_page import comparison_page
@@ -66,12 +68,14 @@ __all__ = [
     "Picture",
     "Section",
     "Table",
+    "card_page",
     "check_page",
     "comparison_page",
     "design_page",
     "programme_page",
     "figure_programme",
     "diagnosis_page",
+    "figure_card",
     "figure_check",
     "figure_design",
     "figure_diagnosis",
@@ -112,7 +116,9 @@ __all__ = [
     "plot_residual",
     "plot_residual_force",
     "plot_sensitivity",
+    "plot_orders",
     "plot_track",
+    "plot_tracks",
     "plot_waterfall",
     "plot_zigzag",
     "ranking_page",

@@ -105,7 +105,7 @@ def information_of(
     for play in plays(model, runs, initial_states=initial_states):
         if disturbed is not None:
             rows, _ = innovation_rows(model, play, disturbed, outputs=outputs)
-            factors.append(_eliminated(model, rows, start))
+            factors.append(eliminated(model, rows, start))
             continue
         response = respond(model, play)
         if outputs is not None:
@@ -129,7 +129,7 @@ def run_factor(
     by triangularisation with them in front.
     """
     white = noise.whiten(response.jacobian, response.present)
-    return _eliminated(model, white.reshape(-1, white.shape[2]), start)
+    return eliminated(model, white.reshape(-1, white.shape[2]), start)
 
 
 def disturbed_noise(noise: Levels | NoiseModel | Fit) -> NoiseModel | None:
@@ -140,17 +140,32 @@ def disturbed_noise(noise: Levels | NoiseModel | Fit) -> NoiseModel | None:
     return None if isinstance(noise, Fit) and found.is_white else found
 
 
-def _eliminated(
+def eliminated(
     model: Model, white: np.ndarray, start: str | Mapping[str, float] = "unknown"
 ) -> np.ndarray:
-    """Factor on the shared parameters of whitened rows ``(n_rows, n_own + n_free)``."""
+    """Factor on the shared parameters of whitened rows, start and own parameters eliminated.
+
+    Parameters
+    ----------
+    model : Model
+    white : ndarray (n_rows, n_own + n_free + n_more)
+        By start states, free parameters, and whatever else is kept, in units of the noise.
+    start
+        See :func:`information_of`.
+
+    Returns
+    -------
+    ndarray (n, n)
+        Upper triangular, by shared parameters and what else is kept.
+    """
     own_weights = start_weights(model, start)
     n_own = len(model.states)
     free = model.free_parameters
     local = [n_own + i for i, p in enumerate(free) if p.per_record]
     shared = [n_own + i for i, p in enumerate(free) if not p.per_record]
     unknown = np.flatnonzero(np.isfinite(own_weights)).tolist()
-    columns = [*unknown, *local, *shared]
+    more = range(n_own + len(free), white.shape[1])
+    columns = [*unknown, *local, *shared, *more]
     # In the usual order nothing has to be copied.
     ordered = columns == list(range(white.shape[1]))
     rows = white if ordered else np.ascontiguousarray(white[:, columns])

@@ -36,6 +36,9 @@ from oed_sysid.noise.disturbances import chosen_places, disturbance
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity.response import Play
 
+# Size of a change that is put through the filter, in noise units.
+_SMALL = 1e-3
+
 
 def innovation_rows(
     model: Model,
@@ -43,6 +46,7 @@ def innovation_rows(
     noise: NoiseModel,
     *,
     outputs: Sequence[str] | None = None,
+    changes: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of the innovations of one run, in units of their standard deviations.
 
@@ -56,11 +60,13 @@ def innovation_rows(
         Levels and times of sensors and forces; sensors in the order of the model's outputs.
     outputs : sequence of str, optional
         Outputs that are measured; by default all.
+    changes : ndarray (n_times, n_outputs, n_changes), optional
+        What else may move the outputs; each is put through the same filter.
 
     Returns
     -------
-    rows : ndarray (n_rows, n_own + n_free)
-        By own start states, then by free parameters; samples that are not measured left out.
+    rows : ndarray (n_rows, n_own + n_free + n_changes)
+        By own start states, free parameters and changes; samples that are not measured left out.
     nominal : ndarray (n_times, n_outputs)
         Outputs without noise.
 
@@ -99,7 +105,15 @@ def innovation_rows(
     if outputs is not None:
         measured[:, [name not in outputs for name in model.output_names]] = np.nan
     swept = kernel.filter(
-        play.times, play.inputs, values, play.initial, measured, random, names=free, rows=True
+        play.times,
+        play.inputs,
+        values,
+        play.initial,
+        measured,
+        random,
+        names=free,
+        rows=True,
+        gains=changes is not None,
     )
     if not swept.ok or swept.rows is None:
         raise DesignError(
@@ -107,8 +121,23 @@ def innovation_rows(
             "random forces, or shorten the run."
         )
     n_columns = len(model.states) + len(free)
-    rows = swept.rows[np.isfinite(measured)][:, :n_columns]
-    return rows, nominal
+    seen = np.isfinite(measured)
+    rows = swept.rows[seen][:, :n_columns]
+    if changes is None or swept.gains is None:
+        return rows, nominal
+    roots = np.sqrt(swept.variances[seen])
+    moved = np.empty((len(rows), changes.shape[2]))
+    for position in range(changes.shape[2]):
+        change = changes[:, :, position]
+        # Small, so that the filter stays on the nominal trajectory, where it is linear.
+        share = _SMALL / max(float(np.abs(change / white).max()), 1.0)
+        innovations, _ = kernel.replay(
+            play.times, play.inputs, values, play.initial, measured + share * change, random,
+            swept.gains,
+        )  # fmt: skip
+        # A model that had the change would lower the innovations by it.
+        moved[:, position] = -innovations[seen] / share / roots
+    return np.hstack([rows, moved]), nominal
 
 
 def checked_noise(model: Model, noise: NoiseModel) -> NoiseModel:

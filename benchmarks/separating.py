@@ -1,0 +1,240 @@
+"""Confusable pairs of effects: told apart by one designed dive? (`--show`: what is finished)
+
+    OMP_NUM_THREADS=1 python -m benchmarks.separating
+
+A first, gentle dive (zigzag 5/5 of 90 s) of the REMUS-like vehicle shows that something is missing,
+but not what: two of forty candidate effects explain it alike. One dive is then designed to tell
+them apart (fin and thrust, 90 s, limits of the problem), simulated with either of the two as the
+truth, and all forty candidates are ranked on both dives together. Truth and records come from
+`benchmarks.missing_physics.simulator`, which shares no code with the package; true derivatives
+are 9 % about the believed ones.
+
+Pairs are chosen before anything is simulated, from the information of the first dive alone: those
+whose signatures are most alike, both of which show there at a size at which the other fits as well
+(expected 2 dlogL of 3 or less, at most 1.5 times typical). Each effect is in three pairs at most.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import zlib
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from benchmarks.missing_physics.cases import SPREAD
+from benchmarks.missing_physics.simulator import PRIORS, TRAIN, Case, simulate
+from oed_sysid import Dataset, Problem, Record, load_problem
+from oed_sysid.design import Caution, Discriminate, Levels, design_experiment
+from oed_sysid.design.discrimination import told_apart
+from oed_sysid.design.elimination import eliminate
+from oed_sysid.design.result import Design
+from oed_sysid.diagnosis.rank import Ranking, rank
+from oed_sysid.diagnosis.study import Study
+from oed_sysid.fitting.gauss_newton import FilteredSolution
+from oed_sysid.sensitivity.shifts import Shifts, joint_information
+
+RESULTS = Path(__file__).parent / "results" / "separating.jsonl"
+FIRST = next(m for m in TRAIN if m.name == "train_zigzag_5_5")
+N_PAIRS, MOST_EACH = 10, 3
+# Expected 2 dlogL of the truth over its rival in the first dive, and over the nominal model.
+ALIKE, SHOWN = 3.0, 25.0
+LARGEST = 1.5  # size, of the usual one
+DURATION, SAMPLE = 90.0, 0.1
+
+
+def record(problem: Problem, case: Case, commands: np.ndarray | None = None) -> Record:
+    """Simulate the first dive, or given commands, with what is true."""
+    given = None if commands is None else commands[None, None]
+    (found,) = simulate([case], [FIRST], commands=given)
+    name = FIRST.name if commands is None else "designed"
+    return Record(name, found.times, found.inputs[0], found.outputs[0], problem.channels)
+
+
+def pairs(problem: Problem) -> list[tuple[str, str, float, float]]:
+    """Confusable pairs with the sizes of both members, as shares of the usual ones."""
+    model = problem.model
+    shifts = Shifts.of(model, problem.effects)
+    first = record(problem, Case("nothing", PRIORS))
+    weights = [1.0 / (p.prior_std or np.inf) ** 2 for p in model.free_parameters]
+    n = len(weights)
+    matrix = joint_information(model, first, shifts)
+    matrix[:n, :n] += np.diag(weights)
+    gram, _ = eliminate(matrix, n)
+    alone = [float(np.sum(g.weight * gram[np.ix_(g.columns, g.columns)])) for g in shifts.groups]
+    rows = []
+    for i, j in combinations(range(len(shifts.groups)), 2):
+        if len(shifts.groups[i].columns) + len(shifts.groups[j].columns) > 2:
+            continue  # a wave has a phase and a frequency: it is like nothing
+        a, b = shifts.groups[i].columns[0], shifts.groups[j].columns[0]
+        left = max(1.0 - gram[a, b] ** 2 / (gram[a, a] * gram[b, b]), 1e-12)
+        sizes = [min(LARGEST, float(np.sqrt(ALIKE / (left * alone[k])))) for k in (i, j)]
+        if min(sizes[0] ** 2 * alone[i], sizes[1] ** 2 * alone[j]) >= SHOWN:
+            rows.append((left, i, j, *sizes))
+    rows.sort()
+    chosen: list[tuple[str, str, float, float]] = []
+    used: dict[int, int] = {}
+    for _, i, j, first_size, second_size in rows:
+        names = shifts.names[i], shifts.names[j]
+        if max(used.get(i, 0), used.get(j, 0)) < MOST_EACH and len(chosen) < N_PAIRS:
+            chosen.append((*names, first_size, second_size))
+            used[i], used[j] = used.get(i, 0) + 1, used.get(j, 0) + 1
+    return chosen
+
+
+def case_of(problem: Problem, truth: str, size: float, pair: str) -> Case:
+    """Draw the true derivatives; the effect has its size of the scale, either sign in turn."""
+    effect = problem.effect(truth)
+    seed = zlib.crc32(f"{pair}/{truth}".encode())
+    rng = np.random.default_rng(seed)
+    scatter = np.clip(rng.standard_normal(len(PRIORS)), -2.7, 2.7)
+    derivatives = {
+        n: v * (1 + SPREAD * s) for (n, v), s in zip(PRIORS.items(), scatter, strict=True)
+    }
+    (amplitude,) = (p for p in effect.parameters if p.name in effect.amplitude_names)
+    value = size * amplitude.magnitude
+    if truth == "fin_rate_limit":  # the simulator takes the rate, the candidate its inverse
+        value = 1.0 / value
+    elif amplitude.upper <= 0:
+        value = -value
+    return Case(f"{pair}/{truth}", derivatives, {truth: value}, seed=seed)
+
+
+def ranked(
+    problem: Problem, train: Dataset, also: tuple[str, ...]
+) -> tuple[Study, FilteredSolution, Ranking]:
+    """Rank all candidates on records; both members of the pair are refitted whatever they score."""
+    study, base = Study.begin(problem.model, train, None, problem.effects, known_noise=False)
+    return study, base, rank(study, base, study.candidates, also=also)
+
+
+def designed(
+    problem: Problem, study: Study, base: FilteredSolution, ranking: Ranking, pair: tuple[str, str]
+) -> Design:
+    """Design the dive that tells two effects apart, at the amplitudes that the first one gave."""
+    refits = {refit.name: refit.fit.values for refit in ranking.refits}
+    # One structure with all candidates, compiled once: only values differ.
+    wide = problem.model + [effect.absent() for effect in problem.effects]
+    rivals = [
+        replace(wide.with_values({n: v for n, v in refits[name].items()}), name=name)
+        for name in pair
+    ]
+    fit = study.result(base, "first dive")
+    speed = float(np.sqrt(9.0 / 3.9))
+    return design_experiment(
+        fit,
+        criterion=Discriminate(rivals, against_believed=False),
+        limits=problem.limits,
+        duration=DURATION,
+        sample_time=1.0,
+        neutral={"thrust": 9.0},
+        initial={"u": speed, "z": 10.0},
+        parametrisation=Levels(30),
+        # Limits hold with either explanation.
+        caution=Caution(0.9, n_sets=20, n_checks=40, others=rivals),
+        n_starts=1,
+        n_candidates=12,
+        n_steps=6,
+        n_workers=1,
+        rng=np.random.default_rng(0),
+    )
+
+
+def commands_of(design: Design) -> np.ndarray:
+    """Commands at every sample of the simulator, held."""
+    times = np.arange(round(DURATION / SAMPLE) + 1) * SAMPLE
+    rows = np.searchsorted(design.trajectory.times, times + 1e-9, side="right") - 1
+    return design.trajectory.inputs[rows]
+
+
+def judged(
+    problem: Problem, truth: str, rival: str, size: float, alike: tuple[str, ...]
+) -> dict[str, Any]:
+    """One truth: the first dive, the designed one, and the ranking on both."""
+    began = process_time()
+    pair = (truth, rival)
+    case = case_of(problem, truth, size, "+".join(sorted(pair)))
+    first = record(problem, case)
+    study, base, before = ranked(problem, Dataset([first]), pair)
+    design = designed(problem, study, base, before, pair)
+    second = record(problem, case, commands_of(design))
+    _, _, after = ranked(problem, Dataset([first, second]), pair)
+    groups = [[r.name for r in one.group()] for one in (before, after)]
+    evidence = [{r.name: r.evidence for r in one.refits} for one in (before, after)]
+    margin = [e.get(truth, -np.inf) - max(e.get(rival, -np.inf), 0.0) for e in evidence]
+    return {
+        "pair": sorted(pair),
+        "truth": truth,
+        "rival": rival,
+        "size": size,
+        "group_before": groups[0],
+        "group_after": groups[1],
+        "margin_before": margin[0],
+        "margin_after": margin[1],
+        "expected": design.misfits.get((truth, rival), np.nan),
+        "pitch": float(np.degrees(np.abs(second.outputs[:, 3]).max())),
+        "first": after.refits[0].name if after.refits else "",
+        "confused": truth in groups[0] and rival in groups[0],
+        "separated": bool(groups[1]) and groups[1][0] == truth and rival not in groups[1],
+        "alone": groups[1] == [truth],
+        "seconds": process_time() - began,
+    }
+
+
+def finished() -> dict[tuple[str, str], dict[str, Any]]:
+    """Cases that have run."""
+    if not RESULTS.exists():
+        return {}
+    rows = [json.loads(line) for line in RESULTS.read_text(encoding="utf-8").splitlines()]
+    return {(row["truth"], row["rival"]): row for row in rows}
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Finished cases as Markdown."""
+    lines = [
+        "| truth | rival | size, of usual | confused before | expected 2 dlogL | found "
+        "| told apart | group after |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        lines.append(
+            f"| `{row['truth']}` | `{row['rival']}` | {row['size']:.2g} "
+            f"| {'yes' if row['confused'] else 'no'} ({row['margin_before']:.1f}) "
+            f"| {row['expected']:.0f} (certain to {told_apart(row['expected']):.0%}) "
+            f"| {row['margin_after']:.0f} | {'yes' if row['separated'] else 'NO'} "
+            f"| {', '.join(row['group_after'])} |"
+        )
+    done = sum(row["separated"] for row in rows)
+    return "\n".join([*lines, "", f"Told apart: {done} of {len(rows)} (target 18 of 20)."])
+
+
+def main() -> None:
+    """Run what is missing, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--show", action="store_true", help="print finished cases only")
+    options = parser.parse_args()
+    problem = load_problem("remus_diving_plane")
+    chosen = pairs(problem)
+    RESULTS.parent.mkdir(exist_ok=True)
+    done = finished()
+    for a, b, size_a, size_b in [] if options.show else chosen:
+        for truth, rival, size in ((a, b, size_a), (b, a, size_b)):
+            if (truth, rival) in done:
+                continue
+            row = judged(problem, truth, rival, size, (a, b))
+            done[truth, rival] = row
+            with RESULTS.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+            print(f"{truth} / {rival}: {row['margin_before']:.1f} -> {row['margin_after']:.1f} "
+                  f"({row['seconds']:.0f} s)", flush=True)  # fmt: skip
+    wanted = [key for a, b, _, _ in chosen for key in ((a, b), (b, a))]
+    print(table([done[key] for key in wanted if key in done]))
+
+
+if __name__ == "__main__":
+    main()

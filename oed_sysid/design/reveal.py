@@ -1,0 +1,257 @@
+r"""Experiments that would show what is missing, if it is: the power of a search, before the trial.
+
+A search for missing physics tests every effect of a vocabulary
+(:mod:`oed_sysid.diagnosis.score`). Its statistic is a noncentral chi-squared variable; with the
+Gram matrix :math:`G` of what the parameters cannot imitate
+(:mod:`oed_sysid.sensitivity.shifts`), records in hand included, effect ``i`` of amplitudes
+:math:`a_i`, its plausible size, shows with probability
+
+.. math::
+    \lambda_i = a_i' G_{ii}\, a_i, \qquad
+    p_i = P\left[\chi^2_{\nu_i}(\lambda_i) > \chi^2_{\nu_i, 1 - \alpha/n}\right]
+
+``n`` candidates, :math:`\alpha` false claims over all of them and :math:`\nu_i` amplitudes and
+shapes. The criterion is the mean of :math:`\log p_i`, or the smallest: what shows already adds
+nothing more, so that a run is designed for what the records could not show. The Schur complement
+is concave in the information, and :math:`\log p` is concave and rising in :math:`\lambda` (Finner
+& Roters 1997, *Log-concavity and inequalities for chi-square, F and beta distributions*, Statistica
+Sinica 7), so that the bound of :mod:`oed_sysid.design.allocation` covers programmes too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import chdtri, chndtr
+
+from oed_sysid.design.criteria import Measure
+from oed_sysid.design.discrimination import noncentrality, told_apart
+from oed_sysid.design.elimination import eliminate
+from oed_sysid.effects import Effect
+from oed_sysid.errors import DesignError
+from oed_sysid.model import Model
+from oed_sysid.sensitivity.shifts import Shifts
+
+FALSE_CLAIMS = 0.01
+# Width of the soft minimum, in units of log power.
+_SOFTNESS = 0.1
+# Beyond this expected gain everything shows; the distribution is not evaluated.
+_CERTAIN = 300.0
+# Share of an effect that parameters cannot imitate, below which no run of this kind shows it.
+_ABSORBED = 1e-6
+# Probability with which the smallest size that shows is stated.
+_SURE = 0.9
+
+
+@dataclass(frozen=True)
+class Reveal:
+    """Maximise the chance that a search over a vocabulary finds what is missing.
+
+    Parameters
+    ----------
+    candidates : sequence of Effect
+        Each at its values, or, where these are zero, at its plausible size: ``size`` times the
+        scale of its amplitudes.
+    worst : bool
+        Judge by the smallest chance instead of the mean of the logarithms; effects that the
+        parameters imitate completely are left out.
+    size : float
+        Amplitude of effects without a value, as a share of their scale.
+    false_claims : float
+        Share of false claims over all candidates.
+    """
+
+    candidates: Sequence[Effect]
+    worst: bool = False
+    size: float = 1.0
+    false_claims: float = FALSE_CLAIMS
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "candidates", tuple(self.candidates))
+        names = [effect.name for effect in self.candidates]
+        if not names or len(set(names)) < len(names):
+            raise DesignError(
+                f"The candidates are {', '.join(names) or 'none'}; give one or more, each once."
+            )
+        if not self.size > 0 or not 0 < self.false_claims < 1:
+            raise DesignError(
+                f"size is {self.size}, false_claims {self.false_claims}. Give a share of the scale "
+                "above zero, and a probability."
+            )
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        kind = "smallest" if self.worst else "mean log"
+        return f"{kind} chance to show {len(self.candidates)} effects"
+
+    def shifts(self, believed: Model) -> Shifts:
+        """Return what each candidate does, built on the believed model."""
+        return Shifts.of(believed, self.candidates, size=self.size)
+
+    def needed(self, freedom: int) -> float:
+        """Gain in twice the log-likelihood that a claim needs.
+
+        >>> from oed_sysid import load_problem
+        >>> round(Reveal(load_problem("remus_diving_plane").effects).needed(1), 1)
+        13.4
+        """
+        return float(chdtri(freedom, self.false_claims / len(self.candidates)))
+
+    def bind_shifts(self, shifts: Shifts, n_parameters: int) -> Measure:
+        """Return the criterion of the information on ``[parameters, shifts]``."""
+        needed = [self.needed(group.freedom) for group in shifts.groups]
+
+        def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
+            gram, mapping = eliminate(matrix, n_parameters)
+            raw = matrix[n_parameters:, n_parameters:]
+            logs, slopes, usable = [], [], []
+            for group, gain in zip(shifts.groups, needed, strict=True):
+                value, by_gram = noncentrality(gram, group)
+                log, slope = log_power(value, group.freedom, gain)
+                logs.append(log)
+                slopes.append(slope * by_gram)
+                usable.append(value > _ABSORBED * noncentrality(raw, group)[0])
+            weights = self._weights(np.array(logs), np.array(usable))
+            total = np.tensordot(weights, np.stack(slopes), axes=1)
+            return self._combined(np.array(logs), np.array(usable)), mapping.T @ total @ mapping
+
+        return measure
+
+    def _combined(self, logs: np.ndarray, usable: np.ndarray) -> float:
+        if not self.worst:
+            return float(logs.mean())
+        kept = logs[usable] if usable.any() else logs
+        smallest = kept.min()
+        return float(smallest - _SOFTNESS * np.log(np.mean(np.exp(-(kept - smallest) / _SOFTNESS))))
+
+    def _weights(self, logs: np.ndarray, usable: np.ndarray) -> np.ndarray:
+        if not self.worst:
+            return np.full(len(logs), 1.0 / len(logs))
+        kept = usable if usable.any() else np.ones_like(usable)
+        weights = np.where(kept, np.exp(-(logs - logs[kept].min()) / _SOFTNESS), 0.0)
+        return weights / weights.sum()
+
+    def chances(
+        self, shifts: Shifts, before: np.ndarray, after: np.ndarray, n_parameters: int
+    ) -> tuple[Chance, ...]:
+        """How surely every effect shows, before a run and after it.
+
+        Parameters
+        ----------
+        shifts : Shifts
+        before, after : ndarray
+            Information on ``[parameters, shifts]``.
+        n_parameters : int
+        """
+        grams = [eliminate(matrix, n_parameters)[0] for matrix in (before, after)]
+        found = []
+        for group in shifts.groups:
+            gain = self.needed(group.freedom)
+            values = [noncentrality(gram, group)[0] for gram in grams]
+            powers = [float(np.exp(log_power(v, group.freedom, gain)[0])) for v in values]
+            least = np.sqrt(_for_power(_SURE, group.freedom, gain) / max(values[1], 1e-300))
+            found.append(Chance(group.name, dict(group.sizes), *values, *powers, float(least)))
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class Chance:
+    """How surely one effect would show.
+
+    Attributes
+    ----------
+    name : str
+    sizes : mapping of str to float
+        Amplitudes that count as its plausible size.
+    gain_before, gain_after : float
+        Expected gain in twice the log-likelihood, besides what chance adds.
+    before, after : float
+        Probability that a search claims it.
+    least : float
+        Share of the size that shows with a probability of 0.9 after the run.
+    """
+
+    name: str
+    sizes: dict[str, float]
+    gain_before: float
+    gain_after: float
+    before: float
+    after: float
+    least: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "name": self.name, "sizes": dict(self.sizes), "gain_before": self.gain_before,
+            "gain_after": self.gain_after, "before": self.before, "after": self.after,
+            "least": self.least,
+        }  # fmt: skip
+
+
+def missing_physics(
+    misfits: Mapping[tuple[str, str], float], chances: Sequence[Chance]
+) -> list[str]:
+    """Lines on rivals told apart and on effects revealed, records in hand included."""
+    lines = [
+        f"  If {first} is true, {second} is expected to fit worse by "
+        f"2 dlogL = {misfit:.3g}{'' if misfit > 16 else ' (not enough to decide)'}; "
+        f"told apart with {told_apart(misfit):.0%}."
+        for (first, second), misfit in misfits.items()
+    ]
+    return lines + (chance_table(chances) if chances else [])
+
+
+def chance_table(chances: Sequence[Chance], *, most: int = 12) -> list[str]:
+    """Lines with the effects that a run makes visible, and those that stay hidden."""
+    lines = [f"  {'effect':<32} {'chance before':>13} {'after':>7} {'shows from':>14}"]
+    gained = sorted(chances, key=lambda one: one.before - one.after)
+    for one in gained[:most]:
+        least = f"{one.least:.2g} of usual" if one.least < 1e3 else "-"
+        lines.append(f"  {one.name:<32} {one.before:>13.0%} {one.after:>7.0%} {least:>14}")
+    hidden = [one.name for one in chances if one.after < 0.5]
+    shown = sum(one.after >= _SURE for one in chances)
+    lines.append(
+        f"  {shown} of {len(chances)} effects would show at their usual size with 90 % or more, "
+        f"{sum(one.before >= _SURE for one in chances)} before."
+    )
+    if hidden:
+        lines.append(f"  Would stay hidden: {', '.join(hidden)}.")
+    return lines
+
+
+def log_power(gain: float, freedom: int, needed: float) -> tuple[float, float]:
+    """Logarithm of the chance that a test exceeds its threshold, and its derivative.
+
+    Parameters
+    ----------
+    gain : float
+        Non-centrality.
+    freedom : int
+    needed : float
+        Threshold.
+
+    Examples
+    --------
+    >>> value, slope = log_power(13.4, 1, 13.4)
+    >>> print(f"{np.exp(value):.3f} {slope:.3f}")
+    0.500 0.109
+    """
+    gain = max(gain, 0.0)
+    if gain > _CERTAIN + needed:
+        return 0.0, 0.0
+    power = 1.0 - float(chndtr(needed, freedom, gain))
+    more = 1.0 - float(chndtr(needed, freedom + 2, gain))
+    # d/dlambda of the survival function is half of what two degrees of freedom more add.
+    return float(np.log(max(power, 1e-300))), 0.5 * max(more - power, 0.0) / max(power, 1e-300)
+
+
+def _for_power(power: float, freedom: int, needed: float) -> float:
+    """Non-centrality at which a test has some power."""
+    return float(
+        brentq(lambda gain: np.exp(log_power(gain, freedom, needed)[0]) - power, 0.0, _CERTAIN)
+    )
