@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterable
 from math import degrees
 
-from oed_sysid.app.plans import DesignWish
+from oed_sysid.app.plans import DesignWish, ProgrammeWish
 from oed_sysid.app.study import Study
 
 
@@ -63,6 +63,11 @@ def design(study: Study, wish: DesignWish) -> str:
     for name, lower, upper in wish.ranges:
         unit = units[name]
         parts += ["--limit", f"{name}={_number(lower, unit)}:{_number(upper, unit)}"]
+    signals = (*study.problem.model.states, *study.problem.model.outputs)
+    units |= {one.name: one.unit for one in signals if one.name not in units}
+    for name, lower, upper in wish.corridors:
+        unit = units[name]
+        parts += ["--limit", f"{name}={_number(lower, unit)}:{_number(upper, unit)}"]
     for name, rate in wish.rates:
         parts += ["--limit", f"{name}-rate={_number(rate, units[name])}"]
     parts += ["--discriminate", *wish.rivals] if wish.rivals else ["--criterion", wish.criterion]
@@ -72,6 +77,15 @@ def design(study: Study, wish: DesignWish) -> str:
     if wish.after_fit:
         parts += ["--after", "fit.json"]
     return " ".join([*parts, "--out design.csv", "--card card.txt", "--html design.html"])
+
+
+def programme(study: Study, wish: ProgrammeWish) -> str:
+    """Command that plans several runs."""
+    hours = "" if wish.hours is None else f" --hours {wish.hours:g}"
+    return (
+        f"{_line('programme', study)} --runs {wish.runs}{hours} --turnaround {wish.turnaround:g} "
+        f"--criterion {wish.criterion} --seed {wish.seed} --out runs --html programme.html"
+    )
 
 
 def shown(unit: str) -> str:

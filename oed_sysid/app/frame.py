@@ -18,11 +18,13 @@ from oed_sysid.app import (
     page_plan,
     page_problem,
     page_report,
+    visit,
 )
-from oed_sysid.app.jobs import unexpected
 from oed_sysid.app.panels import message, style
+from oed_sysid.app.shelf import ago, new_id
 from oed_sysid.app.study import Study
 from oed_sysid.app.trust import is_user
+from oed_sysid.app.work import unexpected
 from oed_sysid.errors import OedSysidError
 
 _ICON = str(Path(__file__).with_name("icon.svg"))
@@ -58,6 +60,7 @@ def show(initial: str | None = None) -> None:
         st.session_state["key"] = st.query_params.get("key")
     if st.session_state["key"] and st.query_params.get("key") != st.session_state["key"]:
         st.query_params["key"] = st.session_state["key"]  # for a reload of any page
+    visit.begin()
     choices.begin(initial)
     style()
     first = st.Page(
@@ -85,6 +88,7 @@ def show(initial: str | None = None) -> None:
             st.switch_page(following)
     with st.sidebar:
         _guarded(_aside)()
+    _guarded(_keep)()
 
 
 def _draw(page: Callable[[Study], None]) -> None:
@@ -93,6 +97,7 @@ def _draw(page: Callable[[Study], None]) -> None:
 
 def _aside() -> None:
     """Say what is being studied; what is wrong with it, the page says."""
+    _studies()
     try:
         study = choices.study()
     except OedSysidError:
@@ -101,6 +106,36 @@ def _aside() -> None:
     parts = (("Learn from", study.train), ("Judge with", study.test))
     for words, records in parts:
         st.caption(f"{words}: {', '.join(records.names) if records else 'none'}")
+    if running := visit.desk().running(visit.study_id()):
+        st.caption(f":material/hourglass_top: {running} at work")
+
+
+def _studies() -> None:
+    """Lead to earlier studies and to a new one."""
+    here = visit.study_id()
+    with st.popover("Studies", icon=":material/folder_open:", width="stretch"):
+        if st.button("New study", icon=":material/add:", key="new study", width="stretch"):
+            visit.open_study(new_id())
+            st.rerun()
+        for name, (title, when) in visit.shelf().recent().items():
+            if name == here:
+                continue
+            left, right = st.columns([5, 1], vertical_alignment="center")
+            if left.button(f"{title}, {ago(when)}", key=f"open:{name}", width="stretch"):
+                visit.open_study(name)
+                st.rerun()
+            if right.button("", icon=":material/delete:", key=f"forget:{name}", help="Forget it"):
+                visit.shelf().forget(name)
+                st.rerun()
+
+
+def _keep() -> None:
+    """Put the study on the shelf as it is now."""
+    try:
+        title = choices.study().problem.title
+    except OedSysidError:
+        title = str(choices.chosen("source") or "")
+    visit.end(title)
 
 
 def _guarded(draw: Callable[[], None]) -> Callable[[], None]:

@@ -56,11 +56,11 @@ def orders(problem: str | None = None, *, port: int = 8501) -> list[str]:
         "logger.hideWelcomeMessage": "true",  # it would show an address without the key
         "client.toolbarMode": "minimal",
         "client.showErrorDetails": "none",
-        # The pictures are drawn on white.
-        "theme.base": "light",
-        "theme.primaryColor": "#0072B2",
-        "theme.textColor": "#1b1f24",
-        "theme.secondaryBackgroundColor": "#f4f6f8",
+        # The browser's choice of light or dark is followed.
+        "theme.light.primaryColor": "#0072B2",
+        "theme.light.textColor": "#1b1f24",
+        "theme.light.secondaryBackgroundColor": "#f4f6f8",
+        "theme.dark.primaryColor": "#56B4E9",
     }
     options = [f"--{name}={value}" for name, value in settings.items()]
     given = [] if problem is None else ["--", problem]

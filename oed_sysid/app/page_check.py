@@ -6,9 +6,10 @@ from functools import partial
 
 import streamlit as st
 
-from oed_sysid.app import commands, tasks
-from oed_sysid.app.panels import Asked, command, desk, download, html_download, work
+from oed_sysid.app import commands, script, tasks
+from oed_sysid.app.panels import command, download, html_download, work
 from oed_sysid.app.panels import show as show_page
+from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
 
 
@@ -17,11 +18,8 @@ def show(study: Study) -> None:
     st.header("Check the log")
     line = commands.check(study)
     study.records()
-    key = ("check", *study.key)
-    if desk().find(key) is None:
-        desk().ask(key, partial(tasks.check, study))
-    about = Asked("Check the log", "check", line)
-    outcome = work("Check", key, about, partial(tasks.check, study))
+    about = Asked("Check the log", "check", line, script.check(study))
+    outcome = work("Check", about, study, tasks.check, unasked=True)
     if outcome is not None:
         if outcome.result.suspect:
             st.error(outcome.result.verdict, icon=":material/warning:")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import streamlit as st
 
-from oed_sysid.app import choices, commands, tasks
-from oed_sysid.app.panels import Asked, command, html_download, work
+from oed_sysid.app import choices, commands, script, tasks, views
+from oed_sysid.app.panels import command, html_download, work
 from oed_sysid.app.panels import show as show_page
+from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
 
 
@@ -37,11 +36,11 @@ def _compare(study: Study) -> None:
     )
     groups = tuple((name,) for name in added)
     line = commands.compare(study, groups)
-    about = Asked("Comparison on validation records", "compare", line)
-    key = ("compare", groups, *study.key)
-    outcome = work("Compare", key, about, partial(tasks.compare, study, groups))
+    code = script.compare(study, groups)
+    about = Asked("Comparison on validation records", "compare", line, code)
+    outcome = work("Compare", about, study, tasks.compare, groups)
     if outcome is not None:
-        show_page(outcome.page)
+        show_page(outcome.page, views.of_comparison(outcome.result, "compare"))
         html_download(outcome.page, "compare")
     command(line)
 
@@ -49,9 +48,11 @@ def _compare(study: Study) -> None:
 def _diagnose(study: Study) -> None:
     study.training()
     line = commands.diagnose(study)
-    about = Asked("Diagnosis", "diagnose", line)
-    outcome = work("Diagnose", ("diagnose", *study.key), about, partial(tasks.diagnose, study))
+    about = Asked("Diagnosis", "diagnose", line, script.diagnose(study))
+    outcome = work("Diagnose", about, study, tasks.diagnose)
     if outcome is not None:
-        show_page(outcome.page)
+        located = outcome.result.location
+        fit = outcome.fits.get(tasks.NOMINAL)
+        show_page(outcome.page, views.of_located(located, study.training(), fit, "diagnose"))
         html_download(outcome.page, "diagnose")
     command(line)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import streamlit as st
 
-from oed_sysid.app import commands, tasks
-from oed_sysid.app.panels import Asked, command, html_download, work
+from oed_sysid.app import commands, script, tasks, views
+from oed_sysid.app.panels import command, html_download, work
 from oed_sysid.app.panels import show as show_page
+from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
 
 
@@ -17,10 +16,10 @@ def show(study: Study) -> None:
     st.header("Fit")
     line = commands.fit(study)
     study.training()
-    about = Asked("Fit", "fit", line)
-    outcome = work("Fit", ("fit", *study.key), about, partial(tasks.fit, study))
+    about = Asked("Fit", "fit", line, script.fit(study))
+    outcome = work("Fit", about, study, tasks.fit)
     if outcome is not None:
         st.caption(outcome.page.subtitle)
-        show_page(outcome.page)
+        show_page(outcome.page, views.of_fit(outcome.result, "fit"))
         html_download(outcome.page, "fit")
     command(line)

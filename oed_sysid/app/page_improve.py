@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 import streamlit as st
 
-from oed_sysid.app import choices, commands, tasks
-from oed_sysid.app.panels import Asked, command, html_download, work
+from oed_sysid.app import choices, commands, script, tasks, views
+from oed_sysid.app.panels import command, html_download, work
 from oed_sysid.app.panels import show as show_page
+from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
 
 if TYPE_CHECKING:
+    from oed_sysid.diagnosis.compare import Comparison
     from oed_sysid.diagnosis.improvement import Improvement
 
 
@@ -28,11 +30,14 @@ def show(study: Study) -> None:
     key = choices.preset(choices.kept("most", study.source, study.variant), 4)
     most = st.columns(2)[0].slider("Most effects to add", 1, 6, key=key)
     line = commands.improve(study, most)
-    about = Asked("Missing physics", "improve", line)
-    asked = ("improve", most, *study.key)
-    outcome = work("Find what is missing", asked, about, partial(tasks.improve, study, most))
+    about = Asked("Missing physics", "improve", line, script.improve(study, most))
+    outcome = work("Find what is missing", about, study, tasks.improve, most)
     if outcome is not None:
-        show_page(outcome.page)
+        found = outcome.result
+        first = views.of_comparison(outcome.comparison, "improve") | views.of_located(
+            found.location, study.training(), found.base_fit, "improve"
+        )
+        show_page(outcome.page, first)
         html_download(outcome.page, "improve")
         _tell_apart(study, outcome.result)
     command(line)
@@ -54,21 +59,50 @@ def _tell_apart(study: Study, found: Improvement) -> None:
 
 
 def _step_back(study: Study, found: Improvement) -> None:
-    """Choose which effects to keep, and judge that choice."""
+    """Choose which effects to keep, and judge several such choices side by side."""
     st.subheader("Take a step back")
     known = [effect.name for effect in study.problem.effects]
     added = [step.added for step in found.steps if step.added in known]
-    key = choices.preset(choices.kept("effects", study.source, study.variant), added)
-    effects = tuple(st.multiselect("Effects to keep", known, key=key))
-    if not effects:
+    keys = partial(choices.kept, study.source, study.variant)
+    state, beside = st.session_state, keys("beside")
+    held = [tuple(group) for group in state.get(beside, []) if set(group) <= set(known)]
+    left, middle, right = st.columns([4, 1, 1], vertical_alignment="bottom")
+    picked = left.multiselect(
+        "Effects to keep", known, key=choices.preset(keys("effects"), added), wrap=True
+    )
+    now = tuple(picked)
+    if middle.button("Add", key="add", help="Keep this choice, and put another beside it.",
+                     disabled=not now or now in held, width="stretch"):  # fmt: skip
+        state[beside] = [list(group) for group in (*held, now)]
+        st.rerun()
+    if right.button("Undo", key="undo", help="Take the choice that was added last away.",
+                    disabled=not held, width="stretch"):  # fmt: skip
+        state[beside] = [list(group) for group in held[:-1]]
+        st.rerun()
+    groups = (*held, *([now] if now and now not in held else []))
+    if not groups:
         st.caption("Without an effect this is the nominal model.")
         return
-    groups = (effects,)
-    line = commands.compare(study, groups)
-    about = Asked(f"With {', '.join(effects)}", "kept", line.replace("compare.html", "kept.html"))
-    asked = ("compare", groups, *study.key)
-    outcome = work("Fit with these", asked, about, partial(tasks.compare, study, groups))
+    st.caption("Side by side: nominal; " + "; ".join(" + ".join(group) for group in groups))
+    line = commands.compare(study, groups).replace("compare.html", "kept.html")
+    titles = "; ".join(", ".join(group) for group in groups)
+    about = Asked(f"With {titles}", "kept", line, script.compare(study, groups))
+    outcome = work("Fit with these", about, study, tasks.compare, groups)
     if outcome is not None:
-        show_page(outcome.page)
+        st.dataframe(side_by_side(outcome.result), hide_index=True)
+        show_page(outcome.page, views.of_comparison(outcome.result, "kept"))
         html_download(outcome.page, "kept")
-    command(about.command)
+    command(line)
+
+
+def side_by_side(found: Comparison) -> list[dict[str, str]]:
+    """Errors on the validation records, one row per model, angles in degrees."""
+    rows = []
+    for part in found.models:
+        row = {"model": part.label, "error / noise": f"{part.relative:.3g}"}
+        rms = part.prediction.rms
+        for output in found.dataset.channels.outputs:
+            turn, unit = commands.factor(output.unit), commands.shown(output.unit)
+            row[f"{output.name} [{unit}]"] = f"{turn * rms[output.name]:.3g}"
+        rows.append(row)
+    return rows

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from functools import partial
 
+import numpy as np
 import streamlit as st
 
-from oed_sysid.app import choices, commands, plans
-from oed_sysid.app.panels import Asked, command, download, html_download, work
+from oed_sysid.app import choices, commands, plans, script
+from oed_sysid.app.panels import command, download, html_download, message, work
 from oed_sysid.app.panels import show as show_page
+from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
-from oed_sysid.errors import ProblemError
+from oed_sysid.channels import Input, Output, State
+from oed_sysid.errors import DesignError, ProblemError
 from oed_sysid.experiment import Experiment
 
 _CRITERIA = {
@@ -19,6 +22,7 @@ _CRITERIA = {
     "E": "the worst combination (E)",
 }
 _RECORDS = "Training records"
+Range = tuple[str, float, float]
 
 
 def show(study: Study) -> None:
@@ -26,15 +30,17 @@ def show(study: Study) -> None:
     st.header("Plan the next trial")
     view = st.segmented_control(
         "View",
-        ("Rank", "Design"),
+        ("Rank", "Design", "Programme"),
         required=True,
         key=choices.preset(choices.kept("plan"), "Rank"),
         label_visibility="collapsed",
     )
     if view == "Rank":
         _rank(study)
-    else:
+    elif view == "Design":
         _design(study)
+    else:
+        _programme(study)
 
 
 def _rank(study: Study) -> None:
@@ -49,8 +55,8 @@ def _rank(study: Study) -> None:
         raise ProblemError(f"Choose either planned experiments or {_RECORDS.lower()}, not both.")
     runs = () if _RECORDS in picked else tuple(name for name in names if name in picked)
     line = commands.rank(study, runs)
-    about = Asked("What trials tell", "rank", line)
-    outcome = work("Rank", ("rank", runs, *study.key), about, partial(plans.rank, study, runs))
+    about = Asked("What trials tell", "rank", line, script.rank(study, runs))
+    outcome = work("Rank", about, study, plans.rank, runs)
     if outcome is not None:
         show_page(outcome.page)
         html_download(outcome.page, "rank")
@@ -68,11 +74,11 @@ def _design(study: Study) -> None:
     line = commands.design(study, wish)
     if wish.after_fit:
         line = f"{commands.fit(study)}\n{line}"
-    about = Asked("Designed trial", "design", line)
-    outcome = work(
-        "Design", ("design", wish, *study.key), about, partial(plans.design, study, wish)
-    )
+    about = Asked("Designed trial", "design", line, script.design(study, wish))
+    outcome = work("Design", about, study, plans.design, wish)
     if outcome is not None:
+        if danger := plans.risk(outcome.result):
+            message(danger)
         show_page(outcome.page)
         for column, offer in zip(
             st.columns([1, 1, 1, 3]),
@@ -86,6 +92,41 @@ def _design(study: Study) -> None:
         ):  # fmt: skip
             with column:
                 offer()
+    command(line)
+
+
+def _programme(study: Study) -> None:
+    """Plan several runs together."""
+    if not study.problem.experiments:
+        raise ProblemError(
+            f"Problem {study.problem.name!r} has no experiment to take settings from. Add one to "
+            "its problem.py."
+        )
+    keys = partial(choices.kept, study.source, study.variant, "programme")
+    columns = st.columns(4)
+    runs = columns[0].number_input("Most runs", 1, 30, key=choices.preset(keys("runs"), 4))
+    hours = columns[1].number_input(
+        "Hours for everything", 0.0, value=None, placeholder="as many as it takes",
+        key=choices.preset(keys("hours"), None), format="%.3g",
+    )  # fmt: skip
+    turnaround = columns[2].number_input(
+        "Between two runs [min]", 0.0, key=choices.preset(keys("turnaround"), 10.0), format="%.3g"
+    )
+    criterion = columns[3].selectbox(
+        "Sharpen", ("A", "D"), format_func=_CRITERIA.__getitem__, key=keys("criterion")
+    )
+    wish = plans.ProgrammeWish(int(runs), hours or None, float(turnaround), criterion)
+    line = commands.programme(study, wish)
+    about = Asked("Programme of runs", "programme", line, script.programme(study, wish))
+    outcome = work("Plan the runs", about, study, plans.programme, wish)
+    if outcome is not None:
+        show_page(outcome.page)
+        left, right, _ = st.columns([1, 1, 2])
+        with left:
+            html_download(outcome.page, "programme")
+        with right:
+            made = partial(plans.tables, outcome.result)
+            download("Commands of all runs (ZIP)", made, "runs.zip", "application/zip")
     command(line)
 
 
@@ -103,7 +144,7 @@ def _wish(study: Study) -> plans.DesignWish:
         key=choices.preset(keep("duration", like), float(pattern.duration or 60.0)),
     )
     effort = third.selectbox("Effort", list(plans.EFFORTS), key=keep("effort"))
-    ranges, rates = _limits(study, pattern)
+    ranges, rates, corridors = _limits(study, pattern)
     first, second, third = st.columns(3)
     rivals = tuple(
         first.multiselect(
@@ -135,6 +176,7 @@ def _wish(study: Study) -> plans.DesignWish:
         duration,
         ranges,
         rates,
+        corridors,
         criterion,
         family,
         effort,
@@ -146,37 +188,59 @@ def _wish(study: Study) -> plans.DesignWish:
 
 def _limits(
     study: Study, pattern: Experiment
-) -> tuple[tuple[tuple[str, float, float], ...], tuple[tuple[str, float], ...]]:
-    """Ask for range and rate of each commanded input; only changes are returned."""
-    limits, ranges, rates = study.problem.limits, [], []
-    for channel in study.problem.model.inputs:
-        if channel.name not in limits.inputs or channel.name in pattern.constants:
-            continue
-        turn, words = commands.factor(channel.unit), channel.label or channel.name
-        lower, upper = limits.inputs[channel.name]
-        believed = limits.rates.get(channel.name)
+) -> tuple[tuple[Range, ...], tuple[tuple[str, float], ...], tuple[Range, ...]]:
+    """Ask for ranges and rates of commands and for corridors of signals; changes are returned."""
+    limits, model = study.problem.limits, study.problem.model
+    ranges: list[Range] = []
+    corridors: list[Range] = []
+    rates = []
+    asked = [one for one in model.inputs
+             if one.name in limits.inputs and one.name not in pattern.constants]  # fmt: skip
+    signals = {one.name: one for one in (*model.states, *model.outputs)}
+    for channel in asked:
         keys = partial(choices.kept, study.source, study.variant, channel.name)
-        one, two, three = st.columns(3)
-        least = one.number_input(
-            f"{words}, least [{commands.shown(channel.unit)}]",
-            format="%.4g",
-            key=choices.preset(keys("least"), turn * lower),
-        )
-        most = two.number_input(
-            f"largest [{commands.shown(channel.unit)}]",
-            format="%.4g",
-            key=choices.preset(keys("most"), turn * upper),
-        )
-        rate = three.number_input(
-            f"rate [{commands.shown_rate(channel.unit)}]",
+        one, two = st.columns([2, 1], vertical_alignment="bottom")
+        with one:
+            ranges += _range(channel, limits.inputs[channel.name], keys("range"))
+        turn, believed = commands.factor(channel.unit), limits.rates.get(channel.name)
+        rate = two.number_input(
+            f"Largest rate [{commands.shown_rate(channel.unit)}]",
             min_value=0.0,
             value=None,
             placeholder="no limit" if believed is None else "as in the problem",
             format="%.4g",
             key=choices.preset(keys("rate"), believed and turn * believed),
         )
-        if abs(least - turn * lower) + abs(most - turn * upper) > 1e-9 * abs(turn * upper):
-            ranges.append((channel.name, least / turn, most / turn))
         if rate is not None and rate != (believed and turn * believed):
             rates.append((channel.name, rate / turn))
-    return tuple(ranges), tuple(rates)
+    columns = st.columns(2)
+    for place, (name, corridor) in enumerate(limits.signals.items()):
+        if name in signals and np.isfinite(corridor).all():
+            key = choices.kept(study.source, study.variant, "corridor", name)
+            with columns[place % 2]:
+                corridors += _range(signals[name], corridor, key)
+    return tuple(ranges), tuple(rates), tuple(corridors)
+
+
+def _range(channel: Input | Output | State, limits: tuple[float, float], key: str) -> list[Range]:
+    """Ask for a range with a slider that reaches half as far again; nothing if it is as before."""
+    turn = commands.factor(channel.unit)
+    lower, upper = turn * limits[0], turn * limits[1]
+    more = 0.5 * (upper - lower)
+    step = float(f"{(upper - lower) / 100.0:.1g}")
+    words = channel.label or channel.name
+    choices.preset(key, (lower, upper))
+    st.session_state[key] = tuple(st.session_state[key])  # a list, where it was kept
+    least, most = st.slider(
+        f"{words} {channel.name} [{commands.shown(channel.unit)}]",
+        min_value=lower - more,
+        max_value=upper + more,
+        step=step,
+        format="%.4g",
+        key=key,
+    )
+    if abs(least - lower) + abs(most - upper) <= 1e-6 * (upper - lower):
+        return []
+    if not least < most:
+        raise DesignError(f"The limits of {words} leave nothing between them. Draw them apart.")
+    return [(channel.name, least / turn, most / turn)]

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 
 import streamlit as st
 
-from oed_sysid.app import choices, commands
+from oed_sysid.app import choices, commands, panel_mapping, views
+from oed_sysid.app.mapping import headers
 from oed_sysid.app.panels import command, message, part
-from oed_sysid.app.study import content
+from oed_sysid.app.records import plain_name
 from oed_sysid.app.trust import NotTrustedError, check_trusted, code_of
 from oed_sysid.channels import Input, Output
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.problem import Problem, list_problems
-from oed_sysid.report import Picture, Section, Table, figure_record
+from oed_sysid.data.csv_columns import TIME_NAMES
+from oed_sysid.errors import OedSysidError, ProblemError
+from oed_sysid.language.units import parse_header
+from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
+from oed_sysid.problem.starter import TEMPLATES
+from oed_sysid.report import Section, Table
 
 
 def show() -> None:
@@ -29,6 +35,11 @@ def show() -> None:
         help="A shipped problem, or type the path of your own folder. "
         "`oed-sysid new my_vehicle` makes one. You are asked before its problem.py is run.",
     )
+    first, second, _ = st.columns([1, 1, 2])
+    with first.popover("New vehicle", icon=":material/add:", width="stretch"):
+        _new_vehicle()
+    with second.popover("Measured data", icon=":material/database:", width="stretch"):
+        _measured()
     source = str(choices.chosen("source") or "").strip()
     try:
         check_trusted(source, choices.agreed())
@@ -59,6 +70,69 @@ def show() -> None:
     with sources:
         part(Section("", problem.references or ("None stated.",)))
     command(commands.describe(choices.study()))
+
+
+def _measured() -> None:
+    """Lead to the measured records that are at hand."""
+    names = choices.measured()
+    if not names:
+        st.caption(
+            "None is on this computer yet. Choose a problem and its records *With the problem*: "
+            "they are downloaded once."
+        )
+    for name in names:
+        st.button(
+            name.replace("_", " "), key=f"measured:{name}", width="stretch",
+            on_click=choices.open_measured, args=(name,),
+        )  # fmt: skip
+
+
+_FROM_LOG = "from a CSV file"
+
+
+def _new_vehicle() -> None:
+    """Make the folder of a problem: from a template, or around a log."""
+    st.text_input("Folder to make", key="new:folder", placeholder="~/vehicles/my_ship")
+    kind = st.selectbox("Begin with", [*TEMPLATES, _FROM_LOG], key="new:kind")
+    if kind == _FROM_LOG:
+        file = st.file_uploader("CSV file with units in its headers", type="csv", key="new:log")
+        if file is not None:
+            names = [parse_header(h)[0] for h in headers(file.getvalue())]
+            names = [one for one in names if one.lower() not in TIME_NAMES]
+            st.multiselect(
+                "Commands", names, key="new:commands",
+                help="Columns that are commands; empty lets their names decide.",
+            )  # fmt: skip
+    st.button("Make it", key="new:make", type="primary", on_click=_make)
+    if refusal := st.session_state.get("new:refusal"):
+        message(refusal)
+
+
+def _make() -> None:
+    """Make the folder that was asked for, and open it."""
+    state = st.session_state
+    state.pop("new:refusal", None)
+    folder = Path(str(state.get("new:folder") or "").strip()).expanduser()
+    log = state.get("new:log") if state.get("new:kind") == _FROM_LOG else None
+    try:
+        if not folder.name:
+            raise ProblemError("Name the folder to make, such as ~/vehicles/my_ship.")
+        if state.get("new:kind") != _FROM_LOG:
+            made = new_problem(folder, template=str(state["new:kind"]))
+        elif log is None:
+            raise ProblemError("Give the CSV file that the problem is made of.")
+        else:
+            with tempfile.TemporaryDirectory() as place:
+                file = Path(place) / plain_name(log.name)
+                file.write_bytes(log.getvalue())
+                inputs = list(state.get("new:commands") or [])
+                made = new_problem(folder, log=file, inputs=inputs)
+        load_problem(made)
+    except OedSysidError as error:
+        state["new:refusal"] = str(error)
+        return
+    choices.agree(str(made))  # it was written by this package, a moment ago
+    state[choices.kept("source")] = str(made)
 
 
 def _ask_consent(source: str) -> None:
@@ -94,6 +168,8 @@ def _records(problem: Problem, source: str, variant: str) -> None:
     )
     if origin == choices.UPLOADED:
         _upload(problem, source)
+    elif origin == choices.MAPPED:
+        panel_mapping.show(problem, source)
     stock = choices.stock(source, variant, origin)
     for name, refusal in stock.refused.items():
         message(f"**{name}** was refused. {refusal}")
@@ -113,15 +189,7 @@ def _records(problem: Problem, source: str, variant: str) -> None:
                 help="No choice looks at these." if side == "test" else None,
                 wrap=True,
             )
-    name = st.selectbox("Look at", stock.names, key=f"look:{source}:{origin}")
-    if name in stock.names:
-        record = stock.records[name]
-        if record.missing_outputs:
-            st.caption(f"Not measured: {', '.join(record.missing_outputs)}")
-        if record.ignored_columns:
-            st.caption(f"Columns not used: {', '.join(record.ignored_columns)}")
-        one = Dataset((record,))
-        part(Section("", pictures=(_picture(content(one), one),)))
+    views.look_at(stock.records, f"{source}:{origin}")
 
 
 def _upload(problem: Problem, source: str) -> None:
@@ -129,30 +197,8 @@ def _upload(problem: Problem, source: str) -> None:
     channels = problem.channels
     wanted: Sequence[Input | Output] = (*channels.inputs, *channels.outputs)
     columns = ", ".join(f"{one.column or one.name} [{one.unit or '-'}]" for one in wanted)
-    files = st.file_uploader(
-        f"Columns: t [s], {columns}. Other units are converted.",
-        type="csv",
-        accept_multiple_files=True,
-        key=f"upload:{source}",
-        on_change=_take,
-        args=(source,),
-    )
-    if not files:  # drawn anew: it shows none of the files that were given before
-        st.session_state[f"shown:{source}"] = set()
-    held = st.session_state.get(f"files:{source}")
-    if held and st.button("Forget these files"):
-        held.clear()
-        st.rerun()
-
-
-def _take(source: str) -> None:
-    """Keep the files that were given, and forget those that were taken back."""
-    held: dict[str, bytes] = st.session_state.setdefault(f"files:{source}", {})
-    now = {file.name: file.getvalue() for file in st.session_state[f"upload:{source}"]}
-    for name in st.session_state.get(f"shown:{source}", set()) - set(now):
-        held.pop(name, None)
-    held.update(now)
-    st.session_state[f"shown:{source}"] = set(now)
+    words = f"Columns: t [s], {columns}. Other units are converted."
+    choices.take_files(words, source, ("csv",))
 
 
 def _parameters(problem: Problem) -> Table:
@@ -178,8 +224,3 @@ def _candidates(problem: Problem) -> Table:
     )
     headers = ("effect", "stage", "meaning", "shows in", "source")
     return Table(headers, rows, words=(1, 2, 3, 4))
-
-
-@st.cache_resource(show_spinner=False, max_entries=30)
-def _picture(key: str, _dataset: Dataset) -> Picture:
-    return Picture.of(figure_record(_dataset[0]), "")

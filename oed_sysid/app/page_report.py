@@ -1,19 +1,19 @@
-"""Page 6: everything to take home, and the commands that repeat it."""
+"""Page 7: everything to take home, and the commands and the script that repeat it."""
 
 from __future__ import annotations
 
-import io
-import zipfile
 from functools import partial
 
 import streamlit as st
 
-from oed_sysid.app.panels import Asked, asked, desk, download, html_download
-from oed_sysid.app.plans import commands_csv
+from oed_sysid.app import script, takeaway, visit
+from oed_sysid.app.panels import download, html_download, message
 from oed_sysid.app.records import archive
-from oed_sysid.app.study import Study
+from oed_sysid.app.shelf import Asked
+from oed_sysid.app.study import Study, digest
 from oed_sysid.app.tasks import Outcome
-from oed_sysid.design import Design
+from oed_sysid.errors import OedSysidError
+from oed_sysid.fitting.fit import Fit
 
 
 def show(study: Study) -> None:
@@ -27,45 +27,83 @@ def show(study: Study) -> None:
         left.write(about.title)
         with right:
             html_download(outcome.page, about.file)
-    st.divider()
-    left, right, _ = st.columns([1, 1, 2])
-    with left:
-        download(
-            "Records (ZIP)", partial(archive, study.train, study.test), "records.zip",
-            "application/zip",
-        )  # fmt: skip
-    with right:
-        download("Everything (ZIP)", partial(everything, study, done), "study.zip",
-                 "application/zip")  # fmt: skip
+    fits = takeaway.fits_of(done)
+    if fits:
+        st.subheader("Fitted models")
+        _models(fits)
+    st.subheader("Records, folder, everything")
+    zip_ = "application/zip"
+    name = study.problem.name
+    offers = (
+        ("Records (ZIP)", partial(archive, study.train, study.test), "records.zip"),
+        ("Problem folder (ZIP)", partial(takeaway.problem_archive, study, fits), f"{name}.zip"),
+        ("Everything (ZIP)", partial(takeaway.everything, study, done), "study.zip"),
+    )
+    for column, (label, content, file) in zip(st.columns(4), offers, strict=False):
+        with column:
+            download(label, content, file, zip_)
     st.subheader("The same on the command line")
     st.caption("In the folder where the records were unpacked.")
-    st.code(script(done) or "# nothing yet", language="bash", wrap_lines=True)
+    st.code(takeaway.commands(done) or "# nothing yet", language="bash", wrap_lines=True)
+    st.subheader("The same in Python")
+    code = script.whole(study, [about.code for about, _ in done])
+    download("Script (study.py)", lambda: code, "study.py", "text/x-python")
+    with st.expander("Show it"):
+        st.code(code, language="python", wrap_lines=True)
 
 
 def finished(study: Study) -> list[tuple[Asked, Outcome]]:
-    """What was computed for a study in this session, one entry per report."""
+    """What was computed for a study, one entry per report."""
     found: dict[str, tuple[Asked, Outcome]] = {}
-    for key, about in asked().items():
-        job = desk().find(key)
-        same = isinstance(key, tuple) and key[-len(study.key) :] == study.key
-        if same and job is not None and job.state == "done":
+    this = digest(*study.key)
+    for key, about in visit.asked().items():
+        job = visit.desk().find(visit.study_id(), key) if about.about == this else None
+        if job is not None and job.state == "done":
             found[about.file] = (about, job.result)
     return list(found.values())
 
 
-def script(done: list[tuple[Asked, Outcome]]) -> str:
-    """Commands that repeat what was computed."""
-    return "\n".join(dict.fromkeys(line for a, _ in done for line in a.command.splitlines()))
+def _models(fits: dict[str, tuple[str, Fit]]) -> None:
+    """Offer the fits, and their models for other programs."""
+    left, middle, right = st.columns([2, 2, 2], vertical_alignment="bottom")
+    name = left.selectbox("Model", list(fits), key=visit.kept("model"))
+    kind = middle.selectbox(
+        "For", list(takeaway.KINDS), format_func=takeaway.KINDS.__getitem__, key=visit.kept("kind")
+    )
+    if name not in fits or kind not in takeaway.KINDS:
+        return
+    file, fit = fits[name]
+    made: dict[tuple[str, str, str], bytes] = st.session_state.setdefault("exports", {})
+    here = (name, kind, repr(fit.cost))
+    trim = _trim(fit) if kind == "control" else {}
+    with right:
+        if st.button("Write the model", key="export", type="primary"):
+            made.pop(here, None)
+            try:
+                with st.spinner("Writing"):
+                    made[here] = takeaway.model_archive(fit, kind, trim)
+            except OedSysidError as error:
+                message(str(error))
+    left, right, _ = st.columns([1, 1, 1])
+    with left:
+        download(
+            f"Fit ({file}.json)", partial(takeaway.saved, fit), f"{file}.json", "application/json"
+        )
+    if here in made:
+        with right:
+            content = made[here]
+            download(
+                f"Model ({kind}, ZIP)", lambda: content, f"{file}_{kind}.zip", "application/zip"
+            )
 
 
-def everything(study: Study, done: list[tuple[Asked, Outcome]]) -> bytes:
-    """Records, reports, commands, and a designed trial in one ZIP file."""
-    target = io.BytesIO(archive(study.train, study.test))
-    with zipfile.ZipFile(target, "a", zipfile.ZIP_DEFLATED) as packed:
-        packed.writestr("commands.sh", script(done) + "\n")
-        for about, outcome in done:
-            packed.writestr(f"{about.file}.html", outcome.page.html())
-            if isinstance(outcome.result, Design):
-                packed.writestr("design.csv", commands_csv(outcome.result))
-                packed.writestr("card.txt", outcome.result.sea_trial_card() + "\n")
-    return target.getvalue()
+def _trim(fit: Fit) -> dict[str, float]:
+    """Ask at which inputs the model is made linear."""
+    found = {}
+    inputs = fit.model.inputs
+    for column, channel in zip(st.columns(max(len(inputs), 3)), inputs, strict=False):
+        found[channel.name] = column.number_input(
+            f"Trim: {channel.name} [{channel.unit or '-'}]", value=0.0, format="%.4g",
+            key=visit.kept("trim", fit.model.name, channel.name),
+        )  # fmt: skip
+    return found

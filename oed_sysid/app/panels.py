@@ -2,87 +2,82 @@
 
 from __future__ import annotations
 
-import secrets
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from html import escape
 from typing import Any
 
 import streamlit as st
 
-from oed_sysid.app.jobs import Desk, Job, Tell
-from oed_sysid.app.tasks import Outcome
+from oed_sysid.app import visit
+from oed_sysid.app.jobs import Job
+from oed_sysid.app.shelf import Asked
+from oed_sysid.app.study import Study, digest
+from oed_sysid.app.work import Request
 from oed_sysid.report import Page, Section, style_sheet
 
-_POLL = 1.0  # s between looks at a running job
+_POLL = 0.5  # s between looks at a running job
 
 
-@dataclass(frozen=True)
-class Asked:
-    """Work that was asked for in this session.
-
-    Parameters
-    ----------
-    title : str
-        What it is.
-    file : str
-        Name of its report, without ending.
-    command : str
-        The same on the command line.
-    """
-
-    title: str
-    file: str
-    command: str
+def key_of(name: str, study: Study, *arguments: Any) -> str:
+    """What the result of a task depends on, by content."""
+    return f"{name} {digest(repr(arguments), *study.key)}"
 
 
-@st.cache_resource(show_spinner=False)
-def desk() -> Desk:
-    """The desk at which the work of all pages is done."""
-    return Desk()
-
-
-def asked() -> dict[Hashable, Asked]:
-    """What was asked for in this session, by key."""
-    return st.session_state.setdefault("asked", {})
-
-
-def work(button: str, key: Hashable, about: Asked, task: Callable[[Tell], Outcome]) -> Any:
+def work(
+    button: str,
+    about: Asked,
+    study: Study,
+    task: Callable[..., Any],
+    *arguments: Any,
+    unasked: bool = False,
+) -> Any:
     """Offer work, show its progress, and return its outcome once there is one.
 
     Parameters
     ----------
     button : str
         What to press.
-    key : hashable
-        What the outcome depends on, by content.
     about : Asked
-        Title, report and command.
+        Title, report, command and code.
+    study : Study
+        What it is done to.
     task : callable
-        The work.
+        Function of a module, ``(study, *arguments, tell)``.
+    *arguments
+        For the task.
+    unasked : bool
+        Whether to begin without a press: for what is quick and always wanted.
 
     Returns
     -------
     Outcome or None
         None before there is one.
     """
-    job = desk().find(key)
-    if job is not None and job.state == "done":
-        asked()[key] = about
+    name, desk = visit.study_id(), visit.desk()
+    key = key_of(task.__name__, study, *arguments)
+    about = replace(about, about=digest(*study.key))
+    job = desk.find(name, key)
+    if job is None and unasked:
+        job = desk.ask(name, key, Request.of(study, task, *arguments))
+    if job is not None and (job.at_work or key in visit.asked() or unasked):
+        visit.note(key, about)
+    if job is not None and job.state == "done" and key in visit.asked():
         return job.result
     if job is not None and job.at_work:
-        asked()[key] = about
         _progress(job)
         return None
     if job is not None and job.state == "failed":
         message(job.failure)
     if job is not None and job.state == "stopped":
-        st.info("Stopped.")
+        st.info("Stopped. Press again to begin anew.")
     if st.button(button, type="primary", key=f"ask:{about.file}"):
-        asked()[key] = about
-        desk().ask(key, task)
+        visit.note(key, about)
+        desk.ask(name, key, Request.of(study, task, *arguments))
         st.rerun()
+    if job is None and key in visit.asked():
+        st.caption("This was asked for, but the program ended before it was done.")
     return None
 
 
@@ -91,22 +86,36 @@ def _progress(job: Job) -> None:
     """What a job is doing; the whole page is drawn anew at its end."""
     if not job.at_work:
         st.rerun()
-    who = st.session_state.setdefault("session", secrets.token_hex(8))
-    job.look(who)
     left, right = st.columns([5, 1], vertical_alignment="center")
-    left.html(f'<div class="oed-busy"><i></i>{escape(job.doing)} · {job.seconds:.0f} s</div>')
-    if right.button("Stop", key="stop") and not job.stop(who):
-        st.info("Another window waits for the same work; it goes on for that one.")
+    left.html(
+        f'<div class="oed-busy" role="status"><i></i>{escape(job.doing)} · '
+        f"{job.seconds:.0f} s</div>"
+    )
+    if right.button("Stop", key="stop"):
+        job.stop()
+        st.rerun()
 
 
-def show(page: Page) -> None:
-    """Show what a report says: outcome and numbers, then one tab per section."""
+def show(page: Page, first: Mapping[str, Callable[[], None]] | None = None) -> None:
+    """Show what a report says: outcome and numbers, then one tab per section.
+
+    Parameters
+    ----------
+    page : Page
+        The report.
+    first : mapping of str to callable, optional
+        Titles of tabs before the sections, and what draws them.
+    """
     st.html(f'<div class="oed">{page.summary_html()}</div>')
-    if not page.sections:
+    first = first or {}
+    if not page.sections and not first:
         return
-    for tab, section in zip(
-        st.tabs([section.title for section in page.sections]), page.sections, strict=True
-    ):
+    titles = [*first, *(section.title for section in page.sections)]
+    tabs = st.tabs(titles)
+    for tab, draw in zip(tabs, first.values(), strict=False):
+        with tab:
+            draw()
+    for tab, section in zip(tabs[len(first) :], page.sections, strict=True):
         # What stands above the tabs need not be said again.
         words = tuple(text for text in section.paragraphs if text not in page.verdict)
         with tab:
@@ -145,16 +154,35 @@ def style() -> None:
 
 
 _STYLE = """
-.oed { color: #1b1f24; }
+.oed { --ink: currentColor; --soft: color-mix(in srgb, currentColor 68%, transparent);
+  --line: color-mix(in srgb, currentColor 20%, transparent);
+  --tint: color-mix(in srgb, currentColor 5%, transparent); color: inherit; }
+.oed tr.marked td { background: rgba(0, 114, 178, .16); }
+.oed figure img { background: white; border-radius: 6px; }
 .oed .verdict { margin-top: 0; }
 .oed th.words, .oed td.words { min-width: 6rem; }
 .oed figure { margin-bottom: 1.6rem; }
 .oed figure img { max-width: min(100%, 64rem); }
-.oed-busy { color: #59636e; }
+.oed-busy { opacity: .8; }
 .oed-busy i { display: inline-block; width: .8em; height: .8em; margin-right: .6em;
   border: 2px solid #d7dce1; border-top-color: #0072b2; border-radius: 50%;
   animation: oed-turn 1s linear infinite; vertical-align: -.05em; }
 @keyframes oed-turn { to { transform: rotate(360deg); } }
+.oed-chain { display: flex; flex-wrap: wrap; align-items: stretch; gap: .5rem; margin: .4rem 0; }
+.oed-chain > b { align-self: center; opacity: .6; }
+.oed-chain .stage { border: 1px solid rgba(128, 136, 144, .45); border-radius: 8px;
+  padding: .5rem .7rem .6rem; display: flex; flex-wrap: wrap; gap: .35rem; max-width: 17rem;
+  align-content: flex-start; }
+.oed-chain h4 { flex-basis: 100%; margin: 0 0 .1rem; padding: 0; font-size: .82rem;
+  font-weight: 500; opacity: .75; }
+.oed-chain .place { border: 1px solid rgba(128, 136, 144, .45); border-radius: 5px;
+  padding: .1rem .5rem; font-size: .9rem; white-space: nowrap; }
+.oed-chain small { margin-left: .45em; opacity: .75; font-variant-numeric: tabular-nums; }
+.oed-chain .l1 { background: rgba(230, 159, 0, .18); }
+.oed-chain .l2 { background: rgba(230, 159, 0, .42); }
+.oed-chain .l3 { background: rgba(213, 94, 0, .55); }
+.oed-chain .l4 { background: #c45500; color: white; border-color: #c45500; }
+.oed-chain .best { outline: 2px solid #c45500; outline-offset: 2px; }
 .stMainBlockContainer { padding: 3rem 2.5rem 4rem; max-width: 76rem; }
 .stTabs [role=tab] p { font-size: .875rem; }
 """

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,11 +20,15 @@ from oed_sysid.experiment import Limits
 
 if TYPE_CHECKING:
     from oed_sysid.design import Design
+    from oed_sysid.design.schedule import Programme
+    from oed_sysid.problem import Problem
 
 # Starts that are refined, rough manoeuvres tried, and steps of refinement.
 EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
 # How wrong coefficients may be before there is a fit, as a share of their values.
 UNCERTAINTY = 0.3
+# Share of vehicles on which limits have to be kept, where nothing was asked for.
+TOLERATED = 0.95
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,8 @@ class DesignWish:
         Input, least and largest command, SI.
     rates : tuple of (str, float)
         Input and largest slope, SI per second.
+    corridors : tuple of (str, float, float)
+        State or output, least and largest value, SI.
     criterion, family, effort : str
         As on the command line.
     rivals : tuple of str
@@ -56,6 +64,7 @@ class DesignWish:
     duration: float
     ranges: tuple[tuple[str, float, float], ...] = ()
     rates: tuple[tuple[str, float], ...] = ()
+    corridors: tuple[tuple[str, float, float], ...] = ()
     criterion: str = "D"
     family: str = "levels"
     effort: str = "quick"
@@ -125,11 +134,100 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
     return Outcome(result, design_page(result, title=problem.title))
 
 
+@dataclass(frozen=True)
+class ProgrammeWish:
+    """What a programme of runs shall be; as the options of ``oed-sysid programme``.
+
+    Parameters
+    ----------
+    runs : int
+        Largest number of runs.
+    hours : float or None
+        Time for everything, h; None where only the number counts.
+    turnaround : float
+        Time between two runs, min.
+    criterion : str
+        ``"A"`` or ``"D"``.
+    seed : int
+        Of the search.
+    """
+
+    runs: int = 4
+    hours: float | None = None
+    turnaround: float = 10.0
+    criterion: str = "A"
+    seed: int = 0
+
+
+def programme(study: Study, wish: ProgrammeWish, tell: Tell) -> Outcome:
+    """Plan several runs together: which, how often and in which order."""
+    from oed_sysid.design import design_programme
+    from oed_sysid.report import programme_page
+
+    problem = study.problem
+    found = design_programme(
+        problem.model,
+        list(problem.experiments.values()),
+        limits=problem.limits,
+        rng=np.random.default_rng(wish.seed),
+        hours=wish.hours,
+        n_runs=wish.runs,
+        criterion=_choice("criterion", wish.criterion, _criteria()),
+        spread=spread_of(problem),
+        turnaround=60.0 * wish.turnaround,
+        progress=tell,
+    )
+    tell(DRAWING)
+    return Outcome(found, programme_page(found, title=problem.title))
+
+
+def spread_of(problem: Problem) -> float | None:
+    """How wrong coefficients may be; None where their priors tell."""
+    told = any(one.prior_spread is not None for one in problem.model.free_parameters)
+    return None if told else UNCERTAINTY
+
+
+def tables(found: Programme) -> bytes:
+    """Commands of every run of a programme as tables to play, in a ZIP file."""
+    target = io.BytesIO()
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed,
+    ):
+        for file in found.write(Path(folder)):
+            packed.write(file, Path(file).name)
+    return target.getvalue()
+
+
 def limits_of(limits: Limits, wish: DesignWish) -> Limits:
     """Return the problem's limits with the ranges and rates that were wished."""
     ranges = {name: (lower, upper) for name, lower, upper in wish.ranges}
+    corridors = {name: (lower, upper) for name, lower, upper in wish.corridors}
     return replace(
-        limits, inputs={**limits.inputs, **ranges}, rates={**limits.rates, **dict(wish.rates)}
+        limits,
+        inputs={**limits.inputs, **ranges},
+        rates={**limits.rates, **dict(wish.rates)},
+        signals={**limits.signals, **corridors},
+    )
+
+
+def risk(design: Design) -> str:
+    """Say what a design risks, where it leaves the limits more often than may be.
+
+    Returns
+    -------
+    str
+        Empty where limits are kept on the share of vehicles that was wanted, or on 95 %.
+    """
+    stated = design.assurance
+    if stated is None or not stated.limited or stated.probability >= (stated.wanted or TOLERATED):
+        return ""
+    share = 1.0 - stated.probability
+    first = ", ".join(stated.left)
+    return (
+        f"This trial leaves its limits on {share:.0%} of {stated.n_checked} simulated vehicles "
+        f"with {stated.drawn}; left first: {first}. Take narrower commands, wider limits, or ask "
+        "for limits that are kept on uncertain vehicles."
     )
 
 

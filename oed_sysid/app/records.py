@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
+from oed_sysid.data.third_party import data_folder, registered
 from oed_sysid.errors import DataError
 from oed_sysid.problem import Problem
 from oed_sysid.simulation import simulate
@@ -88,6 +89,34 @@ def simulated(problem: Problem, *, seed: int = 0) -> Dataset:
     return Dataset(tuple(runs))
 
 
+def measured_sets(folder: Path) -> tuple[str, ...]:
+    """Files of third-party data that a problem's programs name, by their sets.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the problem.
+    """
+    code = "".join(
+        file.read_text(encoding="utf-8", errors="replace") for file in sorted(folder.glob("*.py"))
+    )
+    return tuple(path for path in registered() if path.partition("/")[0] in code)
+
+
+def at_hand(folder: Path) -> bool:
+    """Whether the records of a problem can be read without a download.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the problem: its records are in its ``data``, or measured by others and fetched before.
+    """
+    if any(folder.glob("data/*")):
+        return True
+    files = measured_sets(folder)
+    return bool(files) and all((data_folder() / path).is_file() for path in files)
+
+
 def likely_test(names: tuple[str, ...]) -> tuple[str, ...]:
     """Records that look as if they were meant for the test; else the last of several.
 
@@ -102,7 +131,7 @@ def likely_test(names: tuple[str, ...]) -> tuple[str, ...]:
     return names[-1:] if len(names) > 1 else ()
 
 
-def archive(train: Dataset | None, test: Dataset | None) -> bytes:
+def archive(train: Dataset | None, test: Dataset | None, *, under: str = "") -> bytes:
     """Return a ZIP file with the folders ``train`` and ``test``, one CSV file per record."""
     target = io.BytesIO()
     with (
@@ -113,5 +142,5 @@ def archive(train: Dataset | None, test: Dataset | None) -> bytes:
             for record in dataset or ():
                 name = f"{record.name.replace('/', '_')}.csv"
                 write_csv(record, Path(folder) / name)
-                packed.write(Path(folder) / name, f"{part}/{name}")
+                packed.write(Path(folder) / name, f"{under}{part}/{name}")
     return target.getvalue()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from oed_sysid.app.jobs import Tell
@@ -15,6 +15,7 @@ from oed_sysid.data.overlap import together
 from oed_sysid.estimators import MultipleShooting
 
 if TYPE_CHECKING:
+    from oed_sysid.diagnosis.compare import Comparison
     from oed_sysid.fitting.fit import Fit
     from oed_sysid.model import Model
     from oed_sysid.report import Page
@@ -25,10 +26,24 @@ DRAWING = "drawing"
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A result of the package, and the page on it."""
+    """A result of the package, and the page on it.
+
+    Parameters
+    ----------
+    result : object
+        The result.
+    page : Page
+        The report on it.
+    fits : mapping of str to Fit
+        Fitted models that may be kept and exported, by what they are called.
+    comparison : Comparison, optional
+        What these predict.
+    """
 
     result: Any
     page: Page
+    fits: Mapping[str, Fit] = field(default_factory=dict)
+    comparison: Comparison | None = None
 
 
 def check(study: Study, tell: Tell) -> Outcome:
@@ -59,7 +74,7 @@ def fit(study: Study, tell: Tell) -> Outcome:
     log = quick_check(study.training(), study.problem.model)
     result = fitted(study, study.problem.model, tell)
     tell(DRAWING)
-    return Outcome(result, fit_page(result, log=log))
+    return Outcome(result, fit_page(result, log=log), {NOMINAL: result})
 
 
 def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outcome:
@@ -78,7 +93,8 @@ def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outc
     records = together(study.training(), validation)
     log = quick_check(records, study.problem.model).without("duplicate")
     tell(DRAWING)
-    return Outcome(result, comparison_page(result, title=study.problem.title, log=log))
+    page = comparison_page(result, title=study.problem.title, log=log)
+    return Outcome(result, page, fits, result)
 
 
 def diagnose(study: Study, tell: Tell) -> Outcome:
@@ -113,7 +129,8 @@ def improve(study: Study, max_effects: int, tell: Tell) -> Outcome:
     tell("predicting")
     comparison = compare_models(fits, study.test or train)
     tell(DRAWING)
-    return Outcome(result, improvement_page(result, comparison, train=train, title=problem.title))
+    page = improvement_page(result, comparison, train=train, title=problem.title)
+    return Outcome(result, page, fits, comparison)
 
 
 def fitted(study: Study, model: Model, tell: Tell) -> Fit:

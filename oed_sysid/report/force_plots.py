@@ -104,7 +104,8 @@ def plot_force_against(
     ax.axhline(0.0, color=TRUTH, lw=0.8)
     ax.plot(x, y, ".", color=DATA, ms=1.5, alpha=0.35, rasterized=True)
     independent = sum(effective_sample_size(s.values[:, column]) for s in located.forces)
-    centres, means, half = _slices(x, y, independent / sum(len(s.times) for s in located.forces))
+    share = independent / sum(len(s.times) for s in located.forces)
+    centres, means, half = slice_means(x, y, share)
     ax.errorbar(centres, means, yerr=half, fmt="o", ms=5, color=COLOURS[1], capsize=3, lw=1.4)
     ax.set(xlabel=label(_channel(dataset, signal)), ylabel=f"residual {_name(located, equation)}")
     return clean(ax)
@@ -143,12 +144,29 @@ def figure_force(located: Located, equation: str, dataset: Dataset) -> Figure:
     return figure
 
 
-def _slices(
+def slice_means(
     x: np.ndarray, y: np.ndarray, share: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean of ``y`` in slices of ``x`` that hold equally many samples, and 95 % half widths.
+    """Means of ``y`` in slices of ``x`` that hold equally many samples.
 
-    ``share`` of the samples count as independent.
+    Parameters
+    ----------
+    x, y : ndarray (n_samples,)
+        Signal and force.
+    share : float
+        Share of the samples that count as independent.
+
+    Returns
+    -------
+    centres, means, half : ndarray (n_slices,)
+        Mean of ``x``, mean of ``y`` and half of its 95 % interval.
+
+    Examples
+    --------
+    >>> x = np.linspace(0.0, 1.0, 240)
+    >>> centres, means, half = slice_means(x, 2.0 * x, 1.0)
+    >>> print(centres.size, np.abs(means - 2.0 * centres).max().round(12))
+    12 0.0
     """
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, _N_BINS + 1)))
     index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))

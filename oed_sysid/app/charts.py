@@ -1,0 +1,343 @@
+"""Pictures to zoom and point into (plotly), for people: angles in degrees, a unit on every axis.
+
+Signals of one record stand above each other on one axis of time: zoom one, and all follow. A band
+holds 95 % of new measurements (1.96 standard deviations either way).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from oed_sysid.app.commands import factor, shown
+from oed_sysid.channels import Input, Output, State
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.diagnosis.compare import Comparison
+from oed_sysid.diagnosis.locate import CLEAR, Located
+from oed_sysid.information import effective_sample_size
+from oed_sysid.report.force_plots import slice_means
+from oed_sysid.report.style import TWO_SIDED_95, model_style
+
+MEASURED = "#8a929a"
+COMMANDED = "#6b737b"
+_DASHES = {"--": "dash", "-": "solid", "-.": "dashdot", ":": "dot"}
+# Samples of one line that a browser draws without stutter.
+_MOST = 4000
+_ROW, _EDGES = 150, 90  # px
+# A track: outputs on the upward and on the rightward axis, the first pair that is measured.
+TRACKS = (("x", "y"), ("north", "east"), ("x0", "y0"), ("z", "x"))
+HEADINGS = ("psi", "heading")
+
+
+def name_of(channel: Input | Output | State) -> str:
+    """Words, symbol and unit of a signal, as people read it.
+
+    >>> name_of(Output("r", "rad/s", "yaw rate")), name_of(Input("n", "1/s"))
+    ('yaw rate r [deg/s]', 'n [1/s]')
+    """
+    words = [channel.label] if channel.label and channel.label != channel.name else []
+    return " ".join([*words, channel.name, f"[{shown(channel.unit)}]"])
+
+
+def signals(
+    record: Record, models: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None
+) -> go.Figure:
+    """Draw outputs and inputs of a record, and what models say about it, over one axis of time.
+
+    Parameters
+    ----------
+    record : Record
+        What was measured.
+    models : mapping of str to (ndarray, ndarray), optional
+        By name: outputs and their standard deviations, ``(n_times, n_outputs)``, SI.
+
+    Returns
+    -------
+    plotly.graph_objects.Figure
+        One row of axes per signal.
+
+    Examples
+    --------
+    >>> from oed_sysid import Channels
+    >>> channels = Channels((Input("rudder", "rad"),), (Output("psi", "rad"),))
+    >>> record = Record("a", [0.0, 1.0], [[0.1], [0.1]], [[0.0], [np.pi]], channels)
+    >>> [round(float(y), 1) for y in signals(record).data[0].y]
+    [0.0, 180.0]
+    """
+    outputs, inputs = record.channels.outputs, record.channels.inputs
+    rows = len(outputs) + len(inputs)
+    figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.12 / max(rows, 2))
+    kept = _kept(record.times)
+    for row, channel in enumerate(outputs, start=1):
+        turn, column = factor(channel.unit), row - 1
+        figure.add_scatter(
+            x=record.times[kept], y=turn * record.outputs[kept, column], mode="markers",
+            marker={"size": 3, "color": MEASURED}, name="measured", legendgroup="measured",
+            showlegend=row == 1, row=row, col=1,
+        )  # fmt: skip
+        for index, (name, (said, std)) in enumerate((models or {}).items()):
+            _model(
+                figure, record.times[kept], turn * said[kept, column], turn * std[kept, column],
+                name, index, row,
+            )  # fmt: skip
+    for row, channel in enumerate(inputs, start=len(outputs) + 1):
+        figure.add_scatter(
+            x=record.times[kept], y=factor(channel.unit) * record.inputs[kept, row - rows - 1],
+            mode="lines", line={"color": COMMANDED, "width": 1.5,
+                                "shape": "hv" if channel.interpolation == "hold" else "linear"},
+            name="commanded", legendgroup="commanded", showlegend=row == len(outputs) + 1,
+            row=row, col=1,
+        )  # fmt: skip
+    for row, channel in enumerate((*outputs, *inputs), start=1):
+        words = f"{channel.name} [{shown(channel.unit)}]"
+        figure.update_yaxes(title_text=words, title_font_size=13, row=row, col=1)
+        if channel.label and channel.label != channel.name:
+            figure.add_annotation(
+                text=channel.label, xref="x domain", yref="y domain", x=0.0, y=1.0, xanchor="left",
+                yanchor="bottom", showarrow=False, font={"size": 12}, row=row, col=1,
+            )  # fmt: skip
+    figure.update_xaxes(title_text="time t [s]", row=rows, col=1)
+    return _laid_out(figure, _ROW * rows + _EDGES)
+
+
+def comparison(found: Comparison, index: int) -> go.Figure:
+    """Draw one record of a comparison: measured, and what every model predicts."""
+    models = {
+        part.label: (part.prediction.outputs[index], part.prediction.std[index])
+        for part in found.models
+    }
+    return signals(found.dataset[index], models)
+
+
+def _model(
+    figure: go.Figure,
+    times: np.ndarray,
+    mean: np.ndarray,
+    std: np.ndarray,
+    name: str,
+    index: int,
+    row: int,
+) -> None:
+    """A line with its band."""
+    look = model_style(index)
+    half = np.where(np.isfinite(std), TWO_SIDED_95 * std, np.nan)
+    if np.isfinite(half).all():
+        figure.add_scatter(
+            x=np.concatenate([times, times[::-1]]),
+            y=np.concatenate([mean + half, (mean - half)[::-1]]),
+            fill="toself", fillcolor=_faint(look.colour), line={"width": 0}, hoverinfo="skip",
+            name=f"95 % ({name})", legendgroup=f"95 % ({name})", showlegend=row == 1,
+            row=row, col=1,
+        )  # fmt: skip
+    figure.add_scatter(
+        x=times, y=mean, mode="lines", name=name, legendgroup=name, showlegend=row == 1,
+        line={"color": look.colour, "width": 1.8,
+              "dash": _DASHES.get(str(look.dashes), "longdash")},
+        row=row, col=1,
+    )  # fmt: skip
+
+
+def against(
+    located: Located, equation: str, where: np.ndarray, words: str, *, turn: float = 1.0
+) -> go.Figure:
+    """Draw the residual force of an equation against a signal: dots, and means with 95 %.
+
+    Parameters
+    ----------
+    located : Located
+        Where the nominal model fails.
+    equation : str
+        Which of its ``force_names``.
+    where : ndarray (n_samples,)
+        The signal at all times of all records.
+    words : str
+        Its name with unit, as shown.
+    turn : float
+        What turns the signal into that unit.
+    """
+    column = located.force_names.index(equation)
+    units = {place.name: place.unit for place in located.places}
+    force = np.concatenate([series.values[:, column] for series in located.forces])
+    seen = np.isfinite(where) & np.isfinite(force)
+    x, y = turn * where[seen], force[seen]
+    figure = go.Figure()
+    thin = slice(None, None, max(x.size // _MOST, 1))
+    figure.add_scatter(
+        x=x[thin], y=y[thin], mode="markers", name="every sample", hoverinfo="skip",
+        marker={"size": 3, "color": MEASURED, "opacity": 0.35},
+    )  # fmt: skip
+    independent = sum(effective_sample_size(s.values[:, column]) for s in located.forces)
+    share = independent / max(sum(len(s.times) for s in located.forces), 1)
+    if x.size:
+        centres, means, half = slice_means(x, y, share)
+        figure.add_scatter(
+            x=centres, y=means, mode="markers", name="mean, 95 %",
+            marker={"size": 8, "color": model_style(1).colour}, error_y={"array": half},
+        )  # fmt: skip
+    figure.add_hline(y=0.0, line_width=1, line_color=MEASURED)
+    figure.update_xaxes(title_text=words)
+    figure.update_yaxes(title_text=f"residual {equation} [{units.get(f'force {equation}') or '-'}]")
+    return _laid_out(figure, 380)
+
+
+def track_axes(record: Record) -> tuple[str, str] | None:
+    """Outputs that make a track: up and right; None where positions are not measured."""
+    names = record.channels.output_names
+    for up, right in TRACKS:
+        if up in names and right in names:
+            seen = np.isfinite(record.output(up)) & np.isfinite(record.output(right))
+            if seen.sum() > 1:
+                return up, right
+    return None
+
+
+def track(record: Record, models: Mapping[str, np.ndarray], frames: int = 60) -> go.Figure:
+    """Draw the path as measured and as models follow it, to be replayed with a slider.
+
+    Parameters
+    ----------
+    record : Record
+        With positions.
+    models : mapping of str to ndarray
+        Outputs ``(n_times, n_outputs)`` by name.
+    frames : int
+        Moments of the replay.
+    """
+    axes = track_axes(record)
+    assert axes is not None
+    names = record.channels.output_names
+    up, right = (names.index(name) for name in axes)
+    heading = next((names.index(name) for name in HEADINGS if name in names), None)
+    paths = {"measured": record.outputs, **models}
+    figure, looks = go.Figure(), []
+    for number, (name, rows) in enumerate(paths.items()):
+        look = model_style(number - 1)
+        colour = MEASURED if name == "measured" else look.colour
+        dash = "solid" if name == "measured" else _DASHES.get(str(look.dashes), "longdash")
+        seen = np.isfinite(rows[:, up]) & np.isfinite(rows[:, right])
+        looks.append((rows, seen, colour))
+        figure.add_scatter(
+            x=rows[seen, right], y=rows[seen, up], mode="lines", name=name,
+            line={"color": colour, "dash": dash, "width": 1.6},
+        )  # fmt: skip
+    moments = np.linspace(record.times[0], record.times[-1], frames)
+
+    def vehicles(moment: float) -> list[go.Scatter]:
+        found = []
+        for rows, seen, colour in looks:
+            times = record.times[seen]
+            x, y = (np.interp(moment, times, rows[seen, column]) for column in (right, up))
+            angle = 0.0
+            if heading is not None and axes[0] != "z":
+                turned = np.isfinite(rows[:, heading])
+                if turned.any():
+                    course = np.unwrap(rows[turned, heading])
+                    angle = float(np.degrees(np.interp(moment, record.times[turned], course)))
+            found.append(
+                go.Scatter(
+                    x=[x], y=[y], mode="markers", showlegend=False, hoverinfo="skip",
+                    marker={"size": 16, "symbol": "arrow" if heading is not None else "circle",
+                            "angle": angle, "color": colour},
+                )
+            )  # fmt: skip
+        return found
+
+    figure.add_traces(vehicles(float(moments[0])))
+    moved = list(range(len(looks), 2 * len(looks)))
+    figure.frames = [
+        go.Frame(data=vehicles(float(moment)), traces=moved, name=f"{moment:.4g}")
+        for moment in moments
+    ]
+    still = {"mode": "immediate", "frame": {"duration": 0, "redraw": False}}
+    figure.update_layout(
+        sliders=[{
+            "currentvalue": {"prefix": "t = ", "suffix": " s"}, "pad": {"t": 40}, "len": 0.85,
+            "x": 0.15, "steps": [
+                {"label": f.name, "method": "animate", "args": [[f.name], still]}
+                for f in figure.frames
+            ],
+        }],
+        updatemenus=[{
+            "type": "buttons", "direction": "left", "x": 0.0, "y": -0.12, "yanchor": "top",
+            "xanchor": "left", "pad": {"t": 30}, "showactive": False,
+            "buttons": [
+                {"label": "▶", "method": "animate",
+                 "args": [None, {"frame": {"duration": 80, "redraw": False},
+                                 "fromcurrent": True, "transition": {"duration": 0}}]},
+                {"label": "⏸", "method": "animate", "args": [[None], still]},
+            ],
+        }],
+    )  # fmt: skip
+    by_name = {channel.name: channel for channel in record.channels.outputs}
+    figure.update_xaxes(title_text=name_of(by_name[axes[1]]))
+    figure.update_yaxes(title_text=name_of(by_name[axes[0]]), scaleanchor="x", scaleratio=1)
+    if axes[0] == "z":
+        figure.update_yaxes(autorange="reversed")
+    return _laid_out(figure, 560)
+
+
+def chain(located: Located) -> str:
+    """Return the signal chain as HTML, each place coloured by the evidence against it."""
+    from html import escape
+
+    top = max((located.evidence.get(p.name, 0.0) for p in located.places), default=0.0)
+    stages = []
+    for stage, words in _STAGES.items():
+        here = [place for place in located.places if place.stage == stage]
+        if not here and stage != "command":
+            continue
+        boxes = []
+        for place in here:
+            gain = located.evidence.get(place.name, 0.0)
+            share = gain / top if gain > CLEAR and top > 0.0 else 0.0
+            level = min(int(np.ceil(4.0 * share)), 4)
+            best = " best" if place.name == located.best else ""
+            size = located.levels.get(place.name, 0.0)
+            tip = f"{place.name}: log-likelihood gain {gain:.0f}; size {size:.2g} {place.unit}"
+            boxes.append(
+                f'<span class="place l{level}{best}" title="{escape(tip)}">'
+                f"{escape(place.signal)}<small>{gain:.0f}</small></span>"
+            )
+        inner = "".join(boxes) or '<span class="place l0">as logged</span>'
+        stages.append(f'<div class="stage"><h4>{words}</h4>{inner}</div>')
+    return f'<div class="oed-chain">{"<b>→</b>".join(stages)}</div>'
+
+
+_STAGES = {
+    "command": "command",
+    "actuator": "actuator",
+    "flow": "flow",
+    "force": "forces",
+    "kinematics": "kinematics",
+    "sensor": "sensors",
+}
+
+
+def states_of(dataset: Dataset, located: Located) -> bool:
+    """Whether residual forces stand at the times of the records."""
+    return len(located.forces) == len(dataset) and all(
+        series.times.shape == record.times.shape
+        for series, record in zip(located.forces, dataset, strict=True)
+    )
+
+
+def _kept(times: np.ndarray) -> Sequence[int] | slice:
+    """Every n-th sample of a long record."""
+    return slice(None, None, max(-(-times.size // _MOST), 1))
+
+
+def _faint(colour: str) -> str:
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},0.18)"
+
+
+def _laid_out(figure: go.Figure, height: int) -> go.Figure:
+    figure.update_layout(
+        height=height, margin={"l": 70, "r": 20, "t": 50, "b": 50}, hovermode="closest",
+        legend={"orientation": "h", "y": 1.0, "yref": "container", "yanchor": "top", "x": 0.0},
+    )  # fmt: skip
+    figure.update_xaxes(showspikes=True, spikemode="across", spikethickness=1)
+    return figure

@@ -1,0 +1,183 @@
+"""The same in Python: what would repeat the work of a page, and a whole study as one script."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from oed_sysid.app.plans import EFFORTS, UNCERTAINTY, DesignWish, ProgrammeWish, spread_of
+from oed_sysid.app.study import Study
+
+_HEAD = '''"""Repeats a study of {title}.
+
+Put it beside the folders of the records (records.zip) and run it. It prints the reports, and writes
+an HTML page and, of a fit, a file for `oed-sysid report` and `oed-sysid export`.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+import oed_sysid
+from oed_sysid import MultipleShooting, load_problem, read_csv
+
+HERE = Path(__file__).parent
+problem = load_problem({source!r}{variant})
+channels = problem.channels
+train = {train}
+test = {test}
+estimator = MultipleShooting(noise={noise!r})
+'''
+
+
+def check(study: Study) -> str:
+    """Check the records."""
+    both = study.train is not None and study.test is not None
+    records = "oed_sysid.Dataset((*train, *test))" if both else "train" if study.train else "test"
+    return _lines(
+        f"records = {records}",
+        "log = oed_sysid.check(records, problem)",
+        "print(log.report())",
+    )
+
+
+def fit(study: Study) -> str:
+    """Fit the nominal model, and predict the validation records."""
+    lines = [
+        "nominal = estimator.fit(problem.model, train)",
+        "print(nominal.report())",
+        'nominal.save(HERE / "fit.json")',
+    ]
+    if study.test is not None:
+        lines.append("print(nominal.predict(test).report())")
+    return _lines(*lines)
+
+
+def compare(study: Study, groups: Iterable[tuple[str, ...]]) -> str:
+    """Compare models on the validation records."""
+    lines = ['models = {"nominal": problem.model}']
+    for names in groups:
+        effects = ", ".join(f"problem.effect({name!r})" for name in names)
+        lines.append(f'models["with {" and ".join(names)}"] = problem.model + [{effects}]')
+    return _lines(
+        *lines,
+        "fits = {name: estimator.fit(model, train) for name, model in models.items()}",
+        "print(oed_sysid.compare(fits, test).report())",
+    )
+
+
+def diagnose(study: Study) -> str:
+    """Say where the model fails."""
+    return _lines(
+        "diagnosis = oed_sysid.diagnose(",
+        "    problem.model, train, candidates=problem.effects,",
+        f"    known_noise={study.known_noise},",
+        ")",
+        "print(diagnosis.report())",
+    )
+
+
+def improve(study: Study, max_effects: int) -> str:
+    """Find what is missing."""
+    return _lines(
+        "improvement = oed_sysid.improve(",
+        "    problem.model, train, test, candidates=problem.effects,",
+        f"    known_noise={study.known_noise}, max_effects={max_effects},",
+        ")",
+        "print(improvement.report())",
+        'improvement.fit.save(HERE / "improved.json")',
+    )
+
+
+def rank(study: Study, experiments: tuple[str, ...]) -> str:
+    """Rank parameters."""
+    runs = f"[problem.experiment(name) for name in {list(experiments)!r}]"
+    return _lines(
+        f"runs = {runs if experiments else 'train'}",
+        "print(oed_sysid.rank_parameters(problem.model, runs).report())",
+    )
+
+
+def design(study: Study, wish: DesignWish) -> str:
+    """Design an experiment."""
+    starts, candidates, steps = EFFORTS[wish.effort]
+    family = {"levels": "Levels", "multisine": "Multisines", "pulses": "Pulses"}[wish.family]
+    if wish.rivals:
+        rivals = ", ".join(f"problem.effect({name!r})" for name in wish.rivals)
+        criterion = f"oed_sysid.design.Discriminate([{rivals}])"
+    else:
+        criterion = f"oed_sysid.{wish.criterion}Optimal()"
+    ranges = {name: (lower, upper) for name, lower, upper in wish.ranges}
+    corridors = {name: (lower, upper) for name, lower, upper in wish.corridors}
+    caution = ""
+    if wish.certainty is not None:
+        spread = None if wish.after_fit else UNCERTAINTY
+        caution = f"    caution=oed_sysid.design.Caution({wish.certainty!r}, {spread!r}),"
+    return _lines(
+        "from dataclasses import replace",
+        "",
+        "import oed_sysid.design",
+        "",
+        f"pattern = problem.experiment({wish.like!r})",
+        "limits = replace(",
+        "    problem.limits,",
+        f"    inputs={{**problem.limits.inputs, **{ranges!r}}},",
+        f"    rates={{**problem.limits.rates, **{dict(wish.rates)!r}}},",
+        f"    signals={{**problem.limits.signals, **{corridors!r}}},",
+        ")",
+        "believed = estimator.fit(problem.model, train)"
+        if wish.after_fit
+        else "believed = problem.model",
+        "design = oed_sysid.design_experiment(",
+        f"    believed, limits=limits, duration={wish.duration!r},",
+        f"    sample_time=pattern.sample_time, rng=np.random.default_rng({wish.seed}),",
+        f"    criterion={criterion}, parametrisation=oed_sysid.design.{family}(),",
+        "    constants=pattern.constants, initial=pattern.initial,",
+        *([caution] if caution else []),
+        f"    n_starts={starts}, n_candidates={candidates}, n_steps={steps},",
+        ")",
+        "print(design.report())",
+        'design.write_csv(HERE / "design.csv")',
+    )
+
+
+def programme(study: Study, wish: ProgrammeWish) -> str:
+    """Plan several runs."""
+    return _lines(
+        "import oed_sysid.design",
+        "",
+        "programme = oed_sysid.design.design_programme(",
+        "    problem.model, list(problem.experiments.values()), limits=problem.limits,",
+        f"    rng=np.random.default_rng({wish.seed}), hours={wish.hours!r}, n_runs={wish.runs},",
+        f"    criterion=oed_sysid.{wish.criterion}Optimal(), spread={spread_of(study.problem)!r},",
+        f"    turnaround={60.0 * wish.turnaround!r},",
+        ")",
+        "print(programme.report())",
+        'programme.write(HERE / "runs")',
+    )
+
+
+def whole(study: Study, parts: Iterable[str]) -> str:
+    """Return a script that does everything that was asked for.
+
+    Parameters
+    ----------
+    study : Study
+        Whose records stand beside the script, in ``train`` and ``test``.
+    parts : iterable of str
+        What the functions above return.
+    """
+    variant = "" if study.variant == "default" else f", variant={study.variant!r}"
+    reading = 'read_csv(HERE / "{}", channels)'
+    head = _HEAD.format(
+        title=study.problem.title.replace('"', "'").replace("\\", "/"),
+        source=study.source,
+        variant=variant,
+        train=reading.format("train") if study.train is not None else "None",
+        test=reading.format("test") if study.test is not None else "None",
+        noise=study.noise,
+    )
+    return "\n".join([head, *dict.fromkeys(parts)])
+
+
+def _lines(*lines: str) -> str:
+    return "\n".join(lines) + "\n"

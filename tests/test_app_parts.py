@@ -1,0 +1,260 @@
+"""Parts of the browser application without a browser: columns, pictures, exports, the script."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from oed_sysid import Channels, Dataset, Fit, Input, Output, Record, load_problem, read_csv
+
+pytest.importorskip("streamlit", reason="needs the extra 'app'")
+pytest.importorskip("plotly", reason="needs the extra 'app'")
+
+from oed_sysid.app import charts, mapping, plans, script, takeaway, tasks
+from oed_sysid.app.records import archive, at_hand, measured_sets
+from oed_sysid.app.shelf import Asked
+from oed_sysid.app.study import Study
+from oed_sysid.design.assurance import Assurance
+from oed_sysid.diagnosis.locate import Located
+from oed_sysid.errors import OedSysidError
+from oed_sysid.export import KINDS
+from oed_sysid.logs import LogMapping, Source
+from oed_sysid.noise.disturbances import Place
+from oed_sysid.problem.catalogue import catalogue_folder
+from oed_sysid.simulation import simulate
+
+CHANNELS = Channels(
+    (Input("rudder", "rad"),), (Output("psi", "rad", "heading"), Output("r", "rad/s"))
+)
+
+
+@pytest.fixture(name="study", scope="module")
+def _study() -> Study:
+    """A small problem with one simulated record on each side."""
+    problem = load_problem("nomoto_sparse_heading")
+    rng = np.random.default_rng(4)
+    first, second = [
+        replace_name(simulate(problem.model, one, rng=rng), name)
+        for name, one in list(problem.experiments.items())[:2]
+    ]
+    return Study("nomoto_sparse_heading", "default", problem, Dataset((first,)), Dataset((second,)))
+
+
+def replace_name(record: Record, name: str) -> Record:
+    """The record under another name."""
+    return replace(record, name=name)
+
+
+@pytest.fixture(name="outcome", scope="module")
+def _outcome(study: Study) -> tasks.Outcome:
+    """Its fit, as the page keeps it."""
+    return tasks.fit(study, lambda text: None)
+
+
+def log_of(psi: np.ndarray, r: np.ndarray, rudder: np.ndarray, name: str = "run.csv") -> bytes:
+    """A table with other names, units, signs and a heading within one turn."""
+    lines = ["clock;compass [deg];gyro [deg/s];helm"]
+    for index, (h, rate, helm) in enumerate(zip(psi, r, rudder, strict=True)):
+        turned = np.degrees(h) % 360.0
+        lines.append(f"{500 * index};{turned:.9f};{-np.degrees(rate):.9f};{1500 + 1000 * helm:.6f}")
+    return "\n".join(lines).encode()
+
+
+def test_columns_become_channels() -> None:
+    """Names, units, signs, a servo's pulses and a wrapped heading come out as they went in."""
+    t = 0.5 * np.arange(60)
+    psi, r, rudder = 0.2 * t, np.full(60, 0.2), 0.1 * np.sign(np.sin(t))
+    files = {name: log_of(psi, r, rudder) for name in ("run.csv", "again.csv")}
+    opened = mapping.open_files(files, ("clock", "ms"))
+    asked = LogMapping(
+        {"rudder": Source("run.helm", unit="rad", factor=0.001, trim=1500.0)},
+        {
+            "psi": Source("run.compass [deg]", wrap=True),
+            "r": Source("run.gyro [deg/s]", sign=-1),
+        },
+    )
+    records, refused, _ = mapping.imported(opened, asked, CHANNELS)
+    assert refused == {}
+    assert records is not None
+    assert records.names == ("run", "again")
+    for record in records:
+        np.testing.assert_allclose(record.times, t)
+        np.testing.assert_allclose(record.output("psi"), psi, atol=1e-8)
+        np.testing.assert_allclose(record.output("r"), r, atol=1e-8)
+        np.testing.assert_allclose(record.input("rudder"), rudder, atol=1e-8)
+
+
+def test_a_wrong_unit_is_refused_for_its_file_only() -> None:
+    """A file that does not fit says why, and the others are read."""
+    rows = "\n".join(f"{0.5 * n},{n}" for n in range(20))
+    good = f"t [s],compass [deg]\n{rows}\n".encode()
+    opened = mapping.open_files({"a.csv": good, "b.csv": good.replace(b"[deg]", b"[m]"),
+                                 "c.csv": b""})  # fmt: skip
+    still = {"rudder": Source(constant=0.0, unit="rad")}
+    asked = LogMapping(still, {"psi": Source("a.compass [deg]")})
+    records, refused, _ = mapping.imported(opened, asked, CHANNELS)
+    assert records is not None, refused
+    assert records.names == ("a",)
+    assert set(refused) == {"b.csv", "c.csv"}
+    assert "empty" in refused["c.csv"]
+
+
+def test_axes_are_in_degrees_and_share_their_time() -> None:
+    """Angles are drawn in degrees with that unit, every axis follows the last one's time."""
+    t = np.arange(5.0)
+    psi = np.linspace(0.0, np.pi, 5)
+    record = Record("a", t, np.full((5, 1), 0.1), np.column_stack([psi, 0 * t]), CHANNELS)
+    said = np.column_stack([psi, 0 * t])
+    figure = charts.signals(record, {"nominal": (said, np.full((5, 2), np.radians(1.0)))})
+    by_name = {trace.name: trace for trace in reversed(figure.data)}
+    np.testing.assert_allclose(by_name["measured"].y, np.degrees(psi))
+    band = np.asarray(by_name["95 % (nominal)"].y)
+    np.testing.assert_allclose(band[:5] - band[:4:-1], 2 * 1.96, rtol=1e-3)
+    titles = [figure.layout[f"yaxis{n}"].title.text for n in ("", 2, 3)]
+    assert titles == ["psi [deg]", "r [deg/s]", "rudder [deg]"]
+    assert figure.layout.xaxis.matches == figure.layout.xaxis2.matches == "x3"
+
+
+def test_replay_moves_every_vehicle() -> None:
+    """Each frame of a track places measured and modelled vehicles where they are then."""
+    channels = Channels(
+        (Input("rudder", "rad"),), (Output("x", "m"), Output("y", "m"), Output("psi", "rad"))
+    )
+    t = np.arange(11.0)
+    rows = np.column_stack([t, 2 * t, np.full(11, np.pi / 2)])
+    record = Record("a", t, np.zeros((11, 1)), rows, channels)
+    figure = charts.track(record, {"nominal": np.add(rows, (0.0, 1.0, 0.0))}, frames=3)
+    middle = figure.frames[1]
+    assert [float(part.x[0]) for part in middle.data] == [10.0, 11.0]
+    assert [float(part.y[0]) for part in middle.data] == [5.0, 5.0]
+    assert float(middle.data[0].marker.angle) == pytest.approx(90.0)
+    assert charts.track_axes(Record("b", t, np.zeros((11, 1)), rows[:, 2:], Channels(
+        channels.inputs, channels.outputs[2:]))) is None  # fmt: skip
+
+
+def test_chain_is_coloured_by_evidence() -> None:
+    """The likeliest place is the darkest, one that chance explains has no colour."""
+    places = (Place("force", "Z", "N"), Place("sensor", "theta", "rad"), Place("actuator", "fin"))
+    gains = {"force Z": 4000.0, "sensor theta": 900.0, "actuator fin": 3.0}
+    located = Located(places, gains, dict.fromkeys(gains, 0.1), (), (), {}, {}, {})
+    html = charts.chain(located)
+    assert 'class="place l4 best" title="force Z' in html
+    assert 'class="place l1" title="sensor theta' in html
+    assert 'class="place l0" title="actuator fin' in html
+    assert html.index("fin<") < html.index("Z<") < html.index("theta<")
+
+
+def test_design_that_leaves_its_limits_is_named() -> None:
+    """More vehicles outside than may be is a risk, fewer is none."""
+    stated = Assurance(150, 200, None, 0.3, {"z": 50}, {}, True)
+
+    class Design:
+        assurance = stated
+
+    assert "on 25% of 200" in plans.risk(Design())
+    Design.assurance = replace(stated, n_kept=196)
+    assert plans.risk(Design()) == ""
+    Design.assurance = replace(stated, n_kept=196, wanted=0.99)
+    assert "left first: z" in plans.risk(Design())
+
+
+def test_corridor_reaches_the_limits(study: Study) -> None:
+    """A slider's corridor replaces that of the problem, on the page and on the command line."""
+    from oed_sysid.app import commands
+
+    problem = load_problem("remus_diving_plane")
+    wish = plans.DesignWish("steps", 60.0, corridors=(("theta", -0.2, 0.2),))
+    limits = plans.limits_of(problem.limits, wish)
+    assert limits.signals["theta"] == (-0.2, 0.2)
+    assert limits.signals["z"] == problem.limits.signals["z"]
+    line = commands.design(replace(study, problem=problem, source="remus_diving_plane"), wish)
+    assert f"--limit theta={np.degrees(-0.2):.12g}:{np.degrees(0.2):.12g}" in line
+
+
+def test_saved_fit_and_exports_are_the_fit(outcome: tasks.Outcome, tmp_path: Path) -> None:
+    """The fit file loads as the same fit, and the exported model repeats its simulation."""
+    fits = takeaway.fits_of([(Asked("Fit", "fit", ""), outcome)])
+    file, fit = fits["nominal"]
+    (tmp_path / f"{file}.json").write_bytes(takeaway.saved(fit))
+    back = Fit.load(tmp_path / f"{file}.json")
+    np.testing.assert_array_equal(back.estimates, fit.estimates)
+    with zipfile.ZipFile(io.BytesIO(takeaway.model_archive(fit, "python"))) as packed:
+        packed.extractall(tmp_path / "python")
+    (module,) = (tmp_path / "python").glob("*.py")
+    space: dict = {"__name__": "exported", "__file__": str(module)}
+    exec(compile(module.read_text(), module.name, "exec"), space)
+    assert space["simulate"](np.arange(3.0), np.full((3, 1), 0.1)).shape[0] == 3
+    assert set(takeaway.KINDS) == set(KINDS)
+    with pytest.raises(OedSysidError, match="no export"):
+        takeaway.model_archive(fit, "fortran")
+
+
+def test_problem_folder_carries_records_and_fits(
+    study: Study, outcome: tasks.Outcome, tmp_path: Path
+) -> None:
+    """The folder opens as the same problem, its records and fits beside it."""
+    fits = takeaway.fits_of([(Asked("Fit", "fit", ""), outcome)])
+    with zipfile.ZipFile(io.BytesIO(takeaway.problem_archive(study, fits))) as packed:
+        packed.extractall(tmp_path)
+    folder = tmp_path / study.problem.name
+    problem = load_problem(folder)
+    assert problem.model.equations() == study.problem.model.equations()
+    assert read_csv(folder / "train", problem.channels).names == study.training().names
+    assert Fit.load(folder / "nominal.json").names == outcome.result.names
+
+
+def test_script_repeats_the_study(study: Study, outcome: tasks.Outcome, tmp_path: Path) -> None:
+    """The script runs beside the records and finds the same estimates."""
+    with zipfile.ZipFile(io.BytesIO(archive(study.train, study.test))) as packed:
+        packed.extractall(tmp_path)
+    parts = [
+        script.check(study), script.fit(study), script.compare(study, ()),
+        script.rank(study, (study.training().names[0],)),
+    ]  # fmt: skip
+    (tmp_path / "study.py").write_text(script.whole(study, parts))
+    run = subprocess.run(
+        [sys.executable, tmp_path / "study.py"], capture_output=True, text=True, cwd="/"
+    )
+    assert run.returncode == 0, run.stderr
+    again = Fit.load(tmp_path / "fit.json")
+    np.testing.assert_allclose(again.estimates, outcome.result.estimates, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_script_of_every_task_runs(tmp_path: Path) -> None:
+    """Search, diagnosis and a design, as the script says them, run to their end."""
+    problem = load_problem("remus_diving_plane")
+    train, test = problem.data().split(test=("test_steps", "test_zigzag_15_12"))
+    small = Study("remus_diving_plane", "default", problem, Dataset((train[0],)), test)
+    with zipfile.ZipFile(io.BytesIO(archive(small.train, small.test))) as packed:
+        packed.extractall(tmp_path)
+    wish = plans.DesignWish("steps", 30.0, corridors=(("theta", -0.4, 0.4),))
+    parts = [script.diagnose(small), script.improve(small, 1), script.design(small, wish)]
+    (tmp_path / "study.py").write_text(script.whole(small, parts))
+    run = subprocess.run([sys.executable, tmp_path / "study.py"], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert Fit.load(tmp_path / "improved.json").dataset.names == small.training().names
+    table = np.genfromtxt(tmp_path / "design.csv", delimiter=",", skip_header=1)
+    assert table[-1, 0] >= 29.0
+
+
+def test_measured_sets_are_known_where_they_are(tmp_path: Path, monkeypatch) -> None:
+    """A problem names its measured files; they are at hand when all of them are there."""
+    folder = catalogue_folder() / "roll_decay"
+    files = measured_sets(folder)
+    assert files
+    monkeypatch.setenv("OED_SYSID_DATA", str(tmp_path))
+    assert not at_hand(folder)
+    for file in files:
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    assert at_hand(folder)
+    assert at_hand(catalogue_folder() / "remus_diving_plane")
+    assert not at_hand(catalogue_folder() / "nomoto_sparse_heading")
