@@ -474,6 +474,18 @@ def test_reload_finds_the_study_again(ship: Path) -> None:
     assert chosen["Judge with"] == []
 
 
+def test_choices_outlive_their_widgets(ship: Path) -> None:
+    """What streamlit forgets of widgets that are not drawn, as beside a job, is chosen still."""
+    app = opened(ship)
+    learn = next(w for w in app.multiselect if w.label == "Learn from")
+    learn.set_value(["zigzag_10_10"]).run()
+    app = following(app)
+    for side in ("train", "test"):
+        del app.session_state[f"keep:{side}:{ship}:default:With the problem"]
+    app = fine(app.run())
+    assert any(caption.value == "Learn from: zigzag_10_10" for caption in app.caption)
+
+
 def test_reload_in_mid_job_waits_for_the_same_job(ship: Path) -> None:
     """A job goes on while the browser is away, and its result is found by the same address."""
     from oed_sysid.app.visit import desk

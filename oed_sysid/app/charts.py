@@ -100,7 +100,7 @@ def signals(
                 yanchor="bottom", showarrow=False, font={"size": 12}, row=row, col=1,
             )  # fmt: skip
     figure.update_xaxes(title_text="time t [s]", row=rows, col=1)
-    return _laid_out(figure, _ROW * rows + _EDGES)
+    return _laid_out(figure, max(_ROW * rows, 240) + _EDGES)
 
 
 def comparison(found: Comparison, index: int) -> go.Figure:

@@ -185,4 +185,5 @@ _STYLE = """
 .oed-chain .best { outline: 2px solid #c45500; outline-offset: 2px; }
 .stMainBlockContainer { padding: 3rem 2.5rem 4rem; max-width: 76rem; }
 .stTabs [role=tab] p { font-size: .875rem; }
+.stTabs [role=tablist] { flex-wrap: wrap; overflow: visible; height: auto; row-gap: .4rem; }
 """

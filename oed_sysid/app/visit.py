@@ -40,11 +40,23 @@ def begin() -> bool:
             earlier = True
     if st.query_params.get(_ADDRESS) != state["study"]:
         st.query_params[_ADDRESS] = state["study"]  # for a reload of any page
-    # Streamlit forgets a widget that is not on the page; these are kept all the same.
+    # Streamlit forgets a widget that is not on the page, also while a part of the page is drawn
+    # anew on its own, as the progress of a job is; these are kept all the same.
+    held = state.get("held", {})
+    for key, value in held.items():
+        if key not in state:
+            state[key] = value
     for key in list(state):
         if str(key).startswith(KEEP):
             state[key] = state[key]
+    _hold()
     return earlier
+
+
+def _hold() -> None:
+    """Note the kept values where no widget's coming and going touches them."""
+    state = st.session_state
+    state["held"] = {key: state[key] for key in list(state) if str(key).startswith(KEEP)}
 
 
 def study_id() -> str:
@@ -94,6 +106,7 @@ def edition() -> str:
 def end(title: str) -> None:
     """Keep the study if anything in it has changed since it was looked at first."""
     state = st.session_state
+    _hold()
     left = _left(title)
     text = left.text()
     new_files = state.pop("new files", False)
