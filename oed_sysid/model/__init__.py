@@ -180,7 +180,7 @@ class Model(Structure):
         --------
         >>> from oed_sysid import load_problem
         >>> print(load_problem("nomoto_sparse_heading").model.latex().splitlines()[0])
-        \dot{\psi} &= r
+        T \, \dot{r} &= K \, \delta - r
         """
         write = expressions.to_latex
         lines = []
