@@ -68,7 +68,6 @@ def test_design_completes_a_fit(ship: Path, tmp_path: Path) -> None:
         (["--like", "spiral"], "no experiment 'spiral'"),
         (["--discriminate", "wind"], "no candidate 'wind'"),
         (["--reveal", "wind"], "no candidate 'wind'"),
-        (["--reveal", "all"], "has no candidate effect"),
         (["--discriminate", "a", "--reveal", "b"], "one run has one aim"),
         (["--overrides", "o.csv"], "needs the channels"),
         (["--overrides", "o.csv", "--servo", "fin=1"], "an input with a range: rudder"),
