@@ -176,6 +176,11 @@ class Channels:
     outputs: tuple[Output, ...]
 
     @property
+    def all(self) -> tuple[Input | Output, ...]:
+        """Commanded signals, then measured ones."""
+        return (*self.inputs, *self.outputs)
+
+    @property
     def input_names(self) -> tuple[str, ...]:
         """Names of the commanded signals."""
         return tuple(channel.name for channel in self.inputs)

@@ -63,8 +63,10 @@ def design(study: Study, wish: DesignWish) -> str:
     for name, lower, upper in wish.ranges:
         unit = units[name]
         parts += ["--limit", f"{name}={_number(lower, unit)}:{_number(upper, unit)}"]
-    signals = (*study.problem.model.states, *study.problem.model.outputs)
-    units |= {one.name: one.unit for one in signals if one.name not in units}
+    model = study.problem.model
+    units = {one.name: one.unit for one in (*model.outputs,)} | {
+        one.name: one.unit for one in model.states
+    } | units
     for name, lower, upper in wish.corridors:
         unit = units[name]
         parts += ["--limit", f"{name}={_number(lower, unit)}:{_number(upper, unit)}"]

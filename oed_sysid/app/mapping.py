@@ -186,7 +186,8 @@ def imported(
         What was done to the numbers.
     """
     records: list[Record] = []
-    refused, notes = dict(opened.refused), []
+    refused = dict(opened.refused)
+    notes: list[str] = []
     for name, log in opened.logs.items():
         try:
             made = import_log(log, for_file(mapping, log), channels)

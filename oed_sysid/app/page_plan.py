@@ -196,7 +196,8 @@ def _limits(
     rates = []
     asked = [one for one in model.inputs
              if one.name in limits.inputs and one.name not in pattern.constants]  # fmt: skip
-    signals = {one.name: one for one in (*model.states, *model.outputs)}
+    signals: dict[str, State | Output] = {one.name: one for one in model.states}
+    signals |= {one.name: one for one in model.outputs}
     for channel in asked:
         keys = partial(choices.kept, study.source, study.variant, channel.name)
         one, two = st.columns([2, 1], vertical_alignment="bottom")

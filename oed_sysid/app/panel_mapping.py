@@ -79,7 +79,7 @@ def _begin(source: str, problem: Problem, log: Log) -> None:
     tails = {name.partition(".")[2]: name for name in reversed(fields)}
     new = state.get(mark) != fields
     guesses = mapping.first_guess(log, problem.channels) if new else {}
-    for channel in (*problem.model.inputs, *problem.model.outputs):
+    for channel in problem.channels.all:
         key = place(source, channel.name, "field")
         held = state.get(key)
         if held is not None and held != NOT_LOGGED and held not in fields:
@@ -100,7 +100,7 @@ def _ask_channels(source: str, problem: Problem, log: Log) -> None:
     heads = ("Channel", "Column", "Its unit", "Other way", "Jumps at ±180°", "")
     for column, head in zip(st.columns(widths), heads, strict=True):
         column.caption(head)
-    for channel in (*problem.model.inputs, *problem.model.outputs):
+    for channel in problem.channels.all:
         key = partial(place, source, channel.name)
         row = st.columns(widths, vertical_alignment="center")
         kind = "command" if isinstance(channel, Input) else "measured"

@@ -144,6 +144,6 @@ def figure_card(design: Design, tracks: Tracks | None = None) -> Figure:
         plot_tracks(tracks, ax=figure.add_axes((_LEFT + 0.62 * wide, bottom, 0.38 * wide, tall)))
     for ax in figure.axes:
         ax.tick_params(labelsize=6.5)
-        ax.xaxis.label.set_size(7)
-        ax.yaxis.label.set_size(7)
+        ax.xaxis.label.set_fontsize(7)
+        ax.yaxis.label.set_fontsize(7)
     return figure
