@@ -83,20 +83,21 @@ def signals(
                 figure, record.times[kept], turn * said[kept, column], turn * std[kept, column],
                 name, index, row,
             )  # fmt: skip
-    for row, channel in enumerate(inputs, start=len(outputs) + 1):
+    for row, command in enumerate(inputs, start=len(outputs) + 1):
         figure.add_scatter(
-            x=record.times[kept], y=factor(channel.unit) * record.inputs[kept, row - rows - 1],
+            x=record.times[kept], y=factor(command.unit) * record.inputs[kept, row - rows - 1],
             mode="lines", line={"color": COMMANDED, "width": 1.5,
-                                "shape": "hv" if channel.interpolation == "hold" else "linear"},
+                                "shape": "hv" if command.interpolation == "hold" else "linear"},
             name="commanded", legendgroup="commanded", showlegend=row == len(outputs) + 1,
             row=row, col=1,
         )  # fmt: skip
-    for row, channel in enumerate((*outputs, *inputs), start=1):
-        words = f"{channel.name} [{shown(channel.unit)}]"
+    signals: tuple[Input | Output, ...] = (*outputs, *inputs)
+    for row, signal in enumerate(signals, start=1):
+        words = f"{signal.name} [{shown(signal.unit)}]"
         figure.update_yaxes(title_text=words, title_font_size=13, row=row, col=1)
-        if channel.label and channel.label != channel.name:
+        if signal.label and signal.label != signal.name:
             figure.add_annotation(
-                text=channel.label, xref="x domain", yref="y domain", x=0.0, y=1.0, xanchor="left",
+                text=signal.label, xref="x domain", yref="y domain", x=0.0, y=1.0, xanchor="left",
                 yanchor="bottom", showarrow=False, font={"size": 12}, row=row, col=1,
             )  # fmt: skip
     figure.update_xaxes(title_text="time t [s]", row=rows, col=1)

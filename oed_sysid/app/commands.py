@@ -64,9 +64,11 @@ def design(study: Study, wish: DesignWish) -> str:
         unit = units[name]
         parts += ["--limit", f"{name}={_number(lower, unit)}:{_number(upper, unit)}"]
     model = study.problem.model
-    units = {one.name: one.unit for one in (*model.outputs,)} | {
-        one.name: one.unit for one in model.states
-    } | units
+    units = (
+        {one.name: one.unit for one in (*model.outputs,)}
+        | {one.name: one.unit for one in model.states}
+        | units
+    )
     for name, lower, upper in wish.corridors:
         unit = units[name]
         parts += ["--limit", f"{name}={_number(lower, unit)}:{_number(upper, unit)}"]

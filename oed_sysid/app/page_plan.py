@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 import streamlit as st
@@ -232,7 +233,7 @@ def _range(channel: Input | Output | State, limits: tuple[float, float], key: st
     words = channel.label or channel.name
     choices.preset(key, (lower, upper))
     st.session_state[key] = tuple(st.session_state[key])  # a list, where it was kept
-    least, most = st.slider(
+    chosen: Any = st.slider(
         f"{words} {channel.name} [{commands.shown(channel.unit)}]",
         min_value=lower - more,
         max_value=upper + more,
@@ -240,6 +241,7 @@ def _range(channel: Input | Output | State, limits: tuple[float, float], key: st
         format="%.4g",
         key=key,
     )
+    least, most = chosen
     if abs(least - lower) + abs(most - upper) <= 1e-6 * (upper - lower):
         return []
     if not least < most:

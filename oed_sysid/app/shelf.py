@@ -180,7 +180,8 @@ class Shelf:
     @staticmethod
     def _keep_files(place: Path, files: Mapping[str, Mapping[str, bytes]]) -> None:
         """Write the files under numbers, and which number is which; remove what is not named."""
-        index, kept = [], set()
+        index: list[list[str]] = []
+        kept: set[str] = set()
         for source, held in files.items():
             for name, content in held.items():
                 number = f"{len(index)}.bin"

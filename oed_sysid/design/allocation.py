@@ -36,6 +36,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from oed_sysid.design.criteria import AOptimal, Criterion, DOptimal, Measure
+from oed_sysid.design.discrimination import ByShifts
 from oed_sysid.design.elimination import NOTHING
 from oed_sysid.errors import DesignError
 
@@ -67,7 +68,7 @@ class Library:
     information: np.ndarray
     prior: np.ndarray
     costs: np.ndarray
-    criterion: Criterion
+    criterion: Criterion | ByShifts
     measure: Measure
 
     def __post_init__(self) -> None:

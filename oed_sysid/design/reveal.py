@@ -155,7 +155,10 @@ class Reveal:
             values = [noncentrality(gram, group)[0] for gram in grams]
             powers = [float(np.exp(log_power(v, group.freedom, gain)[0])) for v in values]
             least = np.sqrt(_for_power(_SURE, group.freedom, gain) / max(values[1], 1e-300))
-            found.append(Chance(group.name, dict(group.sizes), *values, *powers, float(least)))
+            gains, chances = (values[0], values[1]), (powers[0], powers[1])
+            found.append(
+                Chance(group.name, dict(group.sizes), *gains, *chances, least=float(least))
+            )
         return tuple(found)
 
 
