@@ -57,9 +57,9 @@ COLOUR_SEEN = 0.1
 VANISHED = 0.02
 # Where a level that is let in begins at least, in its natural unit.
 LEAST_START = 1.0
-# Factors on these levels of which the likeliest is begun at: where a model hardly damps what
-# disturbs it, records tell of levels far below those that act.
-LADDER = tuple(10.0**power for power in range(10))
+# Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
+# a model hardly damps what disturbs it, records tell of levels far below those that act.
+DECADES, STRIDE = 21, 3
 # Iterations after which a further start is given up unless it promises to overtake.
 FIRST_LOOK = 6
 # Samples from the start of each record that give the sizes of disturbances where the model on
@@ -411,19 +411,31 @@ def fit_disturbed(
 def _likeliest_level(
     problem: Filtered, start: Start, setting: Setting, begin: NoiseModel
 ) -> tuple[Point, float]:
-    """Point at the start's values and the likeliest of a ladder of levels; its objective."""
+    """Point at the start's values and the likeliest decade of levels; its objective.
+
+    The objective is flat where the levels do nothing yet, falls, and rises where they are too
+    large: strides find the valley, single decades its floor.
+    """
     free = np.array([place not in setting.known for place in begin.places], dtype=bool)
-    points = [
-        problem.point(
-            start.initial,
-            start.local,
-            replace(begin, force=np.where(free, factor * begin.force, begin.force)),
-        )
-        for factor in LADDER
-    ]
-    objectives = [problem.objective(point.unknowns) for point in points]
-    best = int(np.argmin(objectives))
-    return points[best], objectives[best]
+    tried: dict[int, tuple[Point, float]] = {}
+
+    def attempt(decade: int) -> float:
+        force = np.where(free, 10.0**decade * begin.force, begin.force)
+        point = problem.point(start.initial, start.local, replace(begin, force=force))
+        tried[decade] = point, problem.objective(point.unknowns)
+        return tried[decade][1]
+
+    least, best = np.inf, 0
+    for decade in range(0, DECADES + 1, STRIDE):
+        found = attempt(decade)
+        if found < least - 1.0:
+            least, best = found, decade
+        elif np.isfinite(least) and (not np.isfinite(found) or best > 0):
+            break
+    for decade in (best - 1, best + 1):
+        if decade >= 0 and decade not in tried:
+            attempt(decade)
+    return min(tried.values(), key=lambda one: one[1])
 
 
 @dataclass(frozen=True, eq=False)
