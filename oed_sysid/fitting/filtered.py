@@ -32,8 +32,11 @@ from oed_sysid.noise.disturbances import DISTURBANCE, Place, disturbance
 from oed_sysid.noise.levels import Levels
 from oed_sysid.noise.model import NoiseModel
 
-# Step of differences of whole filters, in standard deviations of the unknown.
-DIFFERENCE = 1e-2
+# Step of differences of whole filters, in standard deviations of the unknown, others known: a
+# smaller one says no more of a smooth model, and drowns in rounding that an unstable one amplifies.
+DIFFERENCE = 1.0
+# Information in these over that at frozen gain beyond which it is such rounding.
+AMPLIFIED = 1.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -489,11 +492,14 @@ class Differentiated:
         """Gauss-Newton matrix and right-hand side, priors excluded."""
         if self._equations is None:
             unknowns = self.point.unknowns
-            frozen, _ = self.problem.gathered(unknowns, self.problem.passes(unknowns))
+            frozen, right = self.problem.gathered(unknowns, self.problem.passes(unknowns))
             size = np.diag(frozen) + self.problem.limits.prior_weight
             scale = self.problem.limits.scale
             std = np.where(size > 0, 1.0 / np.sqrt(np.where(size > 0, size, 1.0)), scale)
-            self._equations = self.problem.differentiated(unknowns, np.minimum(std, scale))
+            whole = self.problem.differentiated(unknowns, np.minimum(std, scale))
+            known = np.arange(self.problem.layout.levels.start)
+            more = np.diag(whole[0])[known] > AMPLIFIED * np.diag(frozen)[known]
+            self._equations = (frozen, right) if more.any() else whole
         return self._equations
 
     def predicted(self, step: np.ndarray) -> float:
