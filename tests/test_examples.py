@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # Examples that take more than a few seconds.
 SLOW: tuple[str, ...] = (
+    "programme_for_a_tanker",
     "programme_for_an_auv",
     "cascaded_tanks",
     "esso_osaka_wind",
