@@ -97,7 +97,7 @@ def test_command_line_ends_with_exit_code_one(
     write_csv(record, tmp_path / "noise.csv")
     assert main(["fit", "kvlcc2", str(tmp_path / "noise.csv")]) == 1
     first = capsys.readouterr().out.splitlines()[0]
-    assert first.startswith("Do not use these values: A constant explains")
+    assert first.startswith("Not usable: A constant explains")
 
 
 def test_suspect_log_stands_above_the_fit(

@@ -63,9 +63,9 @@ def signals(
     --------
     >>> from oed_sysid import Channels
     >>> channels = Channels((Input("rudder", "rad"),), (Output("psi", "rad"),))
-    >>> record = Record("a", [0.0, 1.0], [[0.1], [0.1]], [[0.0], [np.pi]], channels)
+    >>> record = Record("a", np.arange(5.0), [0.1] * 5, np.pi * np.arange(5.0) / 4, channels)
     >>> [round(float(y), 1) for y in signals(record).data[0].y]
-    [0.0, 180.0]
+    [0.0, 45.0, 90.0, 135.0, 180.0]
     """
     outputs, inputs = record.channels.outputs, record.channels.inputs
     rows = len(outputs) + len(inputs)

@@ -48,7 +48,7 @@ def open_files(files: Mapping[str, bytes], time: tuple[str, str] | None = None) 
 
     Examples
     --------
-    >>> opened = open_files({"run.csv": b"clock,yaw [deg]\\n0,1\\n500,2\\n"}, ("clock", "ms"))
+    >>> opened = open_files({"run.csv": b"clock,yaw [deg]\n0,1\n500,2\n"}, ("clock", "ms"))
     >>> opened.logs["run.csv"].names, opened.logs["run.csv"].span
     (('run.yaw [deg]',), (0.0, 0.5))
     """
@@ -72,7 +72,7 @@ def is_table(name: str) -> bool:
 def headers(content: bytes) -> list[str]:
     r"""Headers of a table in text; the first line that is no comment.
 
-    >>> headers(b"# log of May\\nclock;yaw [deg]\\n0;1\\n")
+    >>> headers(b"# log of May\nclock;yaw [deg]\n0;1\n")
     ['clock', 'yaw [deg]']
     """
     line = _header_line(content.decode("utf-8-sig", errors="replace"))
@@ -85,8 +85,8 @@ def headers(content: bytes) -> list[str]:
 def renamed(content: bytes, header: str, unit: str) -> bytes:
     r"""A table whose column of time is called ``t``.
 
-    >>> renamed(b"clock,yaw\\n0,1\\n", "clock", "ms")
-    b't [ms],yaw\\n0,1\\n'
+    >>> renamed(b"clock,yaw\n0,1\n", "clock", "ms")
+    b't [ms],yaw\n0,1\n'
     """
     text = content.decode("utf-8-sig", errors="replace")
     line = _header_line(text)
@@ -113,7 +113,7 @@ def first_guess(log: Log, channels: Channels) -> dict[str, Source]:
     Examples
     --------
     >>> from oed_sysid import load_problem
-    >>> log = open_files({"a.csv": b"t,psi [deg]\\n0,1\\n1,2\\n"}).logs["a.csv"]
+    >>> log = open_files({"a.csv": b"t,psi [deg]\n0,1\n1,2\n"}).logs["a.csv"]
     >>> found = first_guess(log, load_problem("esso_osaka").channels)
     >>> list(found), found["psi"].wrap
     (['psi'], True)
@@ -128,7 +128,7 @@ def first_guess(log: Log, channels: Channels) -> dict[str, Source]:
 def unit_of(log: Log, field: str) -> str:
     r"""Unit of a field, where the log or its header says it.
 
-    >>> unit_of(open_files({"a.csv": b"t,u [kn]\\n0,1\\n1,2\\n"}).logs["a.csv"], "a.u [kn]")
+    >>> unit_of(open_files({"a.csv": b"t,u [kn]\n0,1\n1,2\n"}).logs["a.csv"], "a.u [kn]")
     'kn'
     """
     return log[field].unit or parse_header(field)[1] or ""
@@ -142,7 +142,7 @@ def for_file(mapping: LogMapping, log: Log) -> LogMapping:
 
     Examples
     --------
-    >>> logs = open_files({n: b"t,yaw [deg]\\n0,1\\n1,2\\n" for n in ("a.csv", "b.csv")}).logs
+    >>> logs = open_files({n: b"t,yaw [deg]\n0,1\n1,2\n" for n in ("a.csv", "b.csv")}).logs
     >>> mapping = LogMapping({}, {"psi": Source("a.yaw [deg]")})
     >>> for_file(mapping, logs["b.csv"]).outputs["psi"].field
     'b.yaw [deg]'

@@ -117,9 +117,9 @@ class Record:
         --------
         >>> from oed_sysid.channels import Channels, Input, Output
         >>> channels = Channels((Input("rudder", "rad"),), (Output("psi", "rad", wrap=True),))
-        >>> north = Record("north", np.arange(4.0), np.zeros(4), np.zeros(4), channels)
+        >>> north = Record("north", np.arange(5.0), np.zeros(5), np.zeros(5), channels)
         >>> print(np.degrees(north.residuals(np.radians([[359.0]]))).round(6).ravel())
-        [1. 1. 1. 1.]
+        [1. 1. 1. 1. 1.]
         """
         difference = self.outputs - predicted
         for column, output in enumerate(self.channels.outputs):

@@ -124,10 +124,10 @@ def coarser(record: Record, every: int) -> Record:
     --------
     >>> from oed_sysid.channels import Channels, Input, Output
     >>> channels = Channels((Input("fin", "rad"),), (Output("q", "rad/s"),))
-    >>> t = np.arange(8.0)
+    >>> t = np.arange(20.0)
     >>> run = Record("dive", t, (t >= 2)[:, None].astype(float), t[:, None], channels)
     >>> print(coarser(run, 4).inputs.ravel(), coarser(run, 4).outputs.ravel())
-    [0.5 1. ] [0. 4.]
+    [0.5 1.  1.  1.  1. ] [ 0.  4.  8. 12. 16.]
     """
     kept = np.arange(0, record.n_samples, every)
     inputs = record.inputs[kept].copy()
