@@ -21,6 +21,25 @@ static inline void axpy(double *restrict target, double factor, const double *re
     for (int j = 0; j < n; j += 4) *(four_t *)(target + j) += factor * *(const four_t *)(source + j);
 }
 
+/* Lower triangle of gram, in blocks of four by four, plus the products of n rows; all have a stride
+ * of wide, in which width is padded with zeros. */
+static inline void add_products(double *restrict gram, const double *restrict rows, int n, int wide,
+                                int width)
+{
+    for (int a = 0; a < width; a += 4)
+        for (int b = 0; b <= a; b += 4) {
+            double *to = gram + (size_t)a * wide + b;
+            four_t sum[4];
+            for (int i = 0; i < 4; ++i) sum[i] = *(four_t *)(to + (size_t)i * wide);
+            for (int o = 0; o < n; ++o) {
+                const double *row = rows + (size_t)o * wide;
+                const four_t right = *(const four_t *)(row + b);
+                for (int i = 0; i < 4; ++i) sum[i] += row[a + i] * right;
+            }
+            for (int i = 0; i < 4; ++i) *(four_t *)(to + (size_t)i * wide) = sum[i];
+        }
+}
+
 /* A row of measurement derivatives is mostly zero: its other entries, n of them. */
 typedef struct {
     int n;
@@ -107,52 +126,103 @@ typedef struct {
     double *row, *rowq;  /* de and q of the levels */
 } scalar_t;
 
-/* Mean and covariance tangents of one level through the n scalar measurements of a sample. */
-static inline __attribute__((always_inline)) void level_measured(double *restrict d,
-                                                                 double *restrict mu, int level,
-                                                                 int white_of, scalar_t *scalars,
-                                                                 int n, int size, const int stride)
+/* Tangents of all levels stand side by side, a level a lane: entry (i, j) of a covariance at
+ * PAIR(i, j), its lower triangle only. What is done to one is done to all, a vector at a time. */
+#define PAIR(i, j) ((i) >= (j) ? (i) * ((i) + 1) / 2 + (j) : (j) * ((j) + 1) / 2 + (i))
+
+static inline __attribute__((always_inline)) void add_lanes(double *restrict target, double factor,
+                                                            const double *restrict source,
+                                                            const int lanes)
+{
+    for (int j = 0; j < lanes; j += 4) *(four_t *)(target + j) += factor * *(const four_t *)(source + j);
+}
+
+/* Tangents d of the covariance and mu of the mean through the n scalar measurements of a sample;
+ * white has a one where a lane's level is that of an output's white noise; v is scratch. */
+static inline __attribute__((always_inline)) void levels_measured(double *restrict d,
+                                                                  double *restrict mu,
+                                                                  const double *restrict white,
+                                                                  scalar_t *scalars, int n, int nl,
+                                                                  int size, double *restrict v,
+                                                                  const int lanes)
 {
     for (int i = 0; i < n; ++i) {
         const scalar_t *one = scalars + i;
-        const double *g = one->g, inverse = one->inverse;
-        double v[stride];
-        for (int j = 0; j < stride; ++j) v[j] = 0.0;
+        const double *g = one->g, inverse = one->inverse, by_v = one->e * inverse;
+        double *restrict q = one->rowq;
+        double by_g[lanes], de[lanes];
+        memset(v, 0, sizeof(double) * (size_t)size * lanes);
+        memset(de, 0, sizeof(double) * lanes);
+        memcpy(q, white + (size_t)one->output * lanes, sizeof(double) * lanes);
         for (int r = 0; r < one->h.n; ++r) {
-            const double value = one->h.value[r];
-            const double *row = d + (size_t)one->h.index[r] * stride;
-            for (int j = 0; j < stride; j += 4)
-                *(four_t *)(v + j) += value * *(const four_t *)(row + j);
+            const int at = one->h.index[r];
+            for (int j = 0; j < size; ++j)
+                add_lanes(v + (size_t)j * lanes, one->h.value[r], d + (size_t)PAIR(at, j) * lanes, lanes);
+            add_lanes(de, -one->h.value[r], mu + (size_t)at * lanes, lanes);
         }
-        const double dS = dot_sparse(&one->h, v) + (white_of == one->output ? 1.0 : 0.0);
-        const double de = -dot_sparse(&one->h, mu), q = dS * inverse;
-        one->row[level] = de;
-        one->rowq[level] = q;
+        for (int r = 0; r < one->h.n; ++r)
+            add_lanes(q, one->h.value[r], v + (size_t)one->h.index[r] * lanes, lanes);
+        for (int j = 0; j < lanes; j += 4) {
+            *(four_t *)(q + j) *= inverse;
+            *(four_t *)(by_g + j) = (*(four_t *)(de + j) - *(four_t *)(q + j) * one->e) * inverse;
+        }
+        memcpy(one->row, de, sizeof(double) * nl);
         if (one->missing) continue;
-        const double by_v = one->e * inverse, by_g = (de - q * one->e) * inverse;
-        for (int j = 0; j < stride; j += 4)
-            *(four_t *)(mu + j) += by_v * *(four_t *)(v + j) + by_g * *(const four_t *)(g + j);
         for (int r = 0; r < size; ++r) {
-            const double b = g[r] * inverse, a = v[r] * inverse - b * q;
-            double *restrict line = d + (size_t)r * stride;
-            for (int j = 0; j < stride; j += 4)
-                *(four_t *)(line + j) -= a * *(const four_t *)(g + j) + b * *(four_t *)(v + j);
+            const double b = g[r] * inverse;
+            double *restrict line = d + (size_t)PAIR(r, 0) * lanes, *restrict mean = mu + (size_t)r * lanes;
+            four_t a[lanes / 4];
+            for (int j = 0; j < lanes / 4; ++j) {
+                const four_t own = *(const four_t *)(v + (size_t)r * lanes + 4 * j);
+                a[j] = own * inverse - b * *(const four_t *)(q + 4 * j);
+                *(four_t *)(mean + 4 * j) += by_v * own + g[r] * *(const four_t *)(by_g + 4 * j);
+            }
+            for (int c = 0; c <= r; ++c)
+                for (int j = 0; j < lanes / 4; ++j)
+                    *(four_t *)(line + (size_t)c * lanes + 4 * j) -=
+                        g[c] * a[j] + b * *(const four_t *)(v + (size_t)c * lanes + 4 * j);
         }
     }
 }
 
-/* target <- sum of n rows by their weights. */
-static inline __attribute__((always_inline)) void combined(double *restrict target,
-                                                           const double *restrict weights,
-                                                           const double *restrict rows, int n,
-                                                           const int width)
+/* target <- F d F' for the tangents of all levels; line is scratch. */
+static inline __attribute__((always_inline)) void levels_moved(double *restrict target,
+                                                               const transition_t *f,
+                                                               const double *restrict d,
+                                                               double *restrict line,
+                                                               const int lanes)
 {
-    four_t sum[width / 4];
-    for (int j = 0; j < width / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
-    for (int i = 0; i < n; ++i)
-        for (int j = 0; j < width / 4; ++j)
-            sum[j] += weights[i] * *(const four_t *)(rows + (size_t)i * width + 4 * j);
-    for (int j = 0; j < width / 4; ++j) *(four_t *)(target + 4 * j) = sum[j];
+    for (int i = 0; i < f->size; ++i) {
+        for (int s = 0; s < f->size; ++s) {
+            four_t sum[lanes / 4];
+            if (i < f->na) {
+                for (int j = 0; j < lanes / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
+                for (int r = f->first[i]; r < f->first[i + 1]; ++r) {
+                    const double *from = d + (size_t)PAIR(f->index[r], s) * lanes;
+                    for (int j = 0; j < lanes / 4; ++j)
+                        sum[j] += f->value[r] * *(const four_t *)(from + 4 * j);
+                }
+            } else
+                for (int j = 0; j < lanes / 4; ++j)
+                    sum[j] = f->phi[i] * *(const four_t *)(d + (size_t)PAIR(i, s) * lanes + 4 * j);
+            for (int j = 0; j < lanes / 4; ++j) *(four_t *)(line + (size_t)s * lanes + 4 * j) = sum[j];
+        }
+        for (int o = 0; o <= i; ++o) {
+            double *to = target + (size_t)PAIR(i, o) * lanes;
+            four_t sum[lanes / 4];
+            if (o < f->na) {
+                for (int j = 0; j < lanes / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
+                for (int r = f->first[o]; r < f->first[o + 1]; ++r) {
+                    const double *from = line + (size_t)f->index[r] * lanes;
+                    for (int j = 0; j < lanes / 4; ++j)
+                        sum[j] += f->value[r] * *(const four_t *)(from + 4 * j);
+                }
+            } else
+                for (int j = 0; j < lanes / 4; ++j)
+                    sum[j] = f->phi[o] * *(const four_t *)(line + (size_t)o * lanes + 4 * j);
+            for (int j = 0; j < lanes / 4; ++j) *(four_t *)(to + 4 * j) = sum[j];
+        }
+    }
 }
 
 /* The same with a width that the compiler knows, where it is a common one. */
@@ -182,18 +252,19 @@ static ONCE void sandwich(double *matrix, const transition_t *f, double *product
 #undef CALL
 }
 
-static ONCE void combine(double *target, const double *weights, const double *rows, int n, int width)
+static ONCE void measure_levels(double *d, double *mu, const double *white, scalar_t *scalars, int n,
+                                int nl, int size, double *v, int lanes)
 {
-#define CALL(w) combined(target, weights, rows, n, w)
-    WIDTHS(width, CALL)
+#define CALL(w) levels_measured(d, mu, white, scalars, n, nl, size, v, w)
+    WIDTHS(lanes, CALL)
 #undef CALL
 }
 
-static ONCE void measure_level(double *d, double *mu, int level, int white_of, scalar_t *scalars,
-                               int n, int size, int stride)
+static ONCE void move_levels(double *target, const transition_t *f, const double *d, double *line,
+                             int lanes)
 {
-#define CALL(w) level_measured(d, mu, level, white_of, scalars, n, size, w)
-    WIDTHS(stride, CALL)
+#define CALL(w) levels_moved(target, f, d, line, w)
+    WIDTHS(lanes, CALL)
 #undef CALL
 }
 
@@ -221,8 +292,9 @@ enum { FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME 
 size_t kernel_filter_work(int na, int more, int nq, int ncol, int nx, int nl)
 {
     const size_t n = na + nq + ncol, stride = round4((int)n), wide = round4(nx + nl + 1);
-    return n * stride * (3 + (size_t)nl) + 2 * (n + more) * round4(nx) + (size_t)nl * stride + 6 * stride +
-           (size_t)(na + round4(na)) * (na + nq) + (size_t)(na + more) * (na + nq + more) + NY * (stride + 2 * wide) + (nl + 1) * wide + wide * wide + 64;
+    return n * stride * 3 + 2 * (n + more) * round4(nx) + (n * (n + 1) + 4 * n + NY) * round4(nl) +
+           6 * stride + (size_t)na * (na + nq) + (size_t)(na + more) * (na + nq + more) +
+           NY * (stride + 2 * wide) + (round4(nl) + 1) * wide + wide * wide + 64;
 }
 
 /* Filter one record.
@@ -253,18 +325,19 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                   double *rows_out, double *path_out, double *gains_out, double *total, double *work)
 {
     const int m = na + nq, size = m + ncol, stride = round4(size), sx = round4(nx);
-    const int width = nx + nl + 1, wide = round4(width), narrow = round4(na);
-    const size_t block = (size_t)size * stride;
+    const int width = nx + nl + 1, wide = round4(width), lanes = round4(nl);
+    const size_t block = (size_t)size * stride, pairs = (size_t)size * (size + 1) / 2 * lanes;
     double *P = work, *product = P + block, *turned = product + block, *dP = turned + block;
-    double *X = dP + block * nl, *Xnext = X + (size_t)(size + more) * sx;
-    double *dm = Xnext + (size_t)(size + more) * sx;
-    double *delta = dm + (size_t)nl * stride, *mean = delta + stride;
+    double *dPnext = dP + pairs, *dm = dPnext + pairs, *dmnext = dm + (size_t)size * lanes;
+    double *v = dmnext + (size_t)size * lanes, *line = v + (size_t)size * lanes;
+    double *white_lanes = line + (size_t)size * lanes;
+    double *X = white_lanes + (size_t)NY * lanes, *Xnext = X + (size_t)(size + more) * sx;
+    double *delta = Xnext + (size_t)(size + more) * sx, *mean = delta + stride;
     double *phi = mean + stride, *dphi = phi + stride, *column = dphi + stride;
-    double *next = column + stride, *entries = next + stride;
-    double *by_column = entries + (size_t)na * m, *passed = by_column + (size_t)narrow * m;
+    double *entries = column + stride, *passed = entries + (size_t)na * m;
     double *gains = passed + (size_t)(na + more) * (m + more), *rows = gains + (size_t)NY * stride;
     double *rowsq = rows + (size_t)NY * wide, *slope = rowsq + (size_t)NY * wide;
-    double *information = slope + wide, *gram = information + (size_t)nl * wide;
+    double *information = slope + wide, *gram = information + (size_t)lanes * wide;
     int place[MAX1(NZ * (NZ + NF))], first_of[NZ + 1], sensors_remember = 0;
     int passed_place[MAX1(NZ * (NZ + NF))], first_passed[NZ + 1];
     const int c_passing = c_disturbance + nq;
@@ -287,8 +360,10 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
     for (int j = 0; j < nq; ++j) P[(size_t)(na + j) * (stride + 1)] = q_variance[j];
     for (int j = 0; j < ncol; ++j) P[(size_t)(m + j) * (stride + 1)] = c_variance[j];
     for (int l = 0; l < nl; ++l) {
-        if (l_kind[l] == FORCE_VARIANCE) dP[block * l + (size_t)(na + l_index[l]) * (stride + 1)] = 1.0;
-        if (l_kind[l] == COLOUR_VARIANCE) dP[block * l + (size_t)(m + l_index[l]) * (stride + 1)] = 1.0;
+        const int at = l_index[l] + (l_kind[l] == COLOUR_VARIANCE ? m : na);
+        if (l_kind[l] == FORCE_VARIANCE || l_kind[l] == COLOUR_VARIANCE)
+            dP[(size_t)PAIR(at, at) * lanes + l] = 1.0;
+        if (l_kind[l] == WHITE_VARIANCE) white_lanes[(size_t)l_index[l] * lanes + l] = 1.0;
     }
     for (int i = 0; i < na; ++i) sensors_remember |= uncertain[i] >= NX + NA;
     for (int k = 0; k < n; ++k) {
@@ -362,10 +437,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                 for (int j = 0; j < size; ++j) kept[size + j] = g[j] * inverse;
             }
         }
-        for (int l = 0; l < nl; ++l)
-            measure_level(dP + block * l, dm + (size_t)l * stride, l,
-                          l_kind[l] == WHITE_VARIANCE ? l_index[l] : -1, scalars, n_scalars, size,
-                          stride);
+        if (nl > 0) measure_levels(dP, dm, white_lanes, scalars, n_scalars, nl, size, v, lanes);
         for (int o = 0; o < n_scalars; ++o) {
             const scalar_t *one = scalars + o;
             double *row = rows + (size_t)o * wide;
@@ -376,18 +448,16 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                 memcpy(target, row, sizeof(double) * (nx + nl));
                 if (!one->missing) memcpy(target + nx + nl, rowq, sizeof(double) * nl);
             }
-            if (one->missing) continue;
-            const double square = one->e * one->e * one->inverse;
-            row[nx + nl] = root * one->e;
-            /* Lower triangle, whole vectors. */
-            for (int a = 0; a < width; ++a)
-                if (row[a] != 0.0) axpy(gram + (size_t)a * wide, row[a], row, (a + 4) & ~3);
-            if (level_out && nl > 0) {
-                axpy(slope, 0.5 * (1.0 - square), rowq, nl);
-                for (int l = 0; l < nl; ++l)
-                    axpy(information + (size_t)l * wide, 0.5 * rowq[l], rowq, (l + 4) & ~3);
+            if (one->missing) { /* moves nothing */
+                memset(row, 0, sizeof(double) * wide);
+                memset(one->rowq, 0, sizeof(double) * wide);
+                continue;
             }
+            row[nx + nl] = root * one->e;
+            axpy(slope, 0.5 * (1.0 - one->e * one->e * one->inverse), rowq, nl);
         }
+        add_products(gram, rows, n_scalars, wide, width);
+        add_products(information, rowsq, n_scalars, wide, nl);
         for (int i = 0; i < na; ++i) z[uncertain[i]] += delta[i];
         for (int i = na; i < size; ++i) mean[i] += delta[i];
         if (path_out) {
@@ -415,16 +485,14 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             }
             advance_interval(z, s, inner_times, inner_inputs, p, h_max, 0, 1);
             int count_entries = 0;
-            memset(by_column, 0, sizeof(double) * (size_t)narrow * m);
             for (int i = 0; i < na; ++i) {
-                const double *line = s[uncertain[i]];
+                const double *row = s[uncertain[i]];
                 first_of[i] = count_entries;
                 for (int l = 0; l < m; ++l) {
-                    const double v = l < na ? line[l] : line[c_disturbance + l - na];
-                    if (v == 0.0) continue;
-                    by_column[(size_t)l * narrow + i] = v;
+                    const double value = l < na ? row[l] : row[c_disturbance + l - na];
+                    if (value == 0.0) continue;
                     place[count_entries] = l;
-                    entries[count_entries++] = v;
+                    entries[count_entries++] = value;
                 }
             }
             first_of[na] = count_entries;
@@ -441,15 +509,15 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                 double *before = X;
                 int n_passed = 0;
                 for (int i = 0; i < na + more; ++i) {
-                    const double *line = s[uncertain[i]];
+                    const double *row = s[uncertain[i]];
                     first_passed[i] = n_passed;
                     for (int l = 0; l < m + more; ++l) {
-                        const double v = l < na  ? line[l]
-                                         : l < m ? line[c_disturbance + l - na]
-                                                 : line[c_passing + l - m];
-                        if (v == 0.0) continue;
+                        const double value = l < na  ? row[l]
+                                             : l < m ? row[c_disturbance + l - na]
+                                                     : row[c_passing + l - m];
+                        if (value == 0.0) continue;
                         passed_place[n_passed] = l < m ? l : size + l - m;
-                        passed[n_passed++] = v;
+                        passed[n_passed++] = value;
                     }
                 }
                 first_passed[na + more] = n_passed;
@@ -461,12 +529,17 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                 X = Xnext;
                 Xnext = before;
             }
+            if (nl > 0) {
+                double *before = dP;
+                move_levels(dPnext, &step_of, dP, line, lanes);
+                dP = dPnext;
+                dPnext = before;
+                before = dm;
+                move_rows(dmnext, &step_of, dm, lanes);
+                dm = dmnext;
+                dmnext = before;
+            }
             for (int l = 0; l < nl; ++l) {
-                double *mu = dm + (size_t)l * stride;
-                combine(next, mu, by_column, m, narrow);
-                for (int i = na; i < size; ++i) next[i] = phi[i] * mu[i];
-                double *d = dP + block * l;
-                sandwich(d, &step_of, product, turned, stride);
                 const int of_force = l_kind[l] == FORCE_VARIANCE || l_kind[l] == FORCE_TIME;
                 const int first = of_force ? na : m, count = of_force ? nq : ncol;
                 if (l_kind[l] == FORCE_TIME || l_kind[l] == COLOUR_TIME) {
@@ -475,7 +548,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                     const int to_j = l_index[l] < 0 ? first + count : from_j + 1;
                     for (int j = from_j; j < to_j; ++j) {
                         const double variance = of_force ? q_variance[j - na] : c_variance[j - m];
-                        next[j] += dphi[j] * mean[j];
+                        dm[(size_t)j * lanes + l] += dphi[j] * mean[j];
                         /* Column j of F P, the covariance still being the one before the step. */
                         for (int i = 0; i < na; ++i) {
                             column[i] = 0.0;
@@ -483,17 +556,14 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                                 column[i] += entries[r] * P[(size_t)j * stride + place[r]];
                         }
                         for (int i = na; i < size; ++i) column[i] = phi[i] * P[(size_t)i * stride + j];
-                        for (int i = 0; i < size; ++i) {
-                            d[(size_t)i * stride + j] += dphi[j] * column[i];
-                            d[(size_t)j * stride + i] += dphi[j] * column[i];
-                        }
-                        d[(size_t)j * (stride + 1)] -= 2.0 * variance * phi[j] * dphi[j];
+                        for (int i = 0; i < size; ++i)
+                            dP[(size_t)PAIR(i, j) * lanes + l] += (i == j ? 2.0 : 1.0) * dphi[j] * column[i];
+                        dP[(size_t)PAIR(j, j) * lanes + l] -= 2.0 * variance * phi[j] * dphi[j];
                     }
                 } else if (l_kind[l] == FORCE_VARIANCE || l_kind[l] == COLOUR_VARIANCE) {
                     const int i = first + l_index[l];
-                    d[(size_t)i * (stride + 1)] += 1.0 - phi[i] * phi[i];
+                    dP[(size_t)PAIR(i, i) * lanes + l] += 1.0 - phi[i] * phi[i];
                 }
-                memcpy(mu, next, sizeof(double) * size);
             }
             sandwich(P, &step_of, product, turned, stride);
             for (int j = 0; j < nq; ++j)
@@ -512,7 +582,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             level_out[l] = slope[l];
             for (int j = 0; j <= l; ++j)
                 level_out[nl + (size_t)l * nl + j] = level_out[nl + (size_t)j * nl + l] =
-                    information[(size_t)l * wide + j];
+                    0.5 * information[(size_t)l * wide + j];
         }
     if (total) {
         total[0] = sum_log + log(product_s);
