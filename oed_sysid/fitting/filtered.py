@@ -158,6 +158,8 @@ class Filtered:
     ) -> Point:
         """Return the point after a step; there are no nodes to move."""
         unknowns = point.unknowns + length * step
+        block = self.layout.levels
+        unknowns[block] = self.levels.moved(point.unknowns[block], length * step[block])
         return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), ())
 
     def prior_cost(self, unknowns: np.ndarray) -> float:

@@ -60,8 +60,10 @@ LEAST_START = 1.0
 # Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
 # a model hardly damps what disturbs it, records tell of levels far below those that act.
 DECADES, STRIDE = 21, 3
+# Steps of everything else before levels move too.
+HELD_STEPS = 2
 # Iterations after which a further start is given up unless it promises to overtake.
-FIRST_LOOK = 6
+FIRST_LOOK = 3
 # Samples from the start of each record that give the sizes of disturbances where the model on
 # its own leaves the numbers later.
 HEADS = (100, 30, 10)
@@ -379,7 +381,7 @@ def fit_disturbed(
             kernel=kernel,
             known_starts=setting.known_starts,
         )
-        begun.append((problem, *_likeliest_level(problem, start, setting, begin)))
+        begun.append((problem, *_begun(problem, start, setting, begin)))
     best: FilteredSolution | None = None
     for problem, point, _ in sorted(begun, key=lambda one: one[2]):
         found = solve_filtered(
@@ -406,6 +408,30 @@ def fit_disturbed(
         again = solve_filtered(best.problem, best.point, max_iterations=3, polish=polish)
         best = replace(again, iterations=again.iterations + best.iterations) if again else best
     return best
+
+
+def _begun(
+    problem: Filtered, start: Start, setting: Setting, begin: NoiseModel
+) -> tuple[Point, float]:
+    """The likeliest levels, again after some steps of everything else; and the objective.
+
+    Levels and time would otherwise first follow the misfit of wrong values, and then come back.
+    """
+    point, objective = _likeliest_level(problem, start, setting, begin)
+    held = Filtered(
+        problem.model,
+        problem.dataset,
+        problem.levels.starting(problem.noise(point.unknowns)).held(),
+        kernel=problem.kernel,
+        known_starts=problem.known_starts,
+    )
+    others = Point(point.unknowns[: problem.layout.levels.start], ())
+    found = solve_filtered(held, others, max_iterations=HELD_STEPS, polish=0)
+    if found is None:
+        return point, objective
+    nearer = replace(start, values=found.values, initial=found.initial, local=found.local)
+    there = _likeliest_level(problem, nearer, setting, begin)
+    return there if there[1] < objective else (point, objective)
 
 
 def _likeliest_level(

@@ -186,6 +186,28 @@ class Levels:
             force_time=force_time,
         )
 
+    def moved(self, vector: np.ndarray, step: np.ndarray) -> np.ndarray:
+        r"""Unknowns after a step, taken along the curve on which times leave intensities.
+
+        Records tell the intensity :math:`\sigma^2 / \tau` of a disturbance far better than either
+        of the two, so that a straight step in both would leave it.
+        """
+        after = vector + step
+        for i, (kind, index) in enumerate(self.entries):
+            force = kind == FORCE_VARIANCE
+            if not (force or kind == COLOUR_VARIANCE) or vector[i] <= 0:
+                continue
+            if force and self.noise.force_time[index] <= 0:  # white from step to step
+                continue
+            time = FORCE_TIME if force else COLOUR_TIME
+            of = [j for j, entry in enumerate(self.entries) if entry in ((time, index), (time, -1))]
+            if of:
+                longer = float(np.clip(after[of[0]], self.lower[of[0]], self.upper[of[0]]))
+                longer -= vector[of[0]]
+                kept = after[i] - vector[i] * longer
+                after[i] = kept * np.exp(longer) if kept > 0 else after[i]
+        return after
+
     def disturbed(self, noise: NoiseModel) -> Disturbed:
         """What the filter takes."""
         return Disturbed(
