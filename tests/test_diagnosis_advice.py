@@ -32,10 +32,12 @@ RANKING = Ranking(
 ESTIMATES = ({"name": "E_drag", "value": 2.0, "std_error": 0.1, "unit": "N"},)
 
 
-def step(*group: str, test_gain: float = 9.0) -> SimpleNamespace:
+def step(*group: str, test_gain: float = 9.0, test_error: float = 1.0) -> SimpleNamespace:
     """A step as far as the advice looks at it."""
     effect = next(s.effect for s in RANKING.scores if s.effect.name == group[0])
-    return SimpleNamespace(added=group[0], group=group, effect=effect, test_gain=test_gain)
+    return SimpleNamespace(
+        added=group[0], group=group, effect=effect, test_gain=test_gain, test_error=test_error
+    )
 
 
 def test_one_effect_is_believed_with_its_size() -> None:
@@ -61,3 +63,15 @@ def test_an_untested_claim_is_not_believed() -> None:
     text = "\n".join(advice([step("drag", test_gain=np.nan)], RANKING, ESTIMATES, explained=True))
     assert "validation records agree" not in text
     assert "drag before a validation record has confirmed it" in text
+
+
+def test_a_claim_beside_a_rising_error_is_doubted() -> None:
+    """Only the step with which validation runs become worse is named, and sizes without errors."""
+    estimates = ({"name": "E_drag", "value": 2.0, "std_error": np.inf, "unit": "N"},)
+    steps = [step("drag", test_error=1.5), step("faint", test_error=0.9)]
+    lines = advice(steps, RANKING, estimates, explained=True, before=1.2)
+    doubted = [line for line in lines if "alone" in line]
+    assert len(doubted) == 1
+    assert "drag" in doubted[0]
+    assert any("size of E_drag" in line for line in lines)
+    assert not any("inf" in line for line in lines)

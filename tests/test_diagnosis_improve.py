@@ -75,6 +75,25 @@ def test_nothing_is_claimed_where_nothing_is_missing() -> None:
     assert claims == ["nothing_missing"] * 4
 
 
+def test_forces_act_only_where_they_are_let_in() -> None:
+    """Levels of forces that are ruled out stay zero; places named are estimated."""
+    levels = {}
+    for asked in ("auto", "none", "r"):
+        _, fit = Study.begin(
+            SHIP, dataset(22, force=0.02), None, CANDIDATES, known_noise=True, disturbances=asked
+        )
+        levels[asked] = dict(zip(fit.noise.places, fit.noise.force, strict=True))
+    assert levels["none"]["force r"] == 0
+    assert levels["auto"]["force r"] == pytest.approx(0.02, rel=0.4)
+    assert levels["r"] == levels["auto"]
+    _, fit = Study.begin(
+        SHIP, dataset(22, force=0.02), None, CANDIDATES, known_noise=True, disturbances=("psi",)
+    )
+    named = dict(zip(fit.noise.places, fit.noise.force, strict=True))
+    assert named["force r"] == 0
+    assert named["kinematics psi"] > 0
+
+
 def test_correlation_time_of_sensor_noise_is_found() -> None:
     """Noise that remembers for two seconds is seen as such, and nothing is claimed from it."""
     found = [dataset(seed, colour=0.9) for seed in (30, 31)]

@@ -11,6 +11,7 @@ import typer
 
 from oed_sysid.cli.answers import of_comparison, of_fit
 from oed_sysid.cli.options import (
+    Disturbances,
     Files,
     Fresh,
     HtmlFile,
@@ -22,6 +23,7 @@ from oed_sysid.cli.options import (
     ProblemName,
     Validate,
     Variant,
+    disturbances_of,
 )
 from oed_sysid.cli.terminal import (
     INTERRUPTED,
@@ -53,6 +55,7 @@ def fit(
     validate: IfValidated = None,
     model: Variant = None,
     known_noise: KnownNoise = False,
+    disturbances: Disturbances = "auto",
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
     picture: PictureFile = None,
@@ -86,10 +89,13 @@ def fit(
     if validation is not None:
         check_disjoint(dataset, validation)
     log = quick_check(dataset, chosen.model)
-    noise = "given" if known_noise else "auto"
+    wanted = {
+        "noise": "given" if known_noise else "auto",
+        "disturbances": disturbances_of(disturbances),
+    }
     with journal(kept_in, fresh) as keep:
         with progress("Fitting") as show:
-            result = _fits({"": chosen.model}, dataset, noise, keep, show)[""]
+            result = _fits({"": chosen.model}, dataset, wanted, keep, show)[""]
             comparison = None
             if validation is not None:
                 show.say("Predicting")
@@ -129,6 +135,7 @@ def compare(
     ] = None,
     model: Variant = None,
     known_noise: KnownNoise = False,
+    disturbances: Disturbances = "auto",
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
     picture: PictureFile = None,
@@ -152,10 +159,13 @@ def compare(
     for used in (training, *(fit.dataset for fit in kept.values())):
         check_disjoint(used, validation)
     log = quick_check(together(training, validation), chosen.model).without("duplicate")
-    noise = "given" if known_noise else "auto"
+    wanted = {
+        "noise": "given" if known_noise else "auto",
+        "disturbances": disturbances_of(disturbances),
+    }
     with journal(kept_in, fresh) as keep:
         with progress("Fitting") as show:
-            fits = _fits(models, training, noise, keep, show) | kept
+            fits = _fits(models, training, wanted, keep, show) | kept
             show.say("Predicting")
             result = compare_models(fits, validation)
         say_log(log)
@@ -182,18 +192,22 @@ def compare(
 
 
 def _fits(
-    models: Mapping[str, Model], dataset: Dataset, noise: str, keep: Journal, show: Shown
+    models: Mapping[str, Model],
+    dataset: Dataset,
+    settings: Mapping[str, Any],
+    keep: Journal,
+    show: Shown,
 ) -> dict[str, Fit]:
     """One fit of each model; those that an interrupted call has finished are read."""
     from oed_sysid.estimators import MultipleShooting
     from oed_sysid.fitting.archive import encode
 
-    estimator = MultipleShooting(noise=noise, progress=show.iteration)
+    estimator = MultipleShooting(**settings, progress=show.iteration)
     content = {
         "task": "fit",
         "models": [encode(model) for model in models.values()],
         "records": [[record.name, record.content_hash] for record in dataset],
-        "noise": noise,
+        **settings,
     }
     keep.open(content, shared={"records": dataset})
     fits: dict[str, Fit] = {}

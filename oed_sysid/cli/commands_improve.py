@@ -11,6 +11,7 @@ import typer
 
 from oed_sysid.cli.answers import of_diagnosis, of_improvement
 from oed_sysid.cli.options import (
+    Disturbances,
     Files,
     Fresh,
     HtmlFile,
@@ -21,6 +22,7 @@ from oed_sysid.cli.options import (
     PictureFile,
     ProblemName,
     Variant,
+    disturbances_of,
 )
 from oed_sysid.cli.terminal import (
     Shown,
@@ -40,6 +42,7 @@ def diagnose(
     files: Files,
     model: Variant = None,
     known_noise: KnownNoise = False,
+    disturbances: Disturbances = "auto",
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
     picture: PictureFile = None,
@@ -57,7 +60,13 @@ def diagnose(
     records = read_csv(files, chosen.channels)
     log = quick_check(records, chosen.model)
     with progress("Looking"):
-        result = look(chosen.model, records, candidates=chosen.effects, known_noise=known_noise)
+        result = look(
+            chosen.model,
+            records,
+            candidates=chosen.effects,
+            known_noise=known_noise,
+            disturbances=disturbances_of(disturbances),
+        )
     say_log(log)
     answer(of_diagnosis(result), result.report())
     store(result.to_dict(), json_file, records=[records])
@@ -77,6 +86,7 @@ def improve(
     validate: IfValidated = None,
     model: Variant = None,
     known_noise: KnownNoise = False,
+    disturbances: Disturbances = "auto",
     max_effects: Annotated[
         int, typer.Option("--max-effects", min=1, help="Most effects to add.")
     ] = 4,
@@ -117,6 +127,7 @@ def improve(
                 validation,
                 candidates=chosen.effects,
                 known_noise=known_noise,
+                disturbances=disturbances_of(disturbances),
                 max_effects=max_effects,
                 progress=partial(_tell, show, _Rounds(max_effects)),
                 journal=keep,

@@ -132,6 +132,24 @@ KnownNoise = Annotated[
         help="Trust the noise levels that the problem declares instead of estimating them.",
     ),
 ]
+Disturbances = Annotated[
+    str,
+    typer.Option(
+        "--disturbances",
+        metavar="auto|none|all|NAMES",
+        help="Where random forces may act: found out, nowhere, everywhere, or in the equations "
+        "named, as Z,M.",
+    ),
+]
+
+
+def disturbances_of(text: str) -> str | tuple[str, ...]:
+    """What ``--disturbances`` says, as estimators take it."""
+    if text in ("auto", "none", "all"):
+        return text
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
 JournalFolder = Annotated[
     Path | None,
     typer.Option(

@@ -83,7 +83,12 @@ class Diagnosis:
 
 @single_threaded
 def diagnose(
-    model: Model, dataset: Dataset, *, candidates: Sequence[Effect], known_noise: bool = False
+    model: Model,
+    dataset: Dataset,
+    *,
+    candidates: Sequence[Effect],
+    known_noise: bool = False,
+    disturbances: str | Sequence[str] = "auto",
 ) -> Diagnosis:
     """Locate where a model fails and rank what may be missing, adding nothing.
 
@@ -96,8 +101,11 @@ def diagnose(
     candidates : sequence of Effect
         What may be missing.
     known_noise : bool
+    disturbances : str or sequence of str
         See :func:`oed_sysid.diagnosis.improve.improve`.
     """
-    study, fit = Study.begin(model, dataset, None, candidates, known_noise=known_noise)
+    study, fit = Study.begin(
+        model, dataset, None, candidates, known_noise=known_noise, disturbances=disturbances
+    )
     ranking = rank(study, fit, study.candidates)
     return Diagnosis(model, locate(fit, study.unit, likeliest(ranking)), ranking)

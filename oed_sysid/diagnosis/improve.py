@@ -23,6 +23,7 @@ from oed_sysid.compatibility import LogCheck, quick_check
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.overlap import check_disjoint, together
 from oed_sysid.diagnosis.improvement import (
+    RISE,
     Improvement,
     Step,
     Term,
@@ -42,7 +43,7 @@ from oed_sysid.diagnosis.rank import (
     threshold,
 )
 from oed_sysid.diagnosis.remainder import Remains, remains
-from oed_sysid.diagnosis.study import Study
+from oed_sysid.diagnosis.study import Study, total_error
 from oed_sysid.effects import Effect
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.fitting.fit import Fit
@@ -55,8 +56,8 @@ from oed_sysid.model import Model
 SWAP_MARGIN = 6.0
 # Gain in twice the log-likelihood on validation records that confirms a claim.
 CONFIRMED = 2.0
-# Factor by which the error on validation records may seem to rise by chance.
-RISE = 1.02
+# Error of whole runs, over that of a fit without random forces, that they should not cost.
+BOUGHT = 2.0
 # Candidates per round that the validation records are asked about.
 ASKED = 3
 # A known effect stays beside a proposed term only if both together are likelier by more than
@@ -110,6 +111,7 @@ def improve(
     *,
     candidates: Sequence[Effect],
     known_noise: bool = False,
+    disturbances: str | Sequence[str] = "auto",
     max_effects: int = 4,
     progress: Callable[[str], None] | None = None,
     journal: Journal | None = None,
@@ -132,6 +134,11 @@ def improve(
     known_noise : bool
         Whether the declared noise levels are right and sensors have no other
         noise; otherwise levels and colour are estimated.
+    disturbances : str or sequence of str
+        Where random forces may act beside what is missing: in all equations (``"auto"``,
+        ``"all"``), in none (``"none"``) or in those named, as ``("Y", "N")``. Forces that need not
+        repeat explain part of any misfit: where none act (calm water, long slow motion), an effect
+        shows more clearly without them.
     max_effects : int
         Most effects to add.
     progress : callable, optional
@@ -150,14 +157,21 @@ def improve(
     log = quick_check(train if test is None else together(train, test), model).without("duplicate")
     ready = prepared(train, test)
     train, test = ready.train, ready.validation
-    keep = opened(journal, model, train, test, candidates, known_noise, max_effects)
+    settings = {
+        "known_noise": known_noise,
+        "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],
+        "max_effects": max_effects,
+    }
+    keep = opened(journal, model, train, test, candidates, settings)
     tell("fitting the nominal model")
     study, base = keep.once(
         "nominal model",
-        lambda: Study.begin(model, train, test, candidates, known_noise=known_noise),
+        lambda: Study.begin(
+            model, train, test, candidates, known_noise=known_noise, disturbances=disturbances
+        ),
     )
     state = _State(study, (), base, (base,))
-    notes = list(ready.notes)
+    notes = [*ready.notes, *_bought(study, base)]
     rejected: list[str] = []
     first: Ranking | None = None
     for reached, ranking, refused in _search(state, max_effects, tell, keep, notes):
@@ -182,6 +196,23 @@ def improve(
         "every step",
         lambda: _result(state, base, first, location, rejected, proposals, left, notes, log),
     )
+
+
+def _bought(study: Study, base: FilteredSolution) -> list[str]:
+    """Words where random forces explain the records at the price of whole runs."""
+    alone = total_error(study.rms(base, study.train) / study.setting.white)
+    acting = [
+        place
+        for place, level in zip(base.noise.places, base.noise.force, strict=True)
+        if level > 0 and not place.startswith("actuator")
+    ]
+    if not acting or not alone > BOUGHT * study.plain_error:
+        return []
+    return [
+        f"Random forces make the records likely, but a whole run is then {alone:.3g} x noise off, "
+        f"{study.plain_error:.3g} without them. Where the sea was calm, look again with "
+        "disturbances='none' (--disturbances none): what is missing shows more clearly."
+    ]
 
 
 def _search(
@@ -314,14 +345,15 @@ def _rises(study: Study, before: FilteredSolution, after: FilteredSolution) -> b
 def _total(study: Study, fit: FilteredSolution) -> float:
     """Error over all outputs on validation records, in units of the noise."""
     assert study.validation is not None
-    rms = study.rms(fit, study.validation) / study.setting.white
-    seen = ~np.isnan(rms)
-    return float(np.sqrt(np.mean(rms[seen] ** 2)))
+    return total_error(study.rms(fit, study.validation) / study.setting.white)
 
 
 def _with(state: _State, chosen: Refit, ranking: Ranking, validation_gain: float) -> _State:
     """Add an effect, and estimate once more."""
-    fit = state.study.settle(chosen.fit)
+    study = state.study
+    fit = study.settle(chosen.fit)
+    if study.validation is not None and _rises(study, state.fit, fit):
+        fit = chosen.fit  # a better likelihood elsewhere, which the validation records refuse
     effect = chosen.score.effect
     names = [refit.name for refit in ranking.group()]
     group = tuple(dict.fromkeys((effect.name, *names, *ranking.alike(effect.name))))
@@ -389,12 +421,19 @@ def _rebuilt(state: _State) -> _State:
     """The same with the fits of all steps made again, each with its own and earlier effects."""
     study, path = state.study, [state.path[0]]
     for count in range(1, len(state.added)):
-        values = state.fit.values
-        found = study.estimate(
-            state.effects[:count], values, path[-1], max_iterations=25,
-            noise=study.loosened(path[-1].noise),
-        )  # fmt: skip
-        path.append(found if found is not None else path[-1])
+        last = path[-1]
+        effects = state.effects[:count]
+        names = [effect.name for effect in effects]
+        fits = [fit for fit in state.path if [e.name for e in study.effects_of(fit)] == names]
+        for values in (state.fit.values, last.values):
+            fit = study.estimate(
+                effects, values, last, max_iterations=25, noise=study.loosened(last.noise)
+            )
+            fits += [] if fit is None else [fit]
+        if study.validation is not None:
+            # Two optima of nearly the same likelihood: the one that predicts is meant.
+            fits = [fit for fit in fits if not _rises(study, last, fit)] or fits
+        path.append(min(fits, key=lambda fit: fit.objective, default=last))
     if state.added:
         path.append(state.fit)
     return replace(state, path=tuple(path))

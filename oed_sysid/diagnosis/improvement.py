@@ -25,6 +25,8 @@ from oed_sysid.model import Model
 HINT = 4.0
 # Invisible candidates that are named.
 NAMED = 6
+# Factor by which the error on validation records may seem to rise by chance.
+RISE = 1.02
 
 # Root mean square errors of every output, ``(n_outputs,)``, on ``train`` and ``test`` records.
 Errors = Mapping[str, np.ndarray]
@@ -266,6 +268,7 @@ class Improvement:
             self.steps,
             self.ranking,
             self.parameters,
+            before=self.base_error["test"],
             explained=self.remains.kind in ("adequate", "random forces"),
             commanded=bool(self.base.inputs),
         )
@@ -454,6 +457,7 @@ def advice(
     parameters: Sequence[Mapping[str, Any]],
     *,
     explained: bool,
+    before: float = np.nan,
     commanded: bool = True,
 ) -> list[str]:
     """Sentences for whoever goes to sea again.
@@ -467,6 +471,8 @@ def advice(
         ``name``, ``value``, ``std_error`` and ``unit`` of every estimate.
     explained : bool
         Whether what remains is noise, or random forces that the standard errors hold.
+    before : float
+        Validation error of the nominal model, in units of the noise.
     commanded : bool
         Whether the model has inputs, so that a manoeuvre can be designed.
     """
@@ -482,6 +488,19 @@ def advice(
             f"{what} is missing{', the validation records agree' if tested else ''}"
             + (f": {', '.join(sizes)}." if sizes and not rivals else ".")
         )
+        unknown = [
+            p.name
+            for p in step.effect.parameters
+            if p.name in estimates and not np.isfinite(estimates[p.name]["std_error"])
+        ]
+        if unknown:
+            doubt.append(f"the size of {', '.join(unknown)}: these records do not give it.")
+        if step.test_error > RISE * before:
+            doubt.append(
+                f"{step.added} alone: with it whole validation runs are {step.test_error:.3g} x "
+                f"noise off, {before:.3g} before. Its claim rests on the model as a whole."
+            )
+        before = step.test_error
         if rivals:
             doubt.append(
                 f"that it is {step.added} ({', '.join(sizes)}): {', '.join(rivals)} "
@@ -520,6 +539,8 @@ def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) 
 
 def _size(row: Mapping[str, Any]) -> str:
     unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
+    if not np.isfinite(row["std_error"]):
+        return f"{row['name']} about {row['value']:.3g}{unit}"
     return f"{row['name']} = {row['value']:.3g} +/- {row['std_error']:.2g}{unit}"
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from oed_sysid.batch.journal import Journal
 from oed_sysid.data.dataset import Dataset
@@ -17,8 +18,7 @@ def opened(
     train: Dataset,
     validation: Dataset | None,
     candidates: Sequence[Effect],
-    known_noise: bool,
-    max_effects: int,
+    settings: Mapping[str, Any],
 ) -> Journal:
     """Open a journal for one improvement.
 
@@ -29,9 +29,8 @@ def opened(
     model : Model
     train, validation : Dataset
     candidates : sequence of Effect
-    known_noise : bool
-    max_effects : int
-        As :func:`~oed_sysid.diagnosis.improve.improve` takes them.
+    settings : mapping
+        Further arguments of :func:`~oed_sysid.diagnosis.improve.improve`.
 
     Returns
     -------
@@ -47,8 +46,7 @@ def opened(
         "candidates": [encode(effect) for effect in candidates],
         "train": [[record.name, record.content_hash] for record in train],
         "validation": [[record.name, record.content_hash] for record in validation or ()],
-        "known_noise": known_noise,
-        "max_effects": max_effects,
+        **settings,
     }
     keep.open(content, shared={"train": train, "validation": validation})
     return keep

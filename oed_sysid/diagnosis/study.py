@@ -67,6 +67,9 @@ class Study:
         The nominal model.
     candidates : tuple of Effect
         What may be missing, absent.
+    plain_error : float
+        Error of the nominal model fitted without random forces on the training records, over
+        all outputs, in units of the noise.
     skipped : tuple of str
         Candidates that do not fit the nominal model.
     train : Dataset
@@ -86,6 +89,7 @@ class Study:
 
     base: Model
     candidates: tuple[Effect, ...]
+    plain_error: float
     skipped: tuple[str, ...]
     train: Dataset
     validation: Dataset | None
@@ -105,6 +109,7 @@ class Study:
         candidates: Sequence[Effect],
         *,
         known_noise: bool,
+        disturbances: str | Sequence[str] = "auto",
     ) -> tuple[Study, FilteredSolution]:
         """Join model and candidates, and fit the nominal model.
 
@@ -115,6 +120,9 @@ class Study:
         candidates : sequence of Effect
         known_noise : bool
             Whether declared levels are right and sensors have no other noise.
+        disturbances : str or sequence of str
+            Where random forces may act: ``"auto"`` or ``"all"`` of the equations, ``"none"`` of
+            them, or those that are named.
         """
         levels = given_levels(model.outputs)
         if known_noise and not np.all(np.isfinite(levels)):
@@ -134,7 +142,16 @@ class Study:
             ) from error
         free = np.full(len(white), not known_noise)
         inputs = [place for place in every_place(model) if place.stage == "actuator"]
-        setting = Setting.of(train, places, white, free, colour=not known_noise, inputs=inputs)
+        acting = places
+        if disturbances == "none":
+            acting = ()
+        elif disturbances not in ("auto", "all"):
+            acting = chosen_places(model, disturbances)
+        absent = [place.name for place in places if place not in acting]
+        places = tuple(dict.fromkeys((*places, *acting)))
+        setting = Setting.of(
+            train, places, white, free, colour=not known_noise, inputs=inputs, known=absent
+        )
         effects, skipped = fitting_candidates(model, candidates)
         wide = disturbed_model(model + effects, setting.disturbances)
         kernel = filter_kernel(wide)
@@ -144,10 +161,13 @@ class Study:
         if np.isfinite(plain.cost):
             starts.append(Start(plain.model.values, plain.initial_states, plain.local_values))
         test = _best_test(model, train, setting, starts, kernel)
+        level = np.where(np.isin(test.noise.places, absent), 0.0, test.noise.force)
+        test = replace(test, noise=replace(test.noise, force=level))
         noisy = noisy_inputs(train)
         study = cls(
             base=model,
             candidates=effects,
+            plain_error=total_error(np.array(list(plain.rms.values())) / white),
             skipped=skipped,
             train=train,
             validation=validation,
@@ -264,7 +284,9 @@ class Study:
     def loosened(self, noise: NoiseModel) -> NoiseModel:
         """Noise levels from which a vanished disturbance can come back."""
         known = dict(zip(self.unit.places, self.unit.force, strict=True))
-        least = np.array([known.get(place, 0.0) for place in noise.places])
+        least = np.array(
+            [0.0 if name in self.setting.known else known.get(name, 0.0) for name in noise.places]
+        )
         return replace(noise, force=np.maximum(noise.force, 0.5 * least))
 
     def polished(self, found: FilteredSolution) -> FilteredSolution:
@@ -377,6 +399,12 @@ class Study:
                 squares += np.where(seen.any(axis=0), np.inf, 0.0)
         with np.errstate(invalid="ignore"):
             return np.where(count > 0, np.sqrt(squares / np.maximum(count, 1)), np.nan)
+
+
+def total_error(rms: np.ndarray) -> float:
+    """Root mean square over the outputs that were measured."""
+    seen = ~np.isnan(rms)
+    return float(np.sqrt(np.mean(rms[seen] ** 2))) if seen.any() else np.nan
 
 
 def fitting_candidates(

@@ -137,6 +137,7 @@ def _steps(improvement: Improvement) -> Section:
 def _advice(improvement: Improvement) -> Section:
     """What to believe, what not, and what to do next at sea."""
     words = tuple(line.replace("  - ", "\N{BULLET} ") for line in improvement.advice)
+    words = (*words, *(f"Note: {note}" for note in improvement.notes))
     return Section("What to believe, and what to do next at sea", words)
 
 
