@@ -25,7 +25,7 @@ from oed_sysid.compiled.filtering import filter_kernel
 from oed_sysid.diagnosis.study import fitting_candidates
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.filtered import Filtered, disturbed_model
-from oed_sysid.fitting.random_forces import Setting
+from oed_sysid.fitting.setting import Setting
 from oed_sysid.noise.disturbances import chosen_places
 
 

@@ -10,7 +10,8 @@ from turning_ship import GAIN, NOISE, SAMPLE, SHIP, TIME, dataset, record
 
 from oed_sysid import Dataset, Fit, MultipleShooting, Parameter, Record, Sensor
 from oed_sysid.channels import Output, State
-from oed_sysid.fitting.random_forces import CLEAR, ScoreTest, Setting, score_test
+from oed_sysid.fitting.score_test import CLEAR, ScoreTest, score_test
+from oed_sysid.fitting.setting import Setting
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import chosen_places
 

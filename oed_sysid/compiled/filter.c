@@ -122,6 +122,7 @@ typedef struct {
     sparse_t h;
     double e, inverse; /* innovation, one over its variance */
     int output, missing; /* one that is missing moves nothing */
+    int corrects;        /* whether g is not zero */
     double *g;           /* P h */
     double *row, *rowq;  /* de and q of the levels */
 } scalar_t;
@@ -168,6 +169,11 @@ static inline __attribute__((always_inline)) void levels_measured(double *restri
         }
         memcpy(one->row, de, sizeof(double) * nl);
         if (one->missing) continue;
+        if (!one->corrects) { /* without a covariance only means move */
+            for (int j = 0; j < size * lanes; j += 4)
+                *(four_t *)(mu + j) += by_v * *(const four_t *)(v + j);
+            continue;
+        }
         for (int r = 0; r < size; ++r) {
             const double b = g[r] * inverse;
             double *restrict line = d + (size_t)PAIR(r, 0) * lanes, *restrict mean = mu + (size_t)r * lanes;
@@ -413,6 +419,8 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             one->inverse = inverse;
             one->output = i;
             one->missing = missing;
+            one->corrects = 0;
+            for (int r = 0; r < size; ++r) one->corrects |= g[r] != 0.0;
             one->g = g;
             one->row = row + nx;
             one->rowq = rowsq + (size_t)n_scalars * wide;

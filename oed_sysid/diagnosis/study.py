@@ -36,15 +36,14 @@ from oed_sysid.fitting.gauss_newton import FilteredSolution, solve_filtered
 from oed_sysid.fitting.input_noise import noisy_inputs, smoothed
 from oed_sysid.fitting.noise_levels import credible_levels, given_levels
 from oed_sysid.fitting.random_forces import (
-    ScoreTest,
-    Setting,
     Start,
     fit_disturbed,
-    score_test,
     with_colour,
     with_input_noise,
     with_own_times,
 )
+from oed_sysid.fitting.score_test import ScoreTest, score_test
+from oed_sysid.fitting.setting import Setting
 from oed_sysid.fitting.shooting import Point, Shooting
 from oed_sysid.fitting.summary import eliminate, summarise_filtered
 from oed_sysid.model import Model

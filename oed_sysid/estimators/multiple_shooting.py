@@ -41,12 +41,11 @@ from oed_sysid.fitting.noise_levels import (
     start_levels,
 )
 from oed_sysid.fitting.random_forces import (
-    CLEAR,
-    Setting,
     Start,
     fit_disturbed,
-    score_test,
 )
+from oed_sysid.fitting.score_test import CLEAR, score_test
+from oed_sysid.fitting.setting import Setting
 from oed_sysid.fitting.shooting import Point, Shooting
 from oed_sysid.fitting.spikes import spike_masks, without_spikes
 from oed_sysid.fitting.start_guess import check_channels

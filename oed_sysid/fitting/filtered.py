@@ -196,6 +196,7 @@ class Filtered:
         unknowns: np.ndarray,
         *,
         columns: bool = True,
+        levels_only: bool = False,
         rows: bool = False,
         gains: bool = False,
         names: Sequence[str] | None = None,
@@ -208,6 +209,8 @@ class Filtered:
         unknowns : ndarray (n_unknowns,)
         columns : bool
             Whether derivatives are wanted.
+        levels_only : bool
+            Whether by the levels of the noise alone.
         rows : bool
             Whether these of every innovation.
         gains : bool
@@ -218,7 +221,7 @@ class Filtered:
             Measurements in place of those of the records.
         """
         noise = self.levels.disturbed(self.noise(unknowns))
-        if not columns:
+        if not columns or levels_only:
             names = ()
         elif names is None:
             names = self.layout.free_names
@@ -233,7 +236,7 @@ class Filtered:
                 record.outputs if measured is None else measured[index],
                 noise,
                 names=names,
-                own_columns=columns,
+                own_columns=columns and not levels_only,
                 active=self.active,
                 passing=self.passing,
                 levels=self.levels.entries if columns else (),

@@ -1,13 +1,7 @@
-r"""Do random forces act, which, how strongly: from a white fit to the likelihood of innovations.
+"""From a white fit to the likelihood of innovations: which noise, how strong, with everything else.
 
-At a fit that takes residuals for white noise, every disturbance has variance zero. There the
-likelihood has a slope ``s`` and an information ``I`` in each variance, and
-
-.. math:: T = \max_{d \ge 0}\; 2 s' d - d' I d
-
-is what letting them in would gain in twice the log-likelihood (Silvapulle & Sen 2005,
-*Constrained statistical inference*, ch. 3). White data stay below 2 in 99 of 100 records; above
-``CLEAR`` disturbances are let in and estimated with everything else.
+What :mod:`oed_sysid.fitting.score_test` finds is where levels begin. Colour of sensors, noise of
+logged inputs and times of their own are admitted one after the other, each where it is worth it.
 """
 
 from __future__ import annotations
@@ -18,13 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.compiled.filtering import (
-    COLOUR_VARIANCE,
     FORCE_VARIANCE,
-    WHITE_VARIANCE,
     FilterKernel,
 )
-from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.errors import SimulationError
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.gauss_newton import (
     POLISH_STEPS,
@@ -32,27 +23,19 @@ from oed_sysid.fitting.gauss_newton import (
     Progress,
     solve_filtered,
 )
-from oed_sysid.fitting.noise_levels import credible_levels
+from oed_sysid.fitting.score_test import ScoreTest
+from oed_sysid.fitting.setting import Setting
 from oed_sysid.fitting.shooting import Point
-from oed_sysid.fitting.unknowns import KnownStarts
 from oed_sysid.information import autocorrelation
 from oed_sysid.model import Model
-from oed_sysid.noise.disturbances import DISTURBANCE, Place, disturbance
-from oed_sysid.noise.levels import LONGEST, SHORTEST, Levels
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.projection import bounded_step
 
-# Correlation times that are tried, in samples.
-TIMES = (5.0, 20.0, 60.0)
-# Gain in twice the log-likelihood from which disturbances count as real, and from which a
-# colour of a sensor, or a time of its own for each disturbance, is worth its freedom.
-CLEAR, WORTH_COLOUR, WORTH_TIMES = 6.0, 10.0, 12.0
+# Gain in twice the log-likelihood from which a colour of a sensor, or a time of its own for each
+# disturbance, is worth its freedom.
+WORTH_COLOUR, WORTH_TIMES = 10.0, 12.0
 # Correlation of neighbouring innovations, in standard errors, that asks for a coloured sensor.
 COLOURED = 4.0
-# Share of the white level seen in the fastest wiggles that an estimate must leave standing.
-LEAST_SEEN = 0.7
-# ... and the share of that where a sensor is coloured.
-COLOUR_SEEN = 0.1
 # Colour below this share of the white level has vanished.
 VANISHED = 0.02
 # Where a level that is let in begins at least, in its natural unit.
@@ -64,264 +47,6 @@ DECADES, STRIDE = 21, 3
 HELD_STEPS = 2
 # Iterations after which a further start is given up unless it promises to overtake.
 FIRST_LOOK = 3
-# Samples from the start of each record that give the sizes of disturbances where the model on
-# its own leaves the numbers later.
-HEADS = (100, 30, 10)
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """What stays the same while noise is looked for.
-
-    Attributes
-    ----------
-    places : tuple of Place
-        Where disturbances may act.
-    white : ndarray (n_outputs,)
-        White levels to begin with.
-    estimated : ndarray of bool (n_outputs,)
-        Which of these are unknown.
-    least_white : ndarray (n_outputs,)
-        What the fastest wiggles show is there, whatever disturbances could explain of it.
-    colour : bool
-        Whether sensors may have coloured noise.
-    inputs : tuple of Place
-        Logged inputs, which may be noisy: white from sample to sample, let in where it pays.
-    known : tuple of str
-        Places whose level and time are known.
-    known_starts : KnownStarts or None
-        Start states that are held or known with a stated error.
-    """
-
-    places: tuple[Place, ...]
-    white: np.ndarray
-    estimated: np.ndarray
-    least_white: np.ndarray
-    colour: bool = True
-    inputs: tuple[Place, ...] = ()
-    known: tuple[str, ...] = ()
-    known_starts: KnownStarts | None = None
-
-    @classmethod
-    def of(
-        cls,
-        dataset: Dataset,
-        places: Sequence[Place],
-        white: np.ndarray,
-        estimated: np.ndarray,
-        *,
-        colour: bool = True,
-        inputs: Sequence[Place] = (),
-        known: Sequence[str] = (),
-        known_starts: KnownStarts | None = None,
-    ) -> Setting:
-        """Setting of some records."""
-        floor, seen = credible_levels(dataset)
-        least = np.where(seen, LEAST_SEEN * np.minimum(floor, white), 0.0)
-        return cls(
-            tuple(places),
-            white,
-            estimated,
-            least,
-            colour,
-            tuple(inputs),
-            tuple(known),
-            known_starts,
-        )
-
-    @property
-    def disturbances(self) -> tuple[str, ...]:
-        """Parameters of the filtered model that may be disturbances."""
-        own = (place for place in self.inputs if place not in self.places)
-        return tuple(disturbance(place).name for place in (*self.places, *own))
-
-    def times(self, dataset: Dataset) -> tuple[float, float]:
-        """Shortest and longest correlation time, s."""
-        shortest = SHORTEST * min(record.sample_time for record in dataset)
-        return shortest, max(LONGEST * min(record.duration for record in dataset), 4.0 * shortest)
-
-    def noise(self, model: Model, time: float) -> NoiseModel:
-        """White noise, and disturbances of zero level."""
-        nothing = np.zeros_like(self.white)
-        return NoiseModel(
-            self.white,
-            nothing,
-            np.zeros(len(self.places)),
-            time,
-            np.array([0.0 if place.stage == "actuator" else time for place in self.places]),
-            model.output_names,
-            tuple(place.name for place in self.places),
-        )
-
-    def levels(
-        self,
-        dataset: Dataset,
-        noise: NoiseModel,
-        unit: NoiseModel,
-        colour: np.ndarray,
-        *,
-        own_times: bool = False,
-    ) -> Levels:
-        """Unknown levels, begun at a noise model, some outputs coloured."""
-        known = dict(zip(unit.places, unit.force, strict=True))
-        sizes = [
-            known.get(place, max(level, 1e-9))
-            for place, level in zip(noise.places, noise.force, strict=True)
-        ]
-        return Levels.of(
-            noise,
-            # What a white fit leaves may be far above any sensor's noise, and so no unit of it.
-            replace(
-                unit,
-                white=np.minimum(unit.white, self.white),
-                force=np.array(sizes),
-                force_time=1.0,
-                places=noise.places,
-            ),
-            [f"{DISTURBANCE}{place.replace(' ', '_', 1)}" for place in noise.places],
-            # Where colour is let in, the white level has to make room for it.
-            white=self.estimated | colour,
-            colour=colour,
-            force=np.array([place not in self.known for place in noise.places], dtype=bool),
-            own_times=own_times,
-            # ... and most of the fastest wiggles may be its own.
-            least_white=np.where(colour, COLOUR_SEEN, 1.0) * self.least_white,
-            times=self.times(dataset),
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class ScoreTest:
-    """What letting disturbances in would gain at a white fit.
-
-    Attributes
-    ----------
-    gain : float
-        ``T``, in twice the log-likelihood.
-    time : float
-        Correlation time with the largest gain, s.
-    noise : NoiseModel
-        One-step estimate of all levels.
-    unit : NoiseModel
-        Natural size of every level: that of which the records begin to tell.
-    """
-
-    gain: float
-    time: float
-    noise: NoiseModel
-    unit: NoiseModel
-
-
-def score_test(
-    model: Model,
-    dataset: Dataset,
-    setting: Setting,
-    initial: Sequence[np.ndarray],
-    local: Sequence[Mapping[str, float]],
-    kernel: FilterKernel | None = None,
-) -> ScoreTest:
-    """Test at a white fit whether forces act or sensors are coloured.
-
-    Parameters
-    ----------
-    model : Model
-        At the fitted values.
-    dataset : Dataset
-    setting : Setting
-    initial : sequence of ndarray (n_own,)
-        Start states, per record.
-    local : sequence of mapping
-        Values of per-record parameters.
-    kernel : FilterKernel, optional
-        Of a larger model.
-    """
-    sample = float(np.median([record.sample_time for record in dataset]))
-    best: ScoreTest | None = None
-    for count in TIMES:
-        found = _score_at(model, dataset, setting, initial, local, count * sample, kernel)
-        if best is None or found.gain > best.gain:
-            best = found
-    assert best is not None
-    if np.isfinite(best.gain):
-        return best
-    # The model on its own leaves the numbers: sizes from where it has not yet done so.
-    for length in HEADS:
-        heads = Dataset(tuple(_head(record, length) for record in dataset))
-        found = _score_at(model, heads, setting, initial, local, TIMES[0] * sample, kernel)
-        if np.isfinite(found.gain):
-            return replace(found, gain=np.inf)
-    raise SimulationError(
-        f"Model {model.name!r} diverges within {HEADS[-1]} samples of the start of a record. "
-        "Check signs and units of its values, or bound its parameters."
-    )
-
-
-def _head(record: Record, length: int) -> Record:
-    """The first samples of a record."""
-    part = slice(0, max(length, 5))
-    return replace(
-        record, times=record.times[part], inputs=record.inputs[part], outputs=record.outputs[part]
-    )
-
-
-def _score_at(
-    model: Model,
-    dataset: Dataset,
-    setting: Setting,
-    initial: Sequence[np.ndarray],
-    local: Sequence[Mapping[str, float]],
-    time: float,
-    kernel: FilterKernel | None,
-) -> ScoreTest:
-    quiet = setting.noise(model, time)
-    n_forces, n_outputs = len(quiet.force), len(quiet.white)
-    one = replace(quiet, force=np.ones(n_forces), colour=quiet.white)
-    levels = Levels.of(
-        quiet,
-        one,
-        [disturbance(place).name for place in setting.places],
-        white=np.ones(n_outputs, dtype=bool),
-        colour=np.full(n_outputs, setting.colour),
-        force=np.ones(n_forces, dtype=bool),
-    )
-    problem = Filtered(model, dataset, levels, kernel=kernel)
-    point = problem.point(initial, local)
-    found = problem.passes(point.unknowns)
-    vast = ScoreTest(np.inf, time, quiet, one)
-    if not all(part.ok for part in found):
-        return vast
-    matrix, right = problem.gathered(point.unknowns, found)
-    variances = np.array(
-        [k in (FORCE_VARIANCE, WHITE_VARIANCE, COLOUR_VARIANCE) for k, _ in levels.entries]
-    )
-    wanted = np.arange(problem.layout.n_unknowns)[problem.layout.levels][variances]
-    matrix, right = matrix[np.ix_(wanted, wanted)], right[wanted]
-    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
-        return vast
-    kinds = np.array([k for k, _ in levels.entries])[variances]
-    white = kinds == WHITE_VARIANCE
-    # White levels may fall to make room, and rise where nobody declared them.
-    lower = np.where(white, -0.9, 0.0)
-    upper = np.full(len(kinds), np.inf)
-    upper[white] = np.where(setting.estimated, np.inf, 0.0)
-    step = bounded_step(matrix, right, lower, upper, 0.0)
-    alone = bounded_step(
-        matrix, right, np.where(white, lower, 0.0), np.where(white, upper, 0.0), 0.0
-    )
-    gain = float(2 * right @ step - step @ matrix @ step)
-    gain -= float(2 * right @ alone - alone @ matrix @ alone)
-    # The variance of which the records begin to tell.
-    natural = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    force = kinds == FORCE_VARIANCE
-    colour = np.zeros(n_outputs)
-    if setting.colour:
-        colour = np.sqrt(np.maximum(step[kinds == COLOUR_VARIANCE], 0.0)) * quiet.white
-    return ScoreTest(
-        gain,
-        time,
-        replace(quiet, force=np.sqrt(np.maximum(step[force], 0.0)), colour=colour),
-        replace(one, force=np.sqrt(natural[force])),
-    )
 
 
 def fit_disturbed(

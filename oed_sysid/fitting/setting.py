@@ -1,0 +1,142 @@
+"""What stays the same while the noise of some records is looked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.fitting.noise_levels import credible_levels
+from oed_sysid.fitting.unknowns import KnownStarts
+from oed_sysid.model import Model
+from oed_sysid.noise.disturbances import DISTURBANCE, Place, disturbance
+from oed_sysid.noise.levels import LONGEST, SHORTEST, Levels
+from oed_sysid.noise.model import NoiseModel
+
+# Share of the white level seen in the fastest wiggles that an estimate must leave standing.
+LEAST_SEEN = 0.7
+# ... and the share of that where a sensor is coloured.
+COLOUR_SEEN = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What stays the same while noise is looked for.
+
+    Attributes
+    ----------
+    places : tuple of Place
+        Where disturbances may act.
+    white : ndarray (n_outputs,)
+        White levels to begin with.
+    estimated : ndarray of bool (n_outputs,)
+        Which of these are unknown.
+    least_white : ndarray (n_outputs,)
+        What the fastest wiggles show is there, whatever disturbances could explain of it.
+    colour : bool
+        Whether sensors may have coloured noise.
+    inputs : tuple of Place
+        Logged inputs, which may be noisy: white from sample to sample, let in where it pays.
+    known : tuple of str
+        Places whose level and time are known.
+    known_starts : KnownStarts or None
+        Start states that are held or known with a stated error.
+    """
+
+    places: tuple[Place, ...]
+    white: np.ndarray
+    estimated: np.ndarray
+    least_white: np.ndarray
+    colour: bool = True
+    inputs: tuple[Place, ...] = ()
+    known: tuple[str, ...] = ()
+    known_starts: KnownStarts | None = None
+
+    @classmethod
+    def of(
+        cls,
+        dataset: Dataset,
+        places: Sequence[Place],
+        white: np.ndarray,
+        estimated: np.ndarray,
+        *,
+        colour: bool = True,
+        inputs: Sequence[Place] = (),
+        known: Sequence[str] = (),
+        known_starts: KnownStarts | None = None,
+    ) -> Setting:
+        """Setting of some records."""
+        floor, seen = credible_levels(dataset)
+        least = np.where(seen, LEAST_SEEN * np.minimum(floor, white), 0.0)
+        return cls(
+            tuple(places),
+            white,
+            estimated,
+            least,
+            colour,
+            tuple(inputs),
+            tuple(known),
+            known_starts,
+        )
+
+    @property
+    def disturbances(self) -> tuple[str, ...]:
+        """Parameters of the filtered model that may be disturbances."""
+        own = (place for place in self.inputs if place not in self.places)
+        return tuple(disturbance(place).name for place in (*self.places, *own))
+
+    def times(self, dataset: Dataset) -> tuple[float, float]:
+        """Shortest and longest correlation time, s."""
+        shortest = SHORTEST * min(record.sample_time for record in dataset)
+        return shortest, max(LONGEST * min(record.duration for record in dataset), 4.0 * shortest)
+
+    def noise(self, model: Model, time: float) -> NoiseModel:
+        """White noise, and disturbances of zero level."""
+        nothing = np.zeros_like(self.white)
+        return NoiseModel(
+            self.white,
+            nothing,
+            np.zeros(len(self.places)),
+            time,
+            np.array([0.0 if place.stage == "actuator" else time for place in self.places]),
+            model.output_names,
+            tuple(place.name for place in self.places),
+        )
+
+    def levels(
+        self,
+        dataset: Dataset,
+        noise: NoiseModel,
+        unit: NoiseModel,
+        colour: np.ndarray,
+        *,
+        own_times: bool = False,
+    ) -> Levels:
+        """Unknown levels, begun at a noise model, some outputs coloured."""
+        known = dict(zip(unit.places, unit.force, strict=True))
+        sizes = [
+            known.get(place, max(level, 1e-9))
+            for place, level in zip(noise.places, noise.force, strict=True)
+        ]
+        return Levels.of(
+            noise,
+            # What a white fit leaves may be far above any sensor's noise, and so no unit of it.
+            replace(
+                unit,
+                white=np.minimum(unit.white, self.white),
+                force=np.array(sizes),
+                force_time=1.0,
+                places=noise.places,
+            ),
+            [f"{DISTURBANCE}{place.replace(' ', '_', 1)}" for place in noise.places],
+            # Where colour is let in, the white level has to make room for it.
+            white=self.estimated | colour,
+            colour=colour,
+            force=np.array([place not in self.known for place in noise.places], dtype=bool),
+            own_times=own_times,
+            # ... and most of the fastest wiggles may be its own.
+            least_white=np.where(colour, COLOUR_SEEN, 1.0) * self.least_white,
+            times=self.times(dataset),
+        )
