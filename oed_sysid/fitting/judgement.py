@@ -44,7 +44,7 @@ from oed_sysid.fitting.delays import (
 from oed_sysid.fitting.estimate import Estimate
 from oed_sysid.fitting.input_noise import fast_level, noisy_inputs
 from oed_sysid.fitting.noise_levels import signal_spread, white_levels
-from oed_sysid.fitting.spikes import spike_masks
+from oed_sysid.fitting.spikes import spike_masks, spike_sizes
 
 # A fit goes through the verdict as what it is.
 Found = TypeVar("Found", bound=Estimate)
@@ -319,14 +319,14 @@ def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
                 "sensor that jumps is repaired, not fitted.",
             )
         )
-    masks = spike_masks(fit.whitened)
+    masks, sizes = spike_masks(fit.whitened), spike_sizes(fit.whitened)
     for column, name in enumerate(fit.model.output_names):
         count = int(sum(mask[:, column].sum() for mask in masks))
         if not count:
             continue
         n = int(sum(np.isfinite(part[:, column]).sum() for part in fit.whitened))
         values = np.concatenate(
-            [part[mask[:, column], column] for part, mask in zip(fit.whitened, masks, strict=True)]
+            [part[mask[:, column], column] for part, mask in zip(sizes, masks, strict=True)]
         )
         up = int((values > 0).sum())
         side = ", one-sided" if count > 4 and min(up, count - up) <= 0.1 * count else ""
@@ -338,9 +338,9 @@ def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
                 "",
                 float(count),
                 f"{count} of {n} samples of {name} stand out alone{side}, by up to "
-                f"{np.max(np.abs(values)):.3g} standard deviations (normal noise: "
-                f"{expected:.1g} beyond four). They bias the fit and its errors: mark them NaN, or "
-                "use MultipleShooting(loss='auto'), which leaves them out.",
+                f"{np.max(np.abs(values)):.3g} times their usual distance from their neighbours "
+                f"(normal noise: {expected:.1g} beyond four). They bias the fit "
+                "and its errors: mark them NaN, or use MultipleShooting(loss='auto'), which leaves them out.",
             )
         )
     return tuple(found)

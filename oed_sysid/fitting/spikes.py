@@ -82,6 +82,30 @@ def spike_masks(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
     return tuple(masks)
 
 
+def spike_sizes(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """How far samples are from their neighbours, in the usual distance (its standard deviation).
+
+    Parameters
+    ----------
+    whitened : sequence of ndarray (n_times, n_outputs)
+        Residuals in any unit, NaN where missing.
+
+    Returns
+    -------
+    tuple of ndarray (n_times, n_outputs)
+        With the sign of the departure; NaN where missing.
+    """
+    found = [np.full(part.shape, np.nan) for part in whitened]
+    for column in range(whitened[0].shape[1]):
+        rows = [np.flatnonzero(np.isfinite(part[:, column])) for part in whitened]
+        pieces = [_beside(part[index, column]) for part, index in zip(whitened, rows, strict=True)]
+        away = np.concatenate(pieces)
+        usual = 1.4826 * float(np.median(np.abs(away - np.median(away)))) if len(away) else 0.0
+        for one, index, piece in zip(found, rows, pieces, strict=True):
+            one[index, column] = piece / usual if usual > 0 else 0.0
+    return tuple(found)
+
+
 def _beside(values: np.ndarray) -> np.ndarray:
     """Departure of every sample from the median of its two neighbours on each side.
 
