@@ -340,7 +340,8 @@ def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
                 f"{count} of {n} samples of {name} stand out alone{side}, by up to "
                 f"{np.max(np.abs(values)):.3g} times their usual distance from their neighbours "
                 f"(normal noise: {expected:.1g} beyond four). They bias the fit "
-                "and its errors: mark them NaN, or use MultipleShooting(loss='auto'), which leaves them out.",
+                "and its errors: mark them NaN, or use MultipleShooting(loss='auto'), which leaves "
+                "them out.",
             )
         )
     return tuple(found)
