@@ -9,11 +9,13 @@ import pytest
 from test_design import LIMITS, ship
 
 from oed_sysid import Experiment, NoiseModel
+from oed_sysid.cli.answers import of_programme
 from oed_sysid.design import AOptimal, DOptimal, Programme, candidate_runs, design_programme
 from oed_sysid.design.allocation import Library, enumerated, select, weights
 from oed_sysid.design.criteria import Setting
 from oed_sysid.design.robust import draw_models
 from oed_sysid.errors import DesignError
+from oed_sysid.information import Information
 from oed_sysid.sensitivity import information_of
 from oed_sysid.sensitivity.noise import noise_of
 from oed_sysid.simulation import simulate
@@ -126,6 +128,25 @@ def test_programme_beats_standard_trials(programme: Programme) -> None:
     stored = programme.to_dict()
     assert [run["name"] for run in stored["runs"]] == [run.name for run in programme.runs]
     assert Experiment.from_dict(stored["runs"][0]["experiment"]).duration == 40.0
+
+
+def test_the_first_line_of_a_programme_is_the_answer(programme: Programme) -> None:
+    """Runs, hours, what they buy and whether they are safe; danger stands before all of it."""
+    words = of_programme(programme)
+    n, worst = len(programme.runs), int(np.argmax(programme.relative_errors))
+    name, half_width = programme.names[worst], 1.96 * programme.relative_errors[worst]
+    assert words.startswith(f"{n} runs, {programme.hours:.3g} h: ")
+    assert f"{name}, which stays unidentified" in words
+    joint = programme.information
+    known = Information.from_matrix(joint.names, 100.0 * joint.matrix, programme.sizes)
+    sharp = of_programme(replace(programme, information=known))
+    assert f"{name}, ± {100 * half_width / 10.0:.2g} % (95 %)" in sharp
+    least = min(one.probability for one in programme.assurances.values())
+    assert f"keeps its limits on {least:.0%} of possible vehicles" in words
+    name = programme.runs[0].name
+    risky = {**programme.assurances, name: replace(programme.assurances[name], n_kept=45)}
+    words = of_programme(replace(programme, assurances=risky))
+    assert words.startswith(f"DANGER: {name!r} leaves its limits on 25% of possible vehicles; {n}")
 
 
 def test_programme_writes_every_run(programme: Programme, tmp_path) -> None:
