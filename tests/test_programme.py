@@ -94,6 +94,25 @@ def test_candidates_keep_the_limits_on_all_vehicles_shown() -> None:
             assert np.abs(np.diff(record.input("rudder"))).max() <= 0.1 * (1 + 1e-6)
 
 
+def test_quick_zigzags_keep_a_corridor_that_equal_ones_leave_and_tell_more() -> None:
+    """Within 12 degrees, full rudder turned early tells more than gentle equal angles."""
+    narrow = replace(LIMITS, signals={"psi": (-0.21, 0.21)})
+    runs = candidate_runs(ship(), PATTERN, limits=narrow, rng=np.random.default_rng(0),
+                          kinds=("zigzag",))  # fmt: skip
+    shapes = {run.name: run.experiment.excitation for run in runs}
+    quick = [run for run in runs if shapes[run.name].switch < shapes[run.name].amplitude]
+    equal = [run for run in runs if run not in quick]
+    assert quick
+    assert equal
+
+    def told(run: object) -> float:
+        return information_of(ship(), run.experiment, noise=SEA, priors=None).log_determinant  # type: ignore[attr-defined]
+
+    assert max(map(told, quick)) > max(map(told, equal))
+    for run in runs:
+        assert np.abs(simulate(ship(), run.experiment, noise=False).output("psi")).max() <= 0.21
+
+
 @pytest.fixture(name="programme", scope="module")
 def _programme() -> Programme:
     """A programme of half an hour and four runs at most, under random forces."""

@@ -47,6 +47,7 @@ from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import Information
+from oed_sysid.manoeuvres import ZigZag
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity.bound import information_of
@@ -460,6 +461,11 @@ def _tightened(
     return tight
 
 
+def _is_equal(shape: object) -> bool:
+    """Whether a zigzag turns at the angle of its control."""
+    return isinstance(shape, ZigZag) and shape.amplitude == shape.switch
+
+
 def _standard(
     task: _Task, runs: Sequence[Candidate], library: Library, chosen: Selection
 ) -> Standard | None:
@@ -468,6 +474,9 @@ def _standard(
     for word in STANDARD:
         kind = word.partition(" ")[0]
         same = [i for i, run in enumerate(runs) if run.kind == kind]
+        if kind == "zigzag":  # quick ones are no standard trials
+            shapes = {i: runs[i].experiment.excitation for i in same}
+            same = [i for i in same if _is_equal(shapes[i])]
         exact = [i for i in same if runs[i].name.startswith(word)]
         found = exact or same
         if found and found[-1] not in picked:
