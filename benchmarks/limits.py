@@ -33,6 +33,7 @@ from oed_sysid.design import (
     assess_limits,
     design_experiment,
 )
+from oed_sysid.errors import DesignError
 from oed_sysid.manoeuvres import ThreeTwoOneOne
 from oed_sysid.simulation import simulate
 
@@ -166,7 +167,11 @@ def main() -> None:
             print(compared(f"{run.name}, {spread:.0%} off", stated.probability, n,
                            kept(commands, spread, n, rng), n), flush=True)  # fmt: skip
         for sample in options.sample:
-            design = designed(problem, sea, spread, sample)
+            try:
+                design = designed(problem, sea, spread, sample)
+            except DesignError as error:
+                print(f"designed at {sample:g} s, {spread:.0%} off: {error}", flush=True)
+                continue
             rows = np.repeat(design.trajectory.inputs[:-1], round(sample / SAMPLE), axis=0)
             commands = np.vstack([rows, rows[-1:]])
             found = kept(commands, spread, n, np.random.default_rng([11, number]))

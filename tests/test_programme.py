@@ -168,6 +168,21 @@ def test_the_first_line_of_a_programme_is_the_answer(programme: Programme) -> No
     assert words.startswith(f"DANGER: {name!r} leaves its limits on 25% of possible vehicles; {n}")
 
 
+def test_refined_commands_keep_the_rate_at_the_samples_of_the_run() -> None:
+    """A search in coarse steps orders jumps; at fine samples they are ramps within the rate."""
+    slow = replace(LIMITS, rates={"rudder": 0.05}, signals={"psi": (-1.5, 1.5)})
+    long = replace(PATTERN, duration=200.0)
+    found = design_programme(
+        ship(), long, limits=slow, rng=np.random.default_rng(1), n_runs=2, noise=SEA, spread=0.05,
+        n_draws=1, n_vehicles=4, kinds=("zigzag",), criterion=DOptimal(),
+    )  # fmt: skip
+    refined = [run for run in found.candidates if run.kind == "designed"]
+    assert refined
+    for run in refined:
+        rudder = simulate(ship(), run.experiment, noise=False).input("rudder")
+        assert np.abs(np.diff(rudder)).max() <= 0.05 * PATTERN.sample_time * (1 + 1e-6)
+
+
 def test_programme_writes_every_run(programme: Programme, tmp_path) -> None:
     """One table of commands for each run, in order, playable as it stands."""
     paths = programme.write(tmp_path / "runs")
