@@ -30,6 +30,10 @@ def test_programme_is_planned_and_written(ship: Path, tmp_path: Path, capsys) ->
     arguments += ["--rounds", "0", "--uncertainty", "0.1", "--out", str(runs)]
     assert main([*arguments, "--json", str(stored), "--html", str(page)]) == DONE
     said = capsys.readouterr()
+    first = said.out.splitlines()[0]
+    found = json.loads(stored.read_text())
+    assert f"{len(found['runs'])} runs, {found['hours']:.3g} h: " in first
+    assert "limits on" in first or "no limit on the motion" in first
     assert "ship time" in said.out.replace("\n", " ")
     assert "Random forces:" in said.err
     found = json.loads(stored.read_text())
@@ -78,7 +82,11 @@ def test_campaign_goes_on_until_enough_is_known(ship: Path, tmp_path: Path, caps
         if decision["action"] != "go on":
             break
     assert actions[-1] == "enough"
-    assert "STOP: everything" in capsys.readouterr().out
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("GO ON: ") and " next (" in line for line in lines)
+    assert any(
+        line.startswith(f"STOP after {len(actions)} run") and "everything" in line for line in lines
+    )
     assert all(one["now"] <= 0.03 for one in decision["goals"])
     # Asked again without a new log, the answer is the same; the same log twice is refused.
     assert main(["campaign", str(folder), "--json", str(stored)]) == DONE

@@ -9,6 +9,7 @@ import pytest
 from test_design import LIMITS, ship
 
 from oed_sysid import Dataset, Experiment, Limits, MultipleShooting
+from oed_sysid.cli.answers import of_decision
 from oed_sysid.design import (
     Candidate,
     ParameterGoal,
@@ -70,6 +71,9 @@ def test_it_stops_when_enough_is_known_and_forecasts_the_rest(fit, candidates) -
     worst = float((errors / np.abs(list(fit.values.values()))).max())
     rng = np.random.default_rng(0)
     enough = decide(fit, candidates, goals_of(fit.model, {"all": 1.05 * worst}), rng=rng)
+    assert of_decision(enough, 1, 0.09) == (
+        "STOP after 1 run, 0.09 h: everything asked for is known well enough."
+    )
     assert enough.stop
     assert enough.action == "enough"
     assert enough.report().startswith("STOP: everything")
@@ -81,6 +85,9 @@ def test_it_stops_when_enough_is_known_and_forecasts_the_rest(fit, candidates) -
     assert some.hours_left == pytest.approx(some.runs_left * 340.0 / 3600.0)
     late = decide(fit, candidates, goals_of(fit.model, {"all": 0.5 * worst}), rng=rng, hours=0.05)
     assert late.action == "no time"
+    n = len(fit.names)
+    met = sum(one.is_met for one in late.goals)
+    assert of_decision(late, 2, 0.2).endswith(f"that is left ({met} of {n} goals met).")
 
 
 def test_a_prediction_is_a_goal(fit, candidates) -> None:
@@ -102,6 +109,13 @@ def test_runs_that_may_leave_their_limits_are_refused(fit, candidates) -> None:
     assert found.next_run is not None
     motion = simulate(fit.model, replace(found.next_run.experiment, limits=Limits()), noise=False)
     assert np.abs(motion.output("psi")).max() <= 0.25
+    assert found.n_checked == 21
+    assert found.kept is not None
+    assert found.kept >= 0.95
+    words = of_decision(found, 1, 0.1)
+    assert words.startswith(f"GO ON after 1 run, 0.1 h: {found.next_run.name} next (0.094 h)")
+    assert f"limits kept on {found.kept:.0%} of 21 possible vehicles" in words
+    assert f"kept on {found.kept:.0%} of 21 vehicles" in found.report()
     none = Limits(signals={"psi": (-1e-6, 1e-6)})
     closed = decide(fit, [c for c in candidates if c.kind != "straight"], goals,
                     rng=np.random.default_rng(0), limits=none)  # fmt: skip

@@ -9,11 +9,13 @@ import pytest
 from test_design import LIMITS, ship
 
 from oed_sysid import Experiment, NoiseModel
+from oed_sysid.cli.answers import of_programme
 from oed_sysid.design import AOptimal, DOptimal, Programme, candidate_runs, design_programme
 from oed_sysid.design.allocation import Library, enumerated, select, weights
 from oed_sysid.design.criteria import Setting
 from oed_sysid.design.robust import draw_models
 from oed_sysid.errors import DesignError
+from oed_sysid.information import Information
 from oed_sysid.sensitivity import information_of
 from oed_sysid.sensitivity.noise import noise_of
 from oed_sysid.simulation import simulate
@@ -92,6 +94,25 @@ def test_candidates_keep_the_limits_on_all_vehicles_shown() -> None:
             assert np.abs(np.diff(record.input("rudder"))).max() <= 0.1 * (1 + 1e-6)
 
 
+def test_quick_zigzags_keep_a_corridor_that_equal_ones_leave_and_tell_more() -> None:
+    """Within 12 degrees, full rudder turned early tells more than gentle equal angles."""
+    narrow = replace(LIMITS, signals={"psi": (-0.21, 0.21)})
+    runs = candidate_runs(ship(), PATTERN, limits=narrow, rng=np.random.default_rng(0),
+                          kinds=("zigzag",))  # fmt: skip
+    shapes = {run.name: run.experiment.excitation for run in runs}
+    quick = [run for run in runs if shapes[run.name].switch < shapes[run.name].amplitude]
+    equal = [run for run in runs if run not in quick]
+    assert quick
+    assert equal
+
+    def told(run: object) -> float:
+        return information_of(ship(), run.experiment, noise=SEA, priors=None).log_determinant  # type: ignore[attr-defined]
+
+    assert max(map(told, quick)) > max(map(told, equal))
+    for run in runs:
+        assert np.abs(simulate(ship(), run.experiment, noise=False).output("psi")).max() <= 0.21
+
+
 @pytest.fixture(name="programme", scope="module")
 def _programme() -> Programme:
     """A programme of half an hour and four runs at most, under random forces."""
@@ -126,6 +147,40 @@ def test_programme_beats_standard_trials(programme: Programme) -> None:
     stored = programme.to_dict()
     assert [run["name"] for run in stored["runs"]] == [run.name for run in programme.runs]
     assert Experiment.from_dict(stored["runs"][0]["experiment"]).duration == 40.0
+
+
+def test_the_first_line_of_a_programme_is_the_answer(programme: Programme) -> None:
+    """Runs, hours, what they buy and whether they are safe; danger stands before all of it."""
+    words = of_programme(programme)
+    n, worst = len(programme.runs), int(np.argmax(programme.relative_errors))
+    name, half_width = programme.names[worst], 1.96 * programme.relative_errors[worst]
+    assert words.startswith(f"{n} runs, {programme.hours:.3g} h: ")
+    assert f"{name}, which stays unidentified" in words
+    joint = programme.information
+    known = Information.from_matrix(joint.names, 100.0 * joint.matrix, programme.sizes)
+    sharp = of_programme(replace(programme, information=known))
+    assert f"{name}, ± {100 * half_width / 10.0:.2g} % (95 %)" in sharp
+    least = min(one.probability for one in programme.assurances.values())
+    assert f"keeps its limits on {least:.0%} of possible vehicles" in words
+    name = programme.runs[0].name
+    risky = {**programme.assurances, name: replace(programme.assurances[name], n_kept=45)}
+    words = of_programme(replace(programme, assurances=risky))
+    assert words.startswith(f"DANGER: {name!r} leaves its limits on 25% of possible vehicles; {n}")
+
+
+def test_refined_commands_keep_the_rate_at_the_samples_of_the_run() -> None:
+    """A search in coarse steps orders jumps; at fine samples they are ramps within the rate."""
+    slow = replace(LIMITS, rates={"rudder": 0.05}, signals={"psi": (-1.5, 1.5)})
+    long = replace(PATTERN, duration=200.0)
+    found = design_programme(
+        ship(), long, limits=slow, rng=np.random.default_rng(1), n_runs=2, noise=SEA, spread=0.05,
+        n_draws=1, n_vehicles=4, kinds=("zigzag",), criterion=DOptimal(),
+    )  # fmt: skip
+    refined = [run for run in found.candidates if run.kind == "designed"]
+    assert refined
+    for run in refined:
+        rudder = simulate(ship(), run.experiment, noise=False).input("rudder")
+        assert np.abs(np.diff(rudder)).max() <= 0.05 * PATTERN.sample_time * (1 + 1e-6)
 
 
 def test_programme_writes_every_run(programme: Programme, tmp_path) -> None:

@@ -93,6 +93,21 @@ def test_closed_loop_record_is_reproduced_by_its_own_inputs() -> None:
     assert (np.abs(np.diff(np.sign(record.input("fin")))) > 0).sum() >= 5
 
 
+@pytest.mark.parametrize("interpolation", ["hold", "linear"])
+def test_looking_ahead_while_commands_are_held_changes_no_bit(
+    interpolation: str, monkeypatch
+) -> None:
+    """Closed loops go many samples at once; the record is that of one sample at a time."""
+    changed = tuple(replace(one, interpolation=interpolation) for one in AUV.inputs)
+    model, test = replace(AUV, inputs=changed), replace(DIVE, feedback="true")
+    ahead = simulate(model, test, noise=False)
+    monkeypatch.setattr("oed_sysid.simulation.run._MOST_AHEAD", 1)
+    stepwise = simulate(model, test, noise=False)
+    assert len(np.unique(ahead.inputs)) > 10
+    np.testing.assert_array_equal(ahead.inputs, stepwise.inputs)
+    np.testing.assert_array_equal(ahead.outputs, stepwise.outputs)
+
+
 def test_linear_inputs_in_closed_loop() -> None:
     """A linearly interpolated rudder is decided causally and replays exactly."""
     rudder = Input("rudder", "rad", interpolation="linear")

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from oed_sysid.benchmark import Benchmark
+    from oed_sysid.design.decision import Decision
     from oed_sysid.design.result import Design
+    from oed_sysid.design.schedule import Programme
     from oed_sysid.diagnosis.compare import Comparison
     from oed_sysid.diagnosis.diagnose import Diagnosis
     from oed_sysid.diagnosis.improvement import Improvement
@@ -20,8 +22,8 @@ if TYPE_CHECKING:
 NOISE = 1.2
 # Standard errors in half of a 95 % interval.
 HALF_WIDTH = 1.96
-# Share of possible vehicles that have to keep the limits.
-SAFE = 0.9
+# Probability from which an effect is said to show.
+SURE = 0.9
 
 
 def of_fit(fit: Fit, comparison: Comparison | None = None) -> str:
@@ -103,7 +105,7 @@ def of_design(design: Design) -> str:
     errors = HALF_WIDTH * design.relative_errors
     words = f"{design.experiment.name}: "
     found = design.assurance
-    if found is not None and found.limited and found.probability < SAFE:
+    if found is not None and not found.is_safe:
         words = f"DANGER: {words}"
     worst = int(errors.argmax())
     words += f"after {design.experiment.duration:g} s the least certain of {len(errors)} parameters"
@@ -118,6 +120,102 @@ def of_design(design: Design) -> str:
         )
     if found is not None and found.limited:
         words += f"; limits kept on {found.probability:.0%} of possible vehicles"
+    return f"{words}."
+
+
+def of_programme(programme: Programme) -> str:
+    """Say how many runs and hours, what they buy, and whether they keep their limits."""
+    kept = {n: one.probability for n, one in programme.assurances.items() if one.limited}
+    n_runs = len(programme.runs)
+    words = f"{n_runs} run{'s' if n_runs != 1 else ''}, {programme.hours:.3g} h"
+    if programme.unsafe:
+        worst = min(programme.unsafe, key=lambda name: kept[name])
+        words = (
+            f"DANGER: {worst!r} leaves its limits on {1 - kept[worst]:.0%} of possible vehicles; "
+            + words
+        )
+    words += f": {_bought(programme)}"
+    if programme.standard is not None:
+        ratio = programme.standard.ratio
+        words += (
+            f"; standard trials would need {ratio:.2g} × the ship time"
+            if math.isfinite(ratio)
+            else "; standard trials would never tell as much"
+        )
+    if not kept:
+        words += "; no limit on the motion was given"
+    elif not programme.unsafe:
+        least = min(kept.values())
+        words += f"; each run keeps its limits on {least:.0%} of possible vehicles"
+        words += " or more" if len(kept) > 1 and least < 1 else ""
+    return f"{words}."
+
+
+def _bought(programme: Programme) -> str:
+    """What a programme was asked for, and how much of it is reached."""
+    from oed_sysid.design.accuracy import TRUSTED
+    from oed_sysid.design.discrimination import told_apart
+
+    if programme.misfits:
+        (first, second), least = min(programme.misfits.items(), key=lambda one: one[1])
+        return f"{first} and {second} are told apart with a probability of {told_apart(least):.0%}"
+    if programme.chances:
+        before, after = (
+            sum(value >= SURE for value in values)
+            for values in zip(*((one.before, one.after) for one in programme.chances), strict=True)
+        )
+        n = len(programme.chances)
+        return f"{after} of {n} effects would show, should they be missing (before: {before})"
+    errors = programme.relative_errors
+    worst = int(errors.argmax())
+    words = f"the least certain of {len(errors)} parameters is {programme.names[worst]}, "
+    if programme.sea is not None and not errors[worst] <= TRUSTED:
+        return words + "which stays unidentified"
+    words += f"± {share(HALF_WIDTH * errors[worst])} (95 %)"
+    if programme.prior is not None:
+        before = programme.prior.std_errors[worst] / programme.sizes[worst]
+        words += f", ± {share(HALF_WIDTH * before)} before" if math.isfinite(before) else ""
+    return words
+
+
+def of_decision(decision: Decision, n_runs: int, hours: float) -> str:
+    """Say whether to stop, or what to run next, what it buys, and whether it is safe.
+
+    Parameters
+    ----------
+    decision : Decision
+    n_runs, hours : int, float
+        Done so far.
+    """
+    done = f" after {n_runs} run{'s' if n_runs != 1 else ''}, {hours:.2g} h" if n_runs else ""
+    met = sum(one.is_met for one in decision.goals)
+    run = decision.next_run
+    if run is None:
+        reason = {
+            "enough": "everything asked for is known well enough",
+            "useless": "no run that keeps its limits brings what is missing nearer",
+            "no time": "not even the next run fits into the time that is left",
+        }[decision.action]
+        rest = "" if met == len(decision.goals) else f" ({met} of {len(decision.goals)} goals met)"
+        return f"STOP{done}: {reason}{rest}."
+    words = f"GO ON{done}: {run.name} next ({run.cost / 3600:.2g} h)"
+    far = max(
+        (one for one in decision.goals if not one.is_met),
+        key=lambda one: one.now / one.goal.tolerance,
+    )
+    now, then = (far.goal.words(decision.model, value) for value in (far.now, far.then))
+    words += f" brings {far.goal.name} from {now} to {then}"
+    if math.isfinite(decision.hours_left):
+        n = decision.runs_left
+        words += f"; {n} run{'s' if n != 1 else ''}, {decision.hours_left:.2g} h to go"
+    else:
+        words += "; not all goals can be planned for"
+    if decision.kept is not None:
+        words += f"; limits kept on {decision.kept:.0%} of {decision.n_checked} possible vehicles"
+    elif run.experiment.limits.signals:
+        words += "; whether other vehicles keep the limits is not known"
+    else:
+        words += "; no limit on the motion was given"
     return f"{words}."
 
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from oed_sysid.cli.answers import of_decision, of_programme
 from oed_sysid.cli.options import HtmlFile, JsonFile, PictureFile, ProblemName, Sea, Variant
-from oed_sysid.cli.terminal import note, progress, say, store
+from oed_sysid.cli.terminal import answer, note, progress, store
 from oed_sysid.errors import DesignError
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ def programme(
             n_rounds=rounds,
             progress=show.say,
         )
-    say(found.report())
+    answer(of_programme(found), found.report())
     note(f"Planned in {found.seconds:.0f} s.")
     if out is not None:
         for path in found.write(out):
@@ -270,11 +271,12 @@ def campaign(
             journal = journal.with_record(record)
             show.say("deciding")
     decision = journal.decide()
-    say(f"After {len(journal.records)} runs, {journal.hours_used:.2g} h")
+    report = decision.report()
     if journal.fit is not None:
         concerns = "; ".join(str(one) for one in journal.fit.concerns)
-        say(f"  estimate      {journal.fit.status}{' ' + concerns if concerns else ''}")
-    say(decision.report())
+        estimate = f"{journal.fit.status}{' ' + concerns if concerns else ''}"
+        report += f"\n  estimate from {len(journal.records)} records: {estimate}"
+    answer(of_decision(decision, len(journal.records), journal.hours_used), report)
     note(f"Decided in {decision.seconds:.2f} s.")
     path = journal.write_next(decision)
     if path is not None:

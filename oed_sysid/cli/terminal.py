@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shlex
 import shutil
 import sys
@@ -35,6 +36,8 @@ TOLERANCE = 1e-6
 
 # Seconds after which a calculation says how far it is, and then how often where lines stay.
 PATIENCE, EVERY = 2.0, 10.0
+# Bold red, and back.
+_RED, _PLAIN = "\x1b[1;31m", "\x1b[0m"
 
 
 def say(text: str = "") -> None:
@@ -53,9 +56,20 @@ def answer(text: str, report: str = "") -> None:
     report : str
         Everything else.
     """
-    print(text)
+    print(alarming(text))
     if report and not quiet():
         print(f"\n{report}")
+
+
+def alarming(text: str) -> str:
+    """Return a line in red and bold if it warns of danger and a person reads it on a terminal.
+
+    Files and pipes get plain text, and so does everybody who has set ``NO_COLOR``
+    (https://no-color.org).
+    """
+    if not text.startswith("DANGER") or os.environ.get("NO_COLOR") or not sys.stdout.isatty():
+        return text
+    return f"{_RED}{text}{_PLAIN}"
 
 
 def note(text: str) -> None:

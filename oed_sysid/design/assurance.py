@@ -151,6 +151,16 @@ class Assurance:
             words += "; left first: " + ", ".join(f"{n} ({c})" for n, c in self.left.items())
         return words
 
+    @property
+    def danger(self) -> str:
+        """What stands first and in red where limits are likely to be left; empty where not."""
+        if self.is_safe:
+            return ""
+        return (
+            f"DANGER: on {1 - self.probability:.0%} of the vehicles that are possible "
+            f"({self.drawn}) this run leaves its limits."
+        )
+
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         return {

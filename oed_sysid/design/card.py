@@ -79,11 +79,7 @@ def _danger(design: Design) -> list[str]:
     found = design.assurance
     if found is None or found.is_safe:
         return []
-    return wrap(
-        f"DANGER: on {1 - found.probability:.0%} of the vehicles that are possible "
-        f"({found.drawn}) this run leaves its limits. Read WATCH before anything else.",
-        _WIDTH,
-    )
+    return wrap(f"{found.danger} Read WATCH before anything else.", _WIDTH)
 
 
 def _start(design: Design, units: dict[str, str]) -> str:

@@ -192,6 +192,11 @@ class Decision:
         Runs that were better but leave their limits on too many possible vehicles.
     seconds : float
         Time that the decision took.
+    kept : float or None
+        Share of the vehicles that remain possible on which the next run keeps its limits; None
+        where there are no limits, or nothing is known that vehicles could be drawn from.
+    n_checked : int
+        These vehicles, the believed one included.
     """
 
     model: Model
@@ -203,6 +208,8 @@ class Decision:
     hours_available: float | None
     refused: tuple[str, ...]
     seconds: float
+    kept: float | None = None
+    n_checked: int = 0
 
     @property
     def stop(self) -> bool:
@@ -220,6 +227,11 @@ class Decision:
         lines = [head]
         if self.action == "go on" and self.next_run is not None:
             lines.append(f"  next          {self.next_run.name}")
+            if self.kept is not None:
+                lines.append(
+                    f"  limits        kept on {self.kept:.0%} of {self.n_checked} vehicles that "
+                    "remain possible"
+                )
             if np.isfinite(self.hours_left):
                 lines.append(
                     f"  to go         {self.runs_left} runs, {self.hours_left:.2g} h, if they go "
@@ -261,6 +273,8 @@ class Decision:
                 }
                 for one in self.goals
             ],
+            "limits_kept": self.kept,
+            "vehicles_checked": self.n_checked,
             "refused": list(self.refused),
             "seconds": self.seconds,
         }
@@ -337,7 +351,7 @@ def decide(
         runs.append(run)
     now = _deviations(matrix, rows)
     refused: list[str] = []
-    chosen = None
+    chosen, share, n_checked = None, None, 0
     if np.any(now > wanted):
         vehicles = _possible(model, known, rng)
         while ranked := _ranked(matrix, told, runs, rows, wanted):
@@ -345,8 +359,11 @@ def decide(
             corridor = Corridor.of(
                 model, limits or best.experiment.limits, {}, kernel(model).n_full
             )
-            if kept_on(best.experiment, (model, *vehicles), corridor, certainty) is not None:
+            kept = kept_on(best.experiment, (model, *vehicles), corridor, certainty)
+            if kept is not None:
                 chosen = ranked[0]
+                if corridor.names and vehicles:
+                    share, n_checked = kept, 1 + len(vehicles)
                 break
             refused.append(best.name)
             told.pop(ranked[0])
@@ -375,6 +392,8 @@ def decide(
         hours_available=hours,
         refused=tuple(dict.fromkeys(refused)),
         seconds=time.perf_counter() - began,
+        kept=share,
+        n_checked=n_checked,
     )
 
 

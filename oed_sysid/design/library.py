@@ -35,6 +35,9 @@ KINDS = ("straight", "zigzag", "3-2-1-1", "multisine", "levels", "circle", "spir
 SHARES = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
 _GENTLER = 0.4
 ZIGZAGS = (5.0, 10.0, 20.0)  # degrees, both of the control and of the attitude
+# Attitudes of quick zigzags, as shares of the control's angle: a large control within a narrow
+# corridor, on vehicles that answer it by more than is believed as well.
+_QUICK = (0.5, 0.25)
 _PACES = (0.25, 0.6)  # of quick and slow variants, relative to a tenth of the run
 
 
@@ -257,7 +260,11 @@ class _Stand:
         )  # fmt: skip
 
     def zigzags(self) -> Iterable[tuple[Experiment, str, float]]:
-        """Zigzags on the attitude; angles made smaller together until the limits hold."""
+        """Zigzags on the attitude.
+
+        Of equal angles, made smaller together until the limits hold, and quick ones, which turn
+        before the attitude has reached the control's angle.
+        """
         known = (*self.model.output_names, *self.model.state_names)
         attitude = next((a for a in ATTITUDES if a in known), None)
         if attitude is None:
@@ -266,16 +273,18 @@ class _Stand:
         largest = float(min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0]))
         sign = _side(self.model, grid, attitude, self.held, dict(self.pattern.initial))
         rate = None if not np.isfinite(grid.rates[0]) else float(grid.rates[0])
-        seen: set[float] = set()
-        for angle in ZIGZAGS:
-            for share in SHARES[:4]:
-                size = round(share * angle, 3)
-                if size in seen or radians(size) > largest:
+        equal = [[(share * angle, share * angle) for share in SHARES[:4]] for angle in ZIGZAGS]
+        quick = [[(angle, share * angle) for share in _QUICK] for angle in ZIGZAGS[1:]]
+        seen: set[tuple[float, float]] = set()
+        for family in (*equal, *quick):
+            for control, turn in family:
+                size, switch = round(control, 3), round(turn, 3)
+                if (size, switch) in seen or radians(size) > largest:
                     continue
                 run = Experiment(
-                    f"zigzag {size:g}/{size:g}",
+                    f"zigzag {size:g}/{switch:g}",
                     ZigZag(
-                        self.name, radians(size), radians(size), feedback=(attitude,), rate=rate,
+                        self.name, radians(size), radians(switch), feedback=(attitude,), rate=rate,
                         sign=sign, neutral=float(grid.neutral[0]),
                     ),
                     duration=float(grid.times[-1]), sample_time=grid.step, constants=self.held,
@@ -284,7 +293,7 @@ class _Stand:
                 held = self.keeps(run)
                 if held is None:
                     continue
-                seen.add(size)
+                seen.add((size, switch))
                 yield run, "zigzag", held
                 break
 

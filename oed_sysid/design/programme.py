@@ -40,6 +40,8 @@ from oed_sysid.design.experiment_design import design_experiment
 from oed_sysid.design.library import KINDS, Candidate, candidate_runs, kept_on
 from oed_sysid.design.parametrisation import Levels
 from oed_sysid.design.plan import believed_noise, joint_knowledge, knowledge
+from oed_sysid.design.reference import as_piecewise
+from oed_sysid.design.result import Design
 from oed_sysid.design.reveal import Chance, Reveal
 from oed_sysid.design.robust import draw_models
 from oed_sysid.design.schedule import Programme, Standard
@@ -47,6 +49,7 @@ from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import Information
+from oed_sysid.manoeuvres import Manoeuvre, Piecewise, ZigZag
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity.bound import information_of
@@ -432,12 +435,26 @@ def _refined(
             continue
         experiment = replace(
             found.experiment, sample_time=pattern.sample_time, limits=limits,
+            manoeuvre=_ramped(found, limits, pattern.sample_time),
             name=f"{name} {_ending(run.name)}".strip(),
         )  # fmt: skip
         kept = kept_on(experiment, (task.model, *vehicles), corridor, certainty)
         if kept is not None:
             return Candidate(experiment, "designed", run.cost, kept)
     return None
+
+
+def _ramped(found: Design, limits: Limits, sample: float) -> tuple[Manoeuvre, ...]:
+    """Commands at finer samples: an order within the rate of a coarse step becomes a ramp."""
+    times = found.trajectory.times
+    fine = np.arange(round(float(times[-1] - times[0]) / sample) + 1) * sample + times[0]
+    columns = dict(zip(found.model.input_names, found.trajectory.inputs.T, strict=True))
+    return tuple(
+        as_piecewise(one.input, fine, np.interp(fine, times, columns[one.input]))
+        if isinstance(one, Piecewise) and np.isfinite(limits.rates.get(one.input, np.inf))
+        else one
+        for one in found.experiment.manoeuvres
+    )
 
 
 def _ending(name: str) -> str:
@@ -460,6 +477,11 @@ def _tightened(
     return tight
 
 
+def _is_equal(shape: object) -> bool:
+    """Whether a zigzag turns at the angle of its control."""
+    return isinstance(shape, ZigZag) and shape.amplitude == shape.switch
+
+
 def _standard(
     task: _Task, runs: Sequence[Candidate], library: Library, chosen: Selection
 ) -> Standard | None:
@@ -468,6 +490,9 @@ def _standard(
     for word in STANDARD:
         kind = word.partition(" ")[0]
         same = [i for i, run in enumerate(runs) if run.kind == kind]
+        if kind == "zigzag":  # quick ones are no standard trials
+            shapes = {i: runs[i].experiment.excitation for i in same}
+            same = [i for i in same if _is_equal(shapes[i])]
         exact = [i for i in same if runs[i].name.startswith(word)]
         found = exact or same
         if found and found[-1] not in picked:

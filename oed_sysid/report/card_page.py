@@ -22,10 +22,7 @@ def card_page(design: Design, tracks: Tracks | None = None, *, title: str = "") 
     safe = design.assurance
     verdict = []
     if safe is not None and not safe.is_safe:
-        verdict.append(
-            f"DANGER: on {1 - safe.probability:.0%} of the vehicles that are possible "
-            f"({safe.drawn}) this run leaves its limits."
-        )
+        verdict.append(safe.danger)
     if safe is not None and safe.rules:
         verdict.append(
             f"Abort rules fire on {safe.any_fires:.1%} of {safe.n_checked} simulated vehicles."

@@ -39,6 +39,8 @@ def design_page(design: Design, *, title: str = "") -> Page:
 
 def _verdict(design: Design) -> list[str]:
     says = []
+    if design.assurance is not None and not design.assurance.is_safe:
+        says.append(design.assurance.danger)
     for reference in design.references:
         mean, worst = design.gain(reference)
         note = f" ({reference.note})" if reference.note else ""

@@ -14,6 +14,9 @@ from oed_sysid.manoeuvres import Controller, command_all
 from oed_sysid.model import Model
 from oed_sysid.simulation.trajectory import simulate_inputs, start_array, state_names
 
+# Samples that are simulated at once while a manoeuvre that reacts holds its commands.
+_MOST_AHEAD = 64
+
 
 def simulate(
     model: Model,
@@ -138,19 +141,32 @@ def _closed_loop(model: Model, experiment: Experiment, noise: np.ndarray | None)
     z, _ = runner.start(own, before, values, times[0])
     window = runner.run(times[:2], np.stack([before, before]), values, z)
     inputs = np.empty((len(times), len(names)))
-    inputs[0] = _decide(controllers, names, constants, times[0], signals.at(0, window, 0))
+    held = _decide(controllers, names, constants, times[0], signals.at(0, window, 0))
+    inputs[0] = held
     z, _ = runner.start(own, inputs[0], values, times[0])
-    for k in range(1, len(times)):
-        pair = inputs[[k - 1, k - 1]]
-        window = runner.run(times[k - 1 : k + 1], pair, values, z)
-        if window.failed_at >= 0:
-            inputs[k:] = inputs[k - 1]
-            break  # simulate_inputs will fail at the same place, with words
-        seen = signals.at(k, window, 1)
-        inputs[k] = _decide(controllers, names, constants, times[k], seen)
-        if linear and (inputs[k] != inputs[k - 1]).any():
-            window = runner.run(times[k - 1 : k + 1], inputs[k - 1 : k + 1], values, z)
-        z = window.states[1]
+    k, ahead = 1, 1
+    while k < len(times):
+        # Ahead with the commands held, as far as they are: most manoeuvres hold for seconds.
+        n = min(ahead, len(times) - k)
+        window = runner.run(times[k - 1 : k + n], inputs[[k - 1] * (n + 1)], values, z)
+        for row in range(1, n + 1):
+            if 0 <= window.failed_at <= row:
+                inputs[k:] = inputs[k - 1]
+                return inputs  # simulate_inputs will fail at the same place, with words
+            seen = signals.at(k, window, row)
+            before_this, held = held, _decide(controllers, names, constants, times[k], seen)
+            inputs[k] = held
+            changed = held != before_this
+            if linear and changed:
+                z = runner.run(
+                    times[k - 1 : k + 1], inputs[k - 1 : k + 1], values, window.states[row - 1]
+                ).states[1]
+            else:
+                z = window.states[row]
+            k += 1
+            if changed:
+                break
+        ahead = 1 if changed else min(2 * ahead, _MOST_AHEAD)
     return inputs
 
 

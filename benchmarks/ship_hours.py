@@ -1,0 +1,300 @@
+r"""Ship hours of planned programmes for the errors that standard trials leave, vehicles 30 % off.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.ship_hours --vehicles 100     (--show: what is finished)
+
+A programme is planned once on the believed vehicle, of which nothing is known but that every
+coefficient is within 30 per cent (uniform). It is then judged on vehicles drawn from that:
+
+auv
+    The REMUS-like vehicle in the diving plane, runs of 60 s from 25 m, pitch within 45 degrees,
+    depth 2 to 60 m, random forces of 0.1 N, 0.3 N and 0.06 N m over 2 s. Standard trials: zigzags
+    10/10 and 20/20 at 1.5 m/s (there is no circle in this plane).
+tanker
+    Linear sway and yaw, runs of 600 s, a moderate sea. Standard trials: zigzags 10/10 and 20/20 and
+    a circle of 35 degrees.
+
+With information :math:`F_p` of the programme and :math:`F_s` of the standard trials on the drawn
+vehicle, in units of the believed values and without priors, and hours :math:`h_p, h_s`, turnarounds
+of 600 s included, the programme needs
+
+.. math:: \rho_D = \frac{h_p}{h_s} \left(\frac{\det F_s}{\det F_p}\right)^{1/n}, \qquad
+    \rho_A = \frac{h_p}{h_s}\, \frac{\mathrm{tr}\, F_p^{-1}}{\mathrm{tr}\, F_s^{-1}}
+
+of the ship time for the same geometric mean (D), or root mean square (A), of the errors; programmes
+may be repeated in part. Errors are those of `information_of` on the drawn vehicle, which
+`benchmarks.realised` compares with those that estimates have.
+
+Limits of the vehicle: every run of a programme is played once in waves drawn for it, and its
+commands and forces are integrated by `benchmarks.missing_physics.simulator` (Runge-Kutta at 0.01 s,
+no code of the package). A vehicle counts as kept if all runs together never left a limit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.limits import inside
+from benchmarks.measure import machine
+from benchmarks.random_forces.scenarios import MEDIUM
+from oed_sysid import Experiment, Limits, Model, NoiseModel, load_problem
+from oed_sysid.design import AOptimal, DOptimal, design_programme
+from oed_sysid.errors import OedSysidError
+from oed_sysid.manoeuvres import TurningCircle, ZigZag
+from oed_sysid.noise.realisation import at_sea
+from oed_sysid.sensitivity import information_of, sea_noise
+from oed_sysid.simulation import simulate
+
+RESULTS = Path(__file__).parent / "results" / "ship_hours.jsonl"
+SPREAD, TURNAROUND, N_RUNS = 0.3, 600.0, 4
+CRITERIA = {"D": DOptimal(), "A": AOptimal()}
+BATCH = 20
+THRUSTS = (5.0, 9.0, 14.0)  # N, the second that of the standard trials, the last the most there is
+# Targets: share of the standard programme's ship time; share of vehicles that keep the limits.
+TARGETS, KEPT = {"D": 0.5, "A": 0.25}, 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A believed vehicle, its sea, its limits, and the standard trials."""
+
+    name: str
+    model: Model
+    patterns: tuple[Experiment, ...]
+    limits: Limits
+    sea: NoiseModel
+    standard: tuple[Experiment, ...]
+
+
+def ignorant(model: Model) -> Model:
+    """The model without priors."""
+    for parameter in model.free_parameters:
+        model = model.with_parameter(replace(parameter, prior_mean=None, prior_std=None))
+    return model
+
+
+def zigzag(
+    pattern: Experiment, size: float, channel: str, feedback: str, rate: float | None = None
+) -> Experiment:
+    """Zigzag of equal angles, degrees, closed over the vehicle."""
+    angle = math.radians(size)
+    shape = ZigZag(channel, angle, angle, feedback=(feedback,), sign=-1, rate=rate)
+    return replace(pattern, name=f"zigzag {size:g}/{size:g}", manoeuvre=(shape,), feedback="true")
+
+
+def auv() -> Task:
+    """The REMUS-like vehicle."""
+    problem = load_problem("remus_diving_plane")
+    model = ignorant(problem.model)
+    patterns = tuple(
+        replace(
+            problem.experiment("zigzag_10_10"), duration=60.0, constants={"thrust": thrust},
+            initial={"u": math.sqrt(thrust / -model.values["X_uu"]), "z": 25.0},
+        )
+        for thrust in THRUSTS
+    )  # fmt: skip
+    white = np.array([output.noise_std for output in model.outputs])
+    sea = NoiseModel(
+        white, np.zeros_like(white), np.array(MEDIUM), force_time=2.0, outputs=model.output_names,
+        places=("force X", "force Z", "force M"),
+    )  # fmt: skip
+    standard = tuple(zigzag(patterns[1], size, "fin_command", "theta") for size in (10, 20))
+    return Task("auv", model, patterns, problem.limits, sea, standard)
+
+
+def tanker() -> Task:
+    """The tanker of `problems/online_ship`."""
+    problem = load_problem("online_ship")
+    model = ignorant(problem.model)
+    pattern = replace(problem.experiment("zigzag_10_10"), duration=600.0)
+    sea = sea_noise(model, "moderate", [pattern])
+    rate = problem.limits.rates["delta"]
+    standard = tuple(zigzag(pattern, size, "delta", "psi", rate) for size in (10, 20))
+    circle = replace(
+        pattern, name="circle 35", feedback="true",
+        manoeuvre=(TurningCircle("delta", math.radians(35.0), rate=rate),),
+    )  # fmt: skip
+    return Task("tanker", model, (pattern,), problem.limits, sea, (*standard, circle))
+
+
+TASKS = {"auv": auv, "tanker": tanker}
+
+
+def planned(task: Task, criterion: str) -> dict[str, Any]:
+    """Plan a programme on the believed vehicle."""
+    began = time.process_time()
+    found = design_programme(
+        task.model, task.patterns, limits=task.limits, rng=np.random.default_rng(0),
+        n_runs=N_RUNS, criterion=CRITERIA[criterion], noise=task.sea, spread=SPREAD, prior=None,
+        turnaround=TURNAROUND,
+    )  # fmt: skip
+    return {
+        "task": task.name, "plan": criterion, "runs": [run.name for run in found.runs],
+        "experiments": [run.experiment.to_dict() for run in found.runs],
+        "certainty": {name: one.probability for name, one in found.assurances.items()},
+        "share": found.share, "seconds": time.process_time() - began,
+    }  # fmt: skip
+
+
+def drawn(task: Task, number: int) -> Model:
+    """Vehicle of a number, the same in every call."""
+    rng = np.random.default_rng([7, number])
+    off = {p.name: p.value * (1 + SPREAD * rng.uniform(-1, 1)) for p in task.model.free_parameters}
+    return task.model.with_values(off)
+
+
+def told(task: Task, vehicle: Model, runs: Sequence[Experiment]) -> np.ndarray:
+    """Information of runs on a vehicle, in units of the believed values."""
+    sizes = np.array([task.model.parameter(n).reference for n in vehicle.free_names])
+    total = np.zeros((len(sizes),) * 2)
+    for run in runs:
+        total += information_of(vehicle, run, noise=task.sea, priors=None).matrix
+    return total * sizes[:, None] * sizes
+
+
+def hours_of(runs: Sequence[Experiment]) -> float:
+    """Ship time, h."""
+    return sum(float(run.duration or 0.0) + TURNAROUND for run in runs) / 3600.0
+
+
+def shares(ours: np.ndarray, theirs: np.ndarray, hours: float) -> dict[str, float]:
+    """Ship time relative to that of the standard trials; ``hours`` is the ratio as planned."""
+    n = len(ours)
+    logs = [np.linalg.slogdet(matrix)[1] for matrix in (ours, theirs)]
+    traces = [float(np.trace(np.linalg.inv(matrix))) for matrix in (ours, theirs)]
+    return {
+        "D": hours * float(np.exp((logs[1] - logs[0]) / n)), "A": hours * traces[0] / traces[1],
+    }  # fmt: skip
+
+
+def limits_kept(
+    task: Task, vehicles: Sequence[Model], runs: Sequence[Experiment], seed: int
+) -> np.ndarray:
+    """Which vehicles keep all limits in all runs, in waves, by the foreign equations."""
+    kept = np.ones(len(vehicles), dtype=bool)
+    for index, run in enumerate(runs):
+        free = replace(run, limits=Limits())
+        played, forces = [], []
+        for number, vehicle in enumerate(vehicles):
+            rng = np.random.default_rng([seed, index, number])
+            meant, planned_run = at_sea(vehicle, free, task.sea, rng=rng)
+            inputs = simulate(meant, planned_run, noise=False).inputs
+            played.append(inputs[:, :2])
+            forces.append(inputs[:, 2:])
+        values = [dict(vehicle.values) for vehicle in vehicles]
+        kept &= inside(
+            np.stack(played, axis=2), values, np.stack(forces, axis=2),
+            (run.initial["u"], run.initial["z"]),
+        )  # fmt: skip
+    return kept
+
+
+def judged(
+    task: Task, plans: dict[str, dict[str, Any]], numbers: Sequence[int]
+) -> list[dict[str, Any]]:
+    """Several drawn vehicles: ship time of each programme, and whether limits were kept."""
+    vehicles = [drawn(task, number) for number in numbers]
+    programmes = {
+        name: [Experiment.from_dict(one) for one in plan["experiments"]]
+        for name, plan in plans.items()
+    }
+    rows: list[dict[str, Any]] = []
+    for number, vehicle in zip(numbers, vehicles, strict=True):
+        row: dict[str, Any] = {"task": task.name, "vehicle": number}
+        try:
+            usual = told(task, vehicle, task.standard)
+            for name, runs in programmes.items():
+                ratio = hours_of(runs) / hours_of(task.standard)
+                row[name] = shares(told(task, vehicle, runs), usual, ratio)[name]
+        except OedSysidError as error:
+            row["failed"] = str(error)
+        rows.append(row)
+    if task.limits.signals:
+        for name, runs in {**programmes, "standard": list(task.standard)}.items():
+            distinct = list({run.name: run for run in runs}.values())
+            found = limits_kept(task, vehicles, distinct, numbers[0])
+            for row, kept in zip(rows, found, strict=True):
+                row[f"kept {name}"] = bool(kept)
+    return rows
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """What is finished as Markdown."""
+    lines = [
+        "| vehicle | criterion | runs planned | judged | share of the standard trials' ship time: "
+        "median (10 to 90 % of the vehicles) | target | limits kept: planned | standard |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name in TASKS:
+        mine = [row for row in rows if row["task"] == name]
+        for criterion, most in TARGETS.items():
+            plan = next((row for row in mine if row.get("plan") == criterion), None)
+            ready = [row for row in mine if "vehicle" in row and criterion in row]
+            if plan is None or not ready:
+                continue
+            low, middle, high = np.quantile([row[criterion] for row in ready], [0.1, 0.5, 0.9])
+            counts = [
+                "-" if key not in ready[0] else f"{sum(row[key] for row in ready)} of {len(ready)}"
+                for key in (f"kept {criterion}", "kept standard")
+            ]
+            lines.append(
+                f"| {name} | {criterion} | {', '.join(plan['runs'])} | {len(ready)} | {middle:.2f} "
+                f"({low:.2f} to {high:.2f}) | {most:g} | {counts[0]} | {counts[1]} |"
+            )
+    failed = sum("failed" in row for row in rows)
+    if failed:
+        lines += ["", f"{failed} vehicles could not be judged: a run of either kind diverges."]
+    return "\n".join(lines)
+
+
+def finished() -> list[dict[str, Any]]:
+    """Plans and vehicles that are there."""
+    if not RESULTS.exists():
+        return []
+    return [json.loads(line) for line in RESULTS.read_text(encoding="utf-8").splitlines()]
+
+
+def keep(rows: Sequence[dict[str, Any]]) -> None:
+    """Add rows to the file."""
+    RESULTS.parent.mkdir(exist_ok=True)
+    with RESULTS.open("a", encoding="utf-8") as file:
+        file.writelines(json.dumps(row) + "\n" for row in rows)
+
+
+def main() -> None:
+    """Run what is missing, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--vehicles", type=int, default=100)
+    parser.add_argument("--tasks", nargs="+", choices=list(TASKS), default=list(TASKS))
+    parser.add_argument("--show", action="store_true", help="print what is finished only")
+    options = parser.parse_args()
+    for name in [] if options.show else options.tasks:
+        print(machine())
+        task = TASKS[name]()
+        mine = [row for row in finished() if row["task"] == name]
+        plans = {row["plan"]: row for row in mine if "plan" in row}
+        for criterion in CRITERIA:
+            if criterion not in plans:
+                plans[criterion] = planned(task, criterion)
+                keep([plans[criterion]])
+                print(f"{name}, {criterion}: {', '.join(plans[criterion]['runs'])} "
+                      f"({plans[criterion]['seconds']:.0f} s)", flush=True)  # fmt: skip
+        there = {row["vehicle"] for row in mine if "vehicle" in row}
+        missing = [number for number in range(options.vehicles) if number not in there]
+        for begin in range(0, len(missing), BATCH):
+            began = time.process_time()
+            keep(judged(task, plans, missing[begin : begin + BATCH]))
+            print(f"{name}: {begin + BATCH} more ({time.process_time() - began:.0f} s)", flush=True)
+    print(table(finished()))
+
+
+if __name__ == "__main__":
+    main()
