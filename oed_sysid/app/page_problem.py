@@ -20,6 +20,7 @@ from oed_sysid.language.units import parse_header
 from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
 from oed_sysid.problem.starter import TEMPLATES
 from oed_sysid.report import Section, Table
+from oed_sysid.report.style import TWO_SIDED_95
 
 
 def show() -> None:
@@ -207,13 +208,13 @@ def _parameters(problem: Problem) -> Table:
             one.name,
             one.description,
             f"{one.value:.5g}",
-            "" if one.prior_std is None else f"± {one.prior_std:.2g}",
+            "" if one.prior_std is None else f"± {TWO_SIDED_95 * one.prior_std:.2g}",
             "fixed" if one.fixed else "per record" if one.per_record else "estimated",
             one.unit,
         )
         for one in problem.model.all_parameters
     )
-    headers = ("parameter", "meaning", "believed", "", "", "unit")
+    headers = ("parameter", "meaning", "believed", "± (95 %)", "role", "unit")
     return Table(headers, rows, words=(1,))
 
 

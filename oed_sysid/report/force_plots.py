@@ -28,6 +28,7 @@ from oed_sysid.report.style import (
     model_style,
     new_axes,
     new_figure,
+    shown,
     spread_legend,
     symbol_of,
 )
@@ -97,7 +98,8 @@ def plot_force_against(
     """
     column = _column(located, equation)
     ax = new_axes(ax, size=(4.4, 3.2))
-    x = np.concatenate([_signal(record, signal) for record in dataset])
+    channel = _channel(dataset, signal)
+    x = shown(channel, np.concatenate([_signal(record, signal) for record in dataset]))
     y = np.concatenate([series.values[:, column] for series in located.forces])
     seen = np.isfinite(x) & np.isfinite(y)
     x, y = x[seen], y[seen]
@@ -107,7 +109,7 @@ def plot_force_against(
     share = independent / sum(len(s.times) for s in located.forces)
     centres, means, half = slice_means(x, y, share)
     ax.errorbar(centres, means, yerr=half, fmt="o", ms=5, color=COLOURS[1], capsize=3, lw=1.4)
-    ax.set(xlabel=label(_channel(dataset, signal)), ylabel=f"residual {_name(located, equation)}")
+    ax.set(xlabel=label(channel), ylabel=f"residual {_name(located, equation)}")
     return clean(ax)
 
 

@@ -11,7 +11,7 @@ from oed_sysid.report.comparison_page import comparison_sections, log_verdict
 from oed_sysid.report.diagnosis_page import evidence_section, located_section
 from oed_sysid.report.improvement_plots import plot_error_fall
 from oed_sysid.report.page import Page, Picture, Section, Table
-from oed_sysid.report.style import new_figure
+from oed_sysid.report.style import TWO_SIDED_95, new_figure
 
 
 def improvement_page(
@@ -156,7 +156,7 @@ def _estimates(improvement: Improvement) -> Section:
         prior = improvement.model.parameter(name)
         known = "" if prior.prior_mean is None else f"{prior.prior_mean:.4g}"
         if prior.prior_spread is not None:
-            known += f" ± {prior.prior_spread:.2g}"
+            known += f" ± {TWO_SIDED_95 * prior.prior_spread:.2g}"
         rows.append(
             (
                 name,
@@ -169,8 +169,8 @@ def _estimates(improvement: Improvement) -> Section:
             )
         )
     headers = (
-        "parameter", "value", "std. error", "relative", "without the effects", "prior",
-        "unit",
+        "parameter", "value", "std. error", "relative", "without the effects",
+        "prior ± (95 %)", "unit",
     )  # fmt: skip
     added = {p.name for s in improvement.steps for p in _parameters(improvement, s.added)}
     marked = tuple(i for i, row in enumerate(rows) if row[0] in added)
