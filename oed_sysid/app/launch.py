@@ -60,7 +60,7 @@ def orders(problem: str | None = None, *, port: int = 8501) -> list[str]:
         "theme.light.primaryColor": "#0072B2",
         "theme.light.textColor": "#1b1f24",
         "theme.light.secondaryBackgroundColor": "#f4f6f8",
-        "theme.dark.primaryColor": "#56B4E9",
+        "theme.dark.primaryColor": "#2b87c4",  # white words on it can be read, and it on black
     }
     options = [f"--{name}={value}" for name, value in settings.items()]
     given = [] if problem is None else ["--", problem]

@@ -178,7 +178,7 @@ def replay(record: Record, models: Mapping[str, np.ndarray], frames: int = 60) -
         go.Frame(
             data=[trace for trace, _ in _vehicles(paths, axes, turned, float(moment))],
             traces=moved,
-            name=f"{moment:.4g}",
+            name=f"{moment:.1f}",
             layout={"annotations": _words(paths, float(moment), axes) if turned else []},
         )
         for moment in moments
@@ -258,7 +258,7 @@ def _scene(figure: go.Figure) -> None:
         yaxis={**span, "title": {"text": "north"}},
         zaxis={**span, "title": {"text": "up"}},
         aspectmode="cube",
-        camera={"eye": {"x": 1.1, "y": -1.3, "z": 0.7}},
+        camera={"eye": {"x": 1.35, "y": -1.6, "z": 0.85}},
         dragmode="orbit",
     )
 
@@ -280,18 +280,18 @@ def _controls(figure: go.Figure, *, redraw: bool) -> None:
             "transition": {"duration": 0}}  # fmt: skip
     figure.update_layout(
         sliders=[{
-            "currentvalue": {"prefix": "t = ", "suffix": " s"}, "pad": {"t": 40}, "len": 0.85,
-            "x": 0.15, "steps": [
+            "currentvalue": {"prefix": "t = ", "suffix": " s"}, "pad": {"t": 60}, "len": 0.84,
+            "x": 0.16, "steps": [
                 {"label": frame.name, "method": "animate", "args": [[frame.name], still]}
                 for frame in figure.frames
             ],
         }],
         updatemenus=[{
             "type": "buttons", "direction": "left", "x": 0.0, "y": -0.12, "yanchor": "top",
-            "xanchor": "left", "pad": {"t": 30}, "showactive": False,
+            "xanchor": "left", "pad": {"t": 50}, "showactive": False,
             "buttons": [
-                {"label": "▶", "method": "animate", "args": [None, play]},
-                {"label": "⏸", "method": "animate", "args": [[None], still]},
+                {"label": "Play", "method": "animate", "args": [None, play]},
+                {"label": "Pause", "method": "animate", "args": [[None], still]},
             ],
         }],
     )  # fmt: skip

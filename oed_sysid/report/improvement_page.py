@@ -112,7 +112,7 @@ def _steps(improvement: Improvement) -> Section:
         for step in improvement.steps
     )
     headers = (
-        "added", "evidence", "needed", "on validation records", "error, training",
+        "added", "log-likelihood gain", "needed", "on validation records", "error, training",
         "error, validation", "cannot be told from it",
     )  # fmt: skip
     figure, axes = new_figure(1, 1, size=(7.6, 3.8))
@@ -122,10 +122,10 @@ def _steps(improvement: Improvement) -> Section:
         "Prediction error over whole records, in units of the noise. A right model has one.",
     )
     words = [
-        "Evidence is the gain in twice the log-likelihood after all parameters and noise levels "
-        "were estimated again; chance rarely exceeds the needed gain, however many candidates were "
-        "tried. Errors are those of plain least squares on the training records. Nothing was "
-        "fitted to the validation records but their initial states."
+        "The log-likelihood gain is what twice the log-likelihood gains after all parameters and "
+        "noise levels were estimated again; chance rarely exceeds the needed gain, however many "
+        "candidates were tried. Errors are those of plain least squares on the training records. "
+        "Nothing was fitted to the validation records but their initial states."
     ]
     if improvement.rejected:
         refused = ", ".join(dict.fromkeys(improvement.rejected))
