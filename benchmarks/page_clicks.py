@@ -30,8 +30,10 @@ TARGET = 0.5  # s
 PROBLEM, OTHER = "remus_diving_plane", "catamaran"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 PAGES = ("Check the log", "Fit", "Compare and diagnose", "Improve", "Plan the next trial", "Report")
-# What tells that a click has arrived: the sign of a script that runs, or of a job.
-_AT_WORK = "[data-testid=stStatusWidget], .oed-busy"
+# What tells that a click is being answered: the bar over the page, which begins to show `_BAR`
+# seconds after this state, or the line of a job.
+_RUNNING = ".stApp:is([data-test-script-state=running], [data-test-script-state=rerunRequested])"
+_BAR = 0.15  # s
 _PATIENCE = 300_000.0  # ms
 
 
@@ -75,13 +77,16 @@ def clicked(page: Any, act: Callable[[], None], answer: str) -> tuple[float, flo
     answer : str
         Selector of what the answer shows.
     """
+    idle = f"() => !document.querySelector({_RUNNING!r})"
+    page.wait_for_function(idle)
     began = time.perf_counter()
     act()
-    page.locator(f"{answer}, {_AT_WORK}").first.wait_for()
-    first = time.perf_counter() - began
-    page.locator(answer).first.wait_for()
-    page.wait_for_function("() => !document.querySelector('[data-testid=stStatusWidget]')")
-    return first, time.perf_counter() - began
+    page.locator(f"{answer}, {_RUNNING}").first.wait_for(state="attached")
+    first = time.perf_counter() - began + _BAR
+    page.locator(answer).first.wait_for(state="attached")
+    seen = time.perf_counter() - began
+    page.wait_for_function(idle)
+    return min(first, seen), time.perf_counter() - began
 
 
 def walk(page: Any) -> Iterator[tuple[str, float, float]]:
@@ -95,27 +100,26 @@ def walk(page: Any) -> Iterator[tuple[str, float, float]]:
     fit.wait_for()
     yield ("Fit", *clicked(page, fit.click, ".oed-busy"))
     stop = page.get_by_role("button", name="Stop", exact=True)
-    yield ("Stop", *clicked(page, stop.click, "text=Stopped."))
+    yield ("Stop", *clicked(page, stop.click, ":text('Stopped.')"))
     page.get_by_role("link", name="Plan the next trial", exact=True).click()
     design = page.get_by_text("Design", exact=True).first
     design.wait_for()
-    yield ("view Design", *clicked(page, design.click, "text=Length [s]"))
-    handle = page.get_by_role("slider").first
-    handle.wait_for()
-    before = handle.get_attribute("aria-valuenow")
+    yield ("view Design", *clicked(page, design.click, "label:has-text('Length [s]')"))
+    lower = "[data-testid=stSlider] input[type=range][aria-label^='stern plane'][aria-label$=start]"
+    handle = page.locator(lower)
+    handle.wait_for(state="attached")
+    before = handle.get_attribute("aria-valuetext")
     handle.focus()
-    moved = f"[role=slider]:not([aria-valuenow='{before}'])"
+    moved = f"{lower}:not([aria-valuetext='{before}'])"
     yield ("slider, by keyboard", *clicked(page, lambda: handle.press("ArrowRight"), moved))
     page.get_by_role("link", name="Problem", exact=True).click()
     box = page.get_by_role("combobox", name=re.compile("Problem$")).first
     box.wait_for()
-
-    def choose() -> None:
-        box.click()
-        box.fill(OTHER)
-        page.get_by_role("option", name=OTHER, exact=True).first.click()
-
-    yield ("another problem", *clicked(page, choose, "h2:has-text('Catamaran')"))
+    box.click()
+    box.fill(OTHER)
+    other = page.get_by_role("option", name=OTHER, exact=True).first
+    other.wait_for()
+    yield ("another problem", *clicked(page, other.click, "h2:has-text('Catamaran')"))
     tab = page.get_by_role("tab", name="Parameters", exact=True)
     yield ("tab Parameters", *clicked(page, tab.click, "th:has-text('believed')"))
 

@@ -317,6 +317,20 @@ def test_reload_in_mid_job(page: Any, server: tuple[str, int]) -> None:
     no_error(page)
 
 
+def test_a_click_shows_a_bar_while_it_is_answered(page: Any) -> None:
+    """The browser draws it as soon as the page's script runs, and takes it away afterwards."""
+    page.wait_for_function(
+        "() => document.querySelector('.stApp').dataset.testScriptState === 'notRunning'"
+    )
+    names = page.evaluate(  # in one go: the page may set its state in between
+        "() => ['notRunning', 'running', 'rerunRequested'].map(state => {"
+        " const page = document.querySelector('.stApp');"
+        " page.dataset.testScriptState = state;"
+        " return getComputedStyle(page, '::before').animationName })"
+    )
+    assert names == ["none", "oed-run", "oed-run"]
+
+
 @pytest.mark.parametrize("width", [1280, 1920])
 def test_nothing_is_clipped(page: Any, width: int) -> None:
     """No page is wider than the window, and every tab can be read."""

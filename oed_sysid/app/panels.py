@@ -185,6 +185,13 @@ _STYLE = """
 .oed-chain .l3 { background: rgba(213, 94, 0, .55); }
 .oed-chain .l4 { background: #c45500; color: white; border-color: #c45500; }
 .oed-chain .best { outline: 2px solid #c45500; outline-offset: 2px; }
+/* A bar over the page while a click is being answered, drawn by the browser itself: it comes after
+   0.15 s however busy the server is, and so not for the looks at a running job. */
+.stApp:is([data-test-script-state=running], [data-test-script-state=rerunRequested])::before {
+  content: ""; position: fixed; top: 0; left: 0; width: 30%; height: 3px; z-index: 1000000;
+  background: #2b87c4; opacity: 0; animation: oed-run 1.2s linear .15s infinite; }
+@keyframes oed-run { from { opacity: 1; transform: translateX(-100%); }
+  to { opacity: 1; transform: translateX(340%); } }
 @media (max-width: 60rem) { .oed-chain { flex-wrap: wrap; }
   .oed-chain .stage { flex: 1 0 8rem; } .oed-chain > b { display: none; } }
 .stMainBlockContainer { padding: 3rem 2.5rem 4rem; max-width: 76rem; }
