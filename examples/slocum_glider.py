@@ -43,8 +43,10 @@ for name, fit in fits.items():
 print()
 
 fit = fits["inertia, pitch_scale"]
-scale, doubt = fit.values["E_pitch_scale"], fit.std_errors["E_pitch_scale"]
-print(f"Pitch scale {scale:+.3f} +/- {doubt:.3f}; the authors of the log correct it by -0.14.")
+scale, doubt = fit.values["E_pitch_scale"], 1.96 * fit.std_errors["E_pitch_scale"]
+print(
+    f"Pitch scale {scale:+.3f} +/- {doubt:.3f} (95 %); the authors of the log correct it by -0.14."
+)
 errors = [fits[f"inertia, {rival}"].predict(test).rms["speed"] for rival in RIVALS]
 print(
     f"Conclusion: {found.steps[0].added} is missing first. Of {', '.join(RIVALS)} each leaves "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import shlex
+import socket
 import sys
 import time
 import zipfile
@@ -16,7 +17,7 @@ import pytest
 from oed_sysid import Fit, load_problem, new_problem, read_csv
 from oed_sysid.app import commands, plans, tasks
 from oed_sysid.app.jobs import Desk
-from oed_sysid.app.launch import orders
+from oed_sysid.app.launch import orders, start
 from oed_sysid.app.records import archive, likely_test, read_uploads, simulated
 from oed_sysid.app.shelf import Asked, Left, Shelf, new_id
 from oed_sysid.app.study import Study
@@ -367,6 +368,21 @@ def test_job_stops_at_once_and_for_nobody_else(study: Study, tmp_path: Path) -> 
     desk.find("one", "improve").stop()
 
 
+def test_job_stops_before_it_has_read_what_to_do(study: Study, tmp_path: Path) -> None:
+    """A large request is read seconds after the process began; Stop does not wait for that."""
+    desk = Desk(tmp_path)
+    large = bytes(2**22)  # more than a pipe holds
+    job = desk.ask("one", "improve", Request.of(study, tasks.improve, large))
+    deadline = time.monotonic() + PATIENCE
+    while job._process is None and time.monotonic() < deadline:
+        time.sleep(0.001)
+    began = time.monotonic()
+    job.stop()
+    assert time.monotonic() - began < 2.5
+    assert job._process.poll() is not None
+    assert job.state == "stopped"
+
+
 def test_job_that_fails_says_why(study: Study, tmp_path: Path) -> None:
     """Bad input, a fault of the program and a killed process are told apart, in words."""
     import operator
@@ -493,11 +509,12 @@ def test_reload_in_mid_job_waits_for_the_same_job(ship: Path) -> None:
     app = at_fit(opened(ship))
     assert not text_of(app)
     app.button(key="ask:fit").click().run()
-    (job,) = [j for (who, _), j in desk()._jobs.items()
-              if who == app.session_state["study"] and j.at_work]  # fmt: skip
+    (job,) = [j for (who, key), j in desk()._jobs.items()
+              if who == app.session_state["study"] and key.startswith("fit ")]  # fmt: skip
     again = at_fit(reopened(app, ship))
     assert "The estimation converged." in text_of(again)
     assert job.state == "done"
+    assert job in desk()._jobs.values()
 
 
 def test_two_tabs_are_two_studies(ship: Path) -> None:
@@ -510,6 +527,16 @@ def test_two_tabs_are_two_studies(ship: Path) -> None:
         again = fine(reopened(app, ship))
         learn = next(w for w in again.multiselect if w.label == "Learn from")
         assert learn.value == [name]
+
+
+def test_a_port_that_is_taken_is_said_before_an_address() -> None:
+    """Nobody is sent to an address where another program answers."""
+    with socket.socket() as other:
+        other.bind(("localhost", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(OedSysidError, match=f"Port {port} is taken"):
+            start(port=port, browser=False)
 
 
 def test_server_answers_this_computer_only_and_reports_to_nobody() -> None:

@@ -17,7 +17,7 @@ from oed_sysid import Channels, Dataset, Fit, Input, Output, Record, load_proble
 pytest.importorskip("streamlit", reason="needs the extra 'app'")
 pytest.importorskip("plotly", reason="needs the extra 'app'")
 
-from oed_sysid.app import charts, mapping, plans, script, takeaway, tasks
+from oed_sysid.app import charts, mapping, plans, replay, script, takeaway, tasks
 from oed_sysid.app.records import archive, at_hand, measured_sets
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
@@ -123,20 +123,42 @@ def test_axes_are_in_degrees_and_share_their_time() -> None:
 
 
 def test_replay_moves_every_vehicle() -> None:
-    """Each frame of a track places measured and modelled vehicles where they are then."""
+    """Each frame places measured and modelled vehicles where they are then, and turns them."""
     channels = Channels(
         (Input("rudder", "rad"),), (Output("x", "m"), Output("y", "m"), Output("psi", "rad"))
     )
     t = np.arange(11.0)
     rows = np.column_stack([t, 2 * t, np.full(11, np.pi / 2)])
     record = Record("a", t, np.zeros((11, 1)), rows, channels)
-    figure = charts.track(record, {"nominal": np.add(rows, (0.0, 1.0, 0.0))}, frames=3)
+    figure = replay.replay(record, {"nominal": np.add(rows, (0.0, 1.0, -0.1))}, frames=3)
     middle = figure.frames[1]
-    assert [float(part.x[0]) for part in middle.data] == [10.0, 11.0]
-    assert [float(part.y[0]) for part in middle.data] == [5.0, 5.0]
-    assert float(middle.data[0].marker.angle) == pytest.approx(90.0)
-    assert charts.track_axes(Record("b", t, np.zeros((11, 1)), rows[:, 2:], Channels(
-        channels.inputs, channels.outputs[2:]))) is None  # fmt: skip
+    marks = [part for part in middle.data if part.type == "scatter"]
+    hulls = [part for part in middle.data if part.type == "scatter3d"]
+    assert [float(part.x[0]) for part in marks] == [10.0, 11.0]
+    assert [float(part.y[0]) for part in marks] == [5.0, 5.0]
+    assert float(marks[0].marker.angle) == pytest.approx(90.0)
+    # The bow of a vehicle that heads east points east, that of the other 0.1 rad further north.
+    bows = np.array([(part.x[0], part.y[0], part.z[0]) for part in hulls])
+    ahead = 0.5 * np.array([(1.0, 0.0, 0.0), (np.cos(0.1), np.sin(0.1), 0.0)])
+    np.testing.assert_allclose(bows, ahead, atol=1e-12)
+    assert "heading 84.3°" in middle.layout.annotations[0].text
+    alone = Record("b", t, np.zeros((11, 1)), rows[:, 2:], Channels(
+        channels.inputs, channels.outputs[2:]))  # fmt: skip
+    assert replay.track_axes(alone) is None
+    assert {part.type for part in replay.replay(alone, {}, frames=3).data} == {"scatter3d"}
+
+
+def test_rotation_turns_body_axes_into_north_east_down() -> None:
+    """Orthonormal, right-handed; one angle alone turns about its own axis in the sense of SNAME."""
+    turned = replay.rotation(0.3, -0.7, 2.1)
+    np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(turned) == pytest.approx(1.0)
+    starboard_down = replay.rotation(np.pi / 2, 0.0, 0.0) @ (0.0, 1.0, 0.0)
+    bow_up = replay.rotation(0.0, np.pi / 2, 0.0) @ (1.0, 0.0, 0.0)
+    bow_east = replay.rotation(0.0, 0.0, np.pi / 2) @ (1.0, 0.0, 0.0)
+    np.testing.assert_allclose(starboard_down, (0.0, 0.0, 1.0), atol=1e-12)
+    np.testing.assert_allclose(bow_up, (0.0, 0.0, -1.0), atol=1e-12)
+    np.testing.assert_allclose(bow_east, (0.0, 1.0, 0.0), atol=1e-12)
 
 
 def test_chain_is_coloured_by_evidence() -> None:

@@ -199,7 +199,10 @@ def test_phase_plane_shows_one_signal_over_another(fit: Fit, data: Dataset) -> N
 def test_shadow_of_an_ellipse_is_the_interval(fit: Fit) -> None:
     """On each axis an ellipse is as wide as the 95 % interval of that parameter."""
     centre = (fit.values["K"], fit.values["T"])
-    ax = report.plot_ellipses([fit.information], ("K", "T"), centres=[centre], labels=["fit"])
+    ax = report.plot_ellipses(
+        [fit.information], ("K", "T"), centres=[centre], labels=["fit"], units=("1/s", "s")
+    )
+    assert ax.get_ylabel().endswith("[s]")
     (edge,) = [one for one in ax.get_lines() if one.get_label() == "fit"]
     errors = np.sqrt(np.diag(fit.information.covariance))
     for values, name, middle in (
@@ -237,7 +240,7 @@ def test_findings_are_written_into_files(fit: Fit, tmp_path) -> None:
     half = {n: 1.96 * fit.std_errors[n] / abs(v) for n, v in fit.values.items()}
     worst = max(half, key=half.get)
     said = Image.open(tmp_path / "fit.png").text["Description"]
-    assert f"least certain is {worst}, ± {half[worst]:.2g} (95 %)" in said
+    assert f"least certain is {worst}, ± {100 * half[worst]:.2g} % (95 %)" in said
 
 
 def test_same_place_same_look(fit: Fit, better: Fit, data: Dataset) -> None:

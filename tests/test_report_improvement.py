@@ -94,6 +94,9 @@ def test_force_against_yaw_rate_shows_the_missing_damping(story) -> None:
     outer, inner = np.abs(x) > 0.7 * np.abs(x).max(), np.abs(x) < 0.6 * np.abs(x).max()
     assert np.mean((np.sign(x) * y)[outer]) < np.mean((np.sign(x) * y)[inner])
     assert ax.get_xlabel() == "yaw rate $r$ [deg/s]"
+    logged = np.degrees(np.concatenate([record.output("r") for record in train]))
+    assert x.min() >= np.nanmin(logged)
+    assert x.max() > 0.5 * np.nanmax(logged)
 
 
 def test_force_figure_draws_every_record_and_varying_signal(story) -> None:

@@ -130,8 +130,10 @@ def test_report_and_plain_data(fit) -> None:
     """Words have metres and lengths; the dictionary survives JSON."""
     circle = turning_circle(fit, speed=2.0, rudder=0.3, length=10.0, n_draws=20)
     text = circle.report()
-    for words in ("17.2 deg", "starboard [L]", "+-"):
+    for words in ("17.2 deg", "starboard [L]"):
         assert words in text
+    half = 1.96 * circle.std("advance", "starboard")
+    assert f"{circle.value('advance', 'starboard'):.3g} +/- {half:.2g}" in text
     data = json.loads(json.dumps(circle.to_dict()))
     assert set(data["sides"]["port"]) == set(QUANTITIES)
     assert "[L]" not in turning_circle(NOMOTO, speed=2.0).report()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import streamlit as st
 
 from oed_sysid.app import visit
-from oed_sysid.app.commands import shown
+from oed_sysid.app.commands import factor, shown
 from oed_sysid.channels import Input, Output
 from oed_sysid.errors import DataError
 from oed_sysid.logs import LogMapping, Source
@@ -58,8 +58,15 @@ def asked(source: str, problem: Problem) -> LogMapping:
         cuts = (Cut("manoeuvre", first, last),)
     elif how == BY_COMMANDS:
         values = [float(visit.chosen("map", source, one, default=1.0)) for one in AROUND]
-        by_commands = CommandCuts(values[0], before=values[1], after=values[2])
+        threshold = values[0] / factor(departure_unit(problem))
+        by_commands = CommandCuts(threshold, before=values[1], after=values[2])
     return LogMapping(inputs, outputs, cuts=cuts, by_commands=by_commands)
+
+
+def departure_unit(problem: Problem) -> str:
+    """Unit of all commands; empty where they have several, so that SI is meant."""
+    units = {channel.unit for channel in problem.model.inputs}
+    return units.pop() if len(units) == 1 else ""
 
 
 def place(source: str, channel: str, fact: str) -> str:

@@ -23,13 +23,10 @@ from oed_sysid.report.style import TWO_SIDED_95, model_style
 
 MEASURED = "#8a929a"
 COMMANDED = "#6b737b"
-_DASHES = {"--": "dash", "-": "solid", "-.": "dashdot", ":": "dot"}
+DASHES = {"--": "dash", "-": "solid", "-.": "dashdot", ":": "dot"}
 # Samples of one line that a browser draws without stutter.
 _MOST = 4000
 _ROW, _EDGES = 150, 90  # px
-# A track: outputs on the upward and on the rightward axis, the first pair that is measured.
-TRACKS = (("x", "y"), ("north", "east"), ("x0", "y0"), ("z", "x"))
-HEADINGS = ("psi", "heading")
 
 
 def name_of(channel: Input | Output | State) -> str:
@@ -101,7 +98,7 @@ def signals(
                 yanchor="bottom", showarrow=False, font={"size": 12}, row=row, col=1,
             )  # fmt: skip
     figure.update_xaxes(title_text="time t [s]", row=rows, col=1)
-    return _laid_out(figure, max(_ROW * rows, 240) + _EDGES)
+    return laid_out(figure, max(_ROW * rows, 240) + _EDGES)
 
 
 def comparison(found: Comparison, index: int) -> go.Figure:
@@ -136,7 +133,7 @@ def _model(
     figure.add_scatter(
         x=times, y=mean, mode="lines", name=name, legendgroup=name, showlegend=row == 1,
         line={"color": look.colour, "width": 1.8,
-              "dash": _DASHES.get(str(look.dashes), "longdash")},
+              "dash": DASHES.get(str(look.dashes), "longdash")},
         row=row, col=1,
     )  # fmt: skip
 
@@ -181,103 +178,7 @@ def against(
     figure.add_hline(y=0.0, line_width=1, line_color=MEASURED)
     figure.update_xaxes(title_text=words)
     figure.update_yaxes(title_text=f"residual {equation} [{units.get(f'force {equation}') or '-'}]")
-    return _laid_out(figure, 380)
-
-
-def track_axes(record: Record) -> tuple[str, str] | None:
-    """Outputs that make a track: up and right; None where positions are not measured."""
-    names = record.channels.output_names
-    for up, right in TRACKS:
-        if up in names and right in names:
-            seen = np.isfinite(record.output(up)) & np.isfinite(record.output(right))
-            if seen.sum() > 1:
-                return up, right
-    return None
-
-
-def track(record: Record, models: Mapping[str, np.ndarray], frames: int = 60) -> go.Figure:
-    """Draw the path as measured and as models follow it, to be replayed with a slider.
-
-    Parameters
-    ----------
-    record : Record
-        With positions.
-    models : mapping of str to ndarray
-        Outputs ``(n_times, n_outputs)`` by name.
-    frames : int
-        Moments of the replay.
-    """
-    axes = track_axes(record)
-    assert axes is not None
-    names = record.channels.output_names
-    up, right = (names.index(name) for name in axes)
-    heading = next((names.index(name) for name in HEADINGS if name in names), None)
-    paths = {"measured": record.outputs, **models}
-    figure, looks = go.Figure(), []
-    for number, (name, rows) in enumerate(paths.items()):
-        look = model_style(number - 1)
-        colour = MEASURED if name == "measured" else look.colour
-        dash = "solid" if name == "measured" else _DASHES.get(str(look.dashes), "longdash")
-        seen = np.isfinite(rows[:, up]) & np.isfinite(rows[:, right])
-        looks.append((rows, seen, colour))
-        figure.add_scatter(
-            x=rows[seen, right], y=rows[seen, up], mode="lines", name=name,
-            line={"color": colour, "dash": dash, "width": 1.6},
-        )  # fmt: skip
-    moments = np.linspace(record.times[0], record.times[-1], frames)
-
-    def vehicles(moment: float) -> list[go.Scatter]:
-        found = []
-        for rows, seen, colour in looks:
-            times = record.times[seen]
-            x, y = (np.interp(moment, times, rows[seen, column]) for column in (right, up))
-            angle = 0.0
-            if heading is not None and axes[0] != "z":
-                turned = np.isfinite(rows[:, heading])
-                if turned.any():
-                    course = np.unwrap(rows[turned, heading])
-                    angle = float(np.degrees(np.interp(moment, record.times[turned], course)))
-            found.append(
-                go.Scatter(
-                    x=[x], y=[y], mode="markers", showlegend=False, hoverinfo="skip",
-                    marker={"size": 16, "symbol": "arrow" if heading is not None else "circle",
-                            "angle": angle, "color": colour},
-                )
-            )  # fmt: skip
-        return found
-
-    figure.add_traces(vehicles(float(moments[0])))
-    moved = list(range(len(looks), 2 * len(looks)))
-    figure.frames = [
-        go.Frame(data=vehicles(float(moment)), traces=moved, name=f"{moment:.4g}")
-        for moment in moments
-    ]
-    still = {"mode": "immediate", "frame": {"duration": 0, "redraw": False}}
-    figure.update_layout(
-        sliders=[{
-            "currentvalue": {"prefix": "t = ", "suffix": " s"}, "pad": {"t": 40}, "len": 0.85,
-            "x": 0.15, "steps": [
-                {"label": f.name, "method": "animate", "args": [[f.name], still]}
-                for f in figure.frames
-            ],
-        }],
-        updatemenus=[{
-            "type": "buttons", "direction": "left", "x": 0.0, "y": -0.12, "yanchor": "top",
-            "xanchor": "left", "pad": {"t": 30}, "showactive": False,
-            "buttons": [
-                {"label": "▶", "method": "animate",
-                 "args": [None, {"frame": {"duration": 80, "redraw": False},
-                                 "fromcurrent": True, "transition": {"duration": 0}}]},
-                {"label": "⏸", "method": "animate", "args": [[None], still]},
-            ],
-        }],
-    )  # fmt: skip
-    by_name = {channel.name: channel for channel in record.channels.outputs}
-    figure.update_xaxes(title_text=name_of(by_name[axes[1]]))
-    figure.update_yaxes(title_text=name_of(by_name[axes[0]]), scaleanchor="x", scaleratio=1)
-    if axes[0] == "z":
-        figure.update_yaxes(autorange="reversed")
-    return _laid_out(figure, 560)
+    return laid_out(figure, 380)
 
 
 def chain(located: Located) -> str:
@@ -335,10 +236,13 @@ def _faint(colour: str) -> str:
     return f"rgba({red},{green},{blue},0.18)"
 
 
-def _laid_out(figure: go.Figure, height: int) -> go.Figure:
+def laid_out(figure: go.Figure, height: int) -> go.Figure:
+    """Give a picture its height (px), its margins and its legend above."""
     figure.update_layout(
         height=height, margin={"l": 70, "r": 20, "t": 50, "b": 50}, hovermode="closest",
-        legend={"orientation": "h", "y": 1.0, "yref": "container", "yanchor": "top", "x": 0.0},
+        legend={"orientation": "h", "y": 1.0, "yref": "container", "yanchor": "top", "x": 0.0,
+                "itemsizing": "constant"},
     )  # fmt: skip
     figure.update_xaxes(showspikes=True, spikemode="across", spikethickness=1)
+    figure.update_yaxes(exponentformat="power")  # 10⁻⁷ N, not 100n
     return figure

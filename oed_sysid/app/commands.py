@@ -46,7 +46,7 @@ def improve(study: Study, max_effects: int) -> str:
     most = f" --max-effects {max_effects}"
     return (
         f"{_line('improve', study)} {_records(study)}{most}{_noise(study)} --html improve.html "
-        "--json improve.json"
+        "--json improve.json --save improved.json"
     )
 
 

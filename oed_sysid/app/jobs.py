@@ -81,9 +81,14 @@ class Job:
         if self._process is not None:
             _terminate(self._process)
 
+    def take(self, process: subprocess.Popen[bytes]) -> None:
+        """Be done by a process, which ends at once if the job was stopped before it began."""
+        self._process = process
+        if self.state == "stopped":
+            _terminate(process)
+
     def follow(self, process: subprocess.Popen[bytes], settle: Callable[[Job], None]) -> None:
         """Listen to what a process tells until it ends; ``settle`` fetches its result."""
-        self._process = process
         assert process.stdout is not None
         said: Any = None
         with suppress(EOFError, OSError, pickle.UnpicklingError):
@@ -183,11 +188,12 @@ class Desk:
                 start_new_session=os.name == "posix",  # its own group: stopped as one
             )
             assert process.stdin is not None
+            # Before the request is written: that waits until a large one is read, seconds later.
+            job.take(process)
             # The pipe stays open: its end tells the process that the page is gone.
-            pickle.dump((str(self._store.folder), _name(key), request), process.stdin)
-            process.stdin.flush()
-            if job.state == "stopped":
-                _terminate(process)
+            with suppress(BrokenPipeError):  # it was stopped, or ended: `follow` says so
+                pickle.dump((str(self._store.folder), _name(key), request), process.stdin)
+                process.stdin.flush()
             job.follow(process, partial(self._settle, key))
         except OedSysidError as error:
             job.failure = str(error)

@@ -60,7 +60,7 @@ def orders(problem: str | None = None, *, port: int = 8501) -> list[str]:
         "theme.light.primaryColor": "#0072B2",
         "theme.light.textColor": "#1b1f24",
         "theme.light.secondaryBackgroundColor": "#f4f6f8",
-        "theme.dark.primaryColor": "#56B4E9",
+        "theme.dark.primaryColor": "#2b87c4",  # white words on it can be read, and it on black
     }
     options = [f"--{name}={value}" for name, value in settings.items()]
     given = [] if problem is None else ["--", problem]
@@ -78,8 +78,22 @@ def start(problem: str | None = None, *, port: int = 8501, browser: bool = True)
         As for :func:`orders`.
     browser : bool
         Whether to open a browser.
+
+    Raises
+    ------
+    OedSysidError
+        As :func:`orders`, or if another program holds the port.
     """
     given = orders(problem, port=port)
+    with socket.socket() as free:
+        free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            free.bind(("localhost", port))
+        except OSError:
+            raise OedSysidError(
+                f"Port {port} is taken by another program, perhaps by this application in another "
+                f"terminal. Take another one: oed-sysid app --port {port + 1}"
+            ) from None
 
     from streamlit.web.cli import main
 

@@ -20,6 +20,7 @@ from oed_sysid.language.units import parse_header
 from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
 from oed_sysid.problem.starter import TEMPLATES
 from oed_sysid.report import Section, Table
+from oed_sysid.report.style import TWO_SIDED_95
 
 
 def show() -> None:
@@ -36,9 +37,13 @@ def show() -> None:
         "`oed-sysid new my_vehicle` makes one. You are asked before its problem.py is run.",
     )
     first, second, _ = st.columns([1, 1, 2])
-    with first.popover("New vehicle", icon=":material/add:", width="stretch"):
+    with first.popover(
+        "New vehicle", icon=":material/add:", width="stretch", key=_NEW, on_change="rerun"
+    ):
         _new_vehicle()
-    with second.popover("Measured data", icon=":material/database:", width="stretch"):
+    with second.popover(
+        "Measured data", icon=":material/database:", width="stretch", key=_OPEN, on_change="rerun"
+    ):
         _measured()
     source = str(choices.chosen("source") or "").strip()
     try:
@@ -83,11 +88,19 @@ def _measured() -> None:
     for name in names:
         st.button(
             name.replace("_", " "), key=f"measured:{name}", width="stretch",
-            on_click=choices.open_measured, args=(name,),
+            on_click=_open_measured, args=(name,),
         )  # fmt: skip
 
 
+def _open_measured(name: str) -> None:
+    """Choose a measured set, and close the list of them."""
+    choices.open_measured(name)
+    st.session_state[_OPEN] = False
+
+
 _FROM_LOG = "from a CSV file"
+# Keys of what pops up; true while it is open.
+_NEW, _OPEN = "new vehicle", "measured data"
 
 
 def _new_vehicle() -> None:
@@ -133,6 +146,7 @@ def _make() -> None:
         return
     choices.agree(str(made))  # it was written by this package, a moment ago
     state[choices.kept("source")] = str(made)
+    state[_NEW] = False
 
 
 def _ask_consent(source: str) -> None:
@@ -173,6 +187,8 @@ def _records(problem: Problem, source: str, variant: str) -> None:
     stock = choices.stock(source, variant, origin)
     for name, refusal in stock.refused.items():
         message(f"**{name}** was refused. {refusal}")
+    if stock.refused and origin == choices.UPLOADED:
+        st.caption(f"*{choices.MAPPED}* takes files with other names of columns, units and signs.")
     for note in stock.notes:
         st.warning(note)
     if stock.records is None:
@@ -196,8 +212,8 @@ def _upload(problem: Problem, source: str) -> None:
     """Take CSV files, and keep them when the page is left."""
     channels = problem.channels
     wanted: Sequence[Input | Output] = (*channels.inputs, *channels.outputs)
-    columns = ", ".join(f"{one.column or one.name} [{one.unit or '-'}]" for one in wanted)
-    words = f"Columns: t [s], {columns}. Other units are converted."
+    columns = ", ".join(f"{one.column or one.name} [{commands.shown(one.unit)}]" for one in wanted)
+    words = f"Columns: t [s], {columns}. Other units in the header are converted."
     choices.take_files(words, source, ("csv",))
 
 
@@ -207,13 +223,13 @@ def _parameters(problem: Problem) -> Table:
             one.name,
             one.description,
             f"{one.value:.5g}",
-            "" if one.prior_std is None else f"± {one.prior_std:.2g}",
+            "" if one.prior_std is None else f"± {TWO_SIDED_95 * one.prior_std:.2g}",
             "fixed" if one.fixed else "per record" if one.per_record else "estimated",
             one.unit,
         )
         for one in problem.model.all_parameters
     )
-    headers = ("parameter", "meaning", "believed", "", "", "unit")
+    headers = ("parameter", "meaning", "believed", "± (95 %)", "role", "unit")
     return Table(headers, rows, words=(1,))
 
 

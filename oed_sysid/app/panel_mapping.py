@@ -17,6 +17,7 @@ from oed_sysid.app.answers import (
     WHOLE,
     answer,
     asked,
+    departure_unit,
     place,
     time_column,
 )
@@ -59,7 +60,7 @@ def show(problem: Problem, source: str) -> None:
         heads = ("field", "samples", "rate", "from – to", "unit", "range")
         st.dataframe([dict(zip(heads, row, strict=True)) for row in log.rows()], hide_index=True)
     _ask_channels(source, problem, log)
-    _ask_cuts(source, log)
+    _ask_cuts(source, problem, log)
     try:
         text = asked(source, problem).text()
     except OedSysidError:
@@ -148,7 +149,7 @@ def _unit_of(source: str, channel: str) -> None:
         st.session_state[place(source, channel, "unit")] = mapping.unit_of(log, str(field))
 
 
-def _ask_cuts(source: str, log: Log) -> None:
+def _ask_cuts(source: str, problem: Problem, log: Log) -> None:
     """Ask where manoeuvres begin and end."""
     first, last = log.span
     keys = partial(choices.kept, "map", source)
@@ -160,8 +161,9 @@ def _ask_cuts(source: str, log: Log) -> None:
                 f"{name} [s]", key=choices.preset(keys(name), round(value, 3)), format="%.4g"
             )
     elif how == BY_COMMANDS:
-        words = ("Departure (SI)", "Before [s]", "After [s]")
-        values = (0.05, 5.0, 10.0)
+        unit = departure_unit(problem)
+        words = (f"Departure [{shown(unit) if unit else 'SI'}]", "Before [s]", "After [s]")
+        values = (3.0 if unit == "rad" else 0.05, 5.0, 10.0)
         for column, name, label, value in zip(columns[1:], AROUND, words, values, strict=True):
             column.number_input(label, 0.0, key=choices.preset(keys(name), value), format="%.4g")
 

@@ -168,21 +168,32 @@ _STYLE = """
   border: 2px solid #d7dce1; border-top-color: #0072b2; border-radius: 50%;
   animation: oed-turn 1s linear infinite; vertical-align: -.05em; }
 @keyframes oed-turn { to { transform: rotate(360deg); } }
-.oed-chain { display: flex; flex-wrap: wrap; align-items: stretch; gap: .5rem; margin: .4rem 0; }
+.oed-chain { display: flex; align-items: stretch; gap: .4rem; margin: .4rem 0; }
 .oed-chain > b { align-self: center; opacity: .6; }
 .oed-chain .stage { border: 1px solid rgba(128, 136, 144, .45); border-radius: 8px;
-  padding: .5rem .7rem .6rem; display: flex; flex-wrap: wrap; gap: .35rem; max-width: 17rem;
-  align-content: flex-start; }
-.oed-chain h4 { flex-basis: 100%; margin: 0 0 .1rem; padding: 0; font-size: .82rem;
+  padding: .5rem .5rem .6rem; display: flex; flex-direction: column; gap: .35rem;
+  flex: 1 1 0; min-width: 0; }
+.oed-chain h4 { margin: 0 0 .1rem; padding: 0; font-size: .82rem;
   font-weight: 500; opacity: .75; }
 .oed-chain .place { border: 1px solid rgba(128, 136, 144, .45); border-radius: 5px;
-  padding: .1rem .5rem; font-size: .9rem; white-space: nowrap; }
-.oed-chain small { margin-left: .45em; opacity: .75; font-variant-numeric: tabular-nums; }
+  padding: .1rem .4rem; font-size: .9rem; display: flex; flex-wrap: wrap;
+  justify-content: space-between; align-items: baseline; column-gap: .4em;
+  overflow-wrap: anywhere; }
+.oed-chain small { opacity: .75; font-variant-numeric: tabular-nums; }
 .oed-chain .l1 { background: rgba(230, 159, 0, .18); }
 .oed-chain .l2 { background: rgba(230, 159, 0, .42); }
 .oed-chain .l3 { background: rgba(213, 94, 0, .55); }
 .oed-chain .l4 { background: #c45500; color: white; border-color: #c45500; }
 .oed-chain .best { outline: 2px solid #c45500; outline-offset: 2px; }
+/* A bar over the page while a click is being answered, drawn by the browser itself: it comes after
+   0.15 s however busy the server is, and so not for the looks at a running job. */
+.stApp:is([data-test-script-state=running], [data-test-script-state=rerunRequested])::before {
+  content: ""; position: fixed; top: 0; left: 0; width: 30%; height: 3px; z-index: 1000000;
+  background: #2b87c4; opacity: 0; animation: oed-run 1.2s linear .15s infinite; }
+@keyframes oed-run { from { opacity: 1; transform: translateX(-100%); }
+  to { opacity: 1; transform: translateX(340%); } }
+@media (max-width: 60rem) { .oed-chain { flex-wrap: wrap; }
+  .oed-chain .stage { flex: 1 0 8rem; } .oed-chain > b { display: none; } }
 .stMainBlockContainer { padding: 3rem 2.5rem 4rem; max-width: 76rem; }
 .stTabs [role=tab] p { font-size: .875rem; }
 .stTabs [role=tablist] { flex-wrap: wrap; overflow: visible; height: auto; row-gap: .4rem; }

@@ -8,12 +8,12 @@ from functools import partial
 import numpy as np
 import streamlit as st
 
-from oed_sysid.app import charts, choices
+from oed_sysid.app import charts, choices, replay
 from oed_sysid.app.commands import factor
 from oed_sysid.channels import Input, Output, State
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.compare import Comparison
-from oed_sysid.diagnosis.locate import Located
+from oed_sysid.diagnosis.locate import CLEAR, Located
 from oed_sysid.fitting.fit import Fit
 
 Tabs = dict[str, Callable[[], None]]
@@ -39,7 +39,7 @@ def of_fit(fit: Fit, key: str) -> Tabs:
 
 
 def of_comparison(found: Comparison, key: str) -> Tabs:
-    """Signals of predictions, and the track where positions are measured."""
+    """Signals of predictions; track and attitude where they are measured."""
 
     def draw() -> None:
         index = _record(found.dataset, key)
@@ -50,8 +50,8 @@ def of_comparison(found: Comparison, key: str) -> Tabs:
         )
 
     tabs: Tabs = {"Signals": draw}
-    if any(charts.track_axes(record) for record in found.dataset):
-        tabs["Track"] = partial(_track, found, key)
+    if any(replay.can_replay(record) for record in found.dataset):
+        tabs["Replay"] = partial(_replay, found, key)
     return tabs
 
 
@@ -61,9 +61,9 @@ def of_located(located: Located, dataset: Dataset, fit: Fit | None, key: str) ->
     def draw() -> None:
         st.html(charts.chain(located))
         st.caption(
-            "The number is how much likelier the records become (twice the log-likelihood) if "
-            "something unknown acts at that place; the stronger the colour, the likelier. "
-            f"{located.verdict}"
+            "The number is the log-likelihood gain if something unknown acts at that place: the "
+            "larger it is and the stronger the colour, the likelier the place. Chance stays below "
+            f"{CLEAR:.0f}. {located.verdict}"
         )
 
     tabs: Tabs = {"Signal chain": draw}
@@ -80,19 +80,31 @@ def _record(dataset: Dataset, key: str) -> int:
     return dataset.names.index(name) if name in dataset.names else 0
 
 
-def _track(found: Comparison, key: str) -> None:
-    names = [record.name for record in found.dataset if charts.track_axes(record)]
+def _replay(found: Comparison, key: str) -> None:
+    names = [record.name for record in found.dataset if replay.can_replay(record)]
     name = names[0]
     if len(names) > 1:
-        name = st.selectbox("Record", names, key=f"track record:{key}") or names[0]
+        name = st.selectbox("Record", names, key=f"replay record:{key}") or names[0]
     index = found.dataset.names.index(name)
+    record = found.dataset[index]
     models = {part.label: part.prediction.outputs[index] for part in found.models}
-    chart(charts.track(found.dataset[index], models), f"track:{key}")
+    chart(replay.replay(record, models), f"replay:{key}")
+    measured = replay.angles_of(record)
+    absent = [words for angle, (_, words) in replay.ANGLES.items() if angle not in measured]
+    said = "Drag the hull to look at it from another side. " if measured else ""
+    if measured and absent:
+        said += f"Not measured, and drawn as zero: {', '.join(absent)}."
+    if said:
+        st.caption(said)
 
 
 def _force(located: Located, dataset: Dataset, fit: Fit | None, key: str) -> None:
     left, right = st.columns(2)
-    equation = left.selectbox("Residual force of", located.force_names, key=f"equation:{key}")
+    worst = (located.best or "").removeprefix("force ")
+    first = located.force_names.index(worst) if worst in located.force_names else 0
+    equation = left.selectbox(
+        "Residual force of", located.force_names, index=first, key=f"equation:{key}"
+    )
     axes = _axes(dataset, fit)
     against = right.selectbox("Against", list(axes), key=f"against:{key}")
     if equation not in located.force_names or against not in axes:

@@ -17,7 +17,7 @@ from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.diagnosis.remainder import Remains
 from oed_sysid.display import as_html
 from oed_sysid.effects import Effect
-from oed_sysid.fitting.fit import Fit, align
+from oed_sysid.fitting.fit import TWO_SIDED_95, Fit, align
 from oed_sysid.fitting.noise_levels import signal_spread
 from oed_sysid.model import Model
 
@@ -541,7 +541,8 @@ def _size(row: Mapping[str, Any]) -> str:
     unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
     if not np.isfinite(row["std_error"]):
         return f"{row['name']} about {row['value']:.3g}{unit}"
-    return f"{row['name']} = {row['value']:.3g} +/- {row['std_error']:.2g}{unit}"
+    half = TWO_SIDED_95 * row["std_error"]
+    return f"{row['name']} = {row['value']:.3g} +/- {half:.2g}{unit} (95 %)"
 
 
 def _listed(title: str, lines: Sequence[str]) -> list[str]:

@@ -148,7 +148,7 @@ class Located:
         later = [name for name in self.evidence if name not in self.group]
         if later:
             lag = self.evidence[self.best] - self.evidence[later[0]]
-            text += f" (next: {later[0]}, {lag:.0f} less likely)" if lag > 0 else ""
+            text += f" (next: {later[0]}, log-likelihood gain {lag:.0f} lower)" if lag > 0 else ""
         return text + "."
 
     def report(self) -> str:

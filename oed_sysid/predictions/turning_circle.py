@@ -16,7 +16,7 @@ from scipy.special import ndtri
 
 from oed_sysid.channels import Output, State
 from oed_sysid.errors import DataError, ModelError, SimulationError
-from oed_sysid.fitting.fit import Fit, align
+from oed_sysid.fitting.fit import TWO_SIDED_95, Fit, align
 from oed_sysid.manoeuvres import TurningCircle
 from oed_sysid.manoeuvres.indices import TurningIndices, turning_indices
 from oed_sysid.model import Model
@@ -101,7 +101,7 @@ class TurningPrediction:
         """Return the prediction as a table, in metres and in ship lengths."""
         lines = [
             f"turning circle, rudder {math.degrees(self.rudder):.3g} deg, {self.speed:.4g} m/s",
-            f"  predicted by {self.model}",
+            f"  predicted by {self.model}; +/- is half of a 95 % interval",
         ]
         if self.neutral:
             neutral = math.degrees(self.neutral)
@@ -130,7 +130,9 @@ class TurningPrediction:
         value, std = self.value(quantity, side) * factor, self.std(quantity, side) * factor
         if not math.isfinite(value):
             return "not steady"
-        return f"{value:.3g}" if not math.isfinite(std) else f"{value:.3g} +- {std:.2g}"
+        if not math.isfinite(std):
+            return f"{value:.3g}"
+        return f"{value:.3g} +/- {TWO_SIDED_95 * std:.2g}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the prediction as plain data for JSON."""

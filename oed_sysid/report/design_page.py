@@ -27,8 +27,8 @@ def design_page(design: Design, *, title: str = "") -> Page:
         ),
         numbers=(
             ("length", f"{design.experiment.duration:g} s"),
-            (f"best: {design.names[best]}", f"{100 * errors[best]:.2g} %"),
-            (f"worst: {design.names[worst]}", f"{100 * errors[worst]:.2g} %"),
+            (f"std. error, best: {design.names[best]}", f"{100 * errors[best]:.2g} %"),
+            (f"std. error, worst: {design.names[worst]}", f"{100 * errors[worst]:.2g} %"),
         ),
         sections=(
             Section("What to run, and what it will tell", pictures=(motion,)),

@@ -16,7 +16,7 @@ from oed_sysid.report.fit_plots import (
     plot_intervals,
 )
 from oed_sysid.report.page import Page, Picture, Section, Table
-from oed_sysid.report.style import new_figure
+from oed_sysid.report.style import TWO_SIDED_95, new_figure
 
 # A misfit within this share of the noise level counts as explained by it.
 _EXPLAINED = 1.05
@@ -124,12 +124,12 @@ def _estimates(fit: Fit) -> Section:
         low, high = fit.interval(name)
         prior = "" if parameter.prior_mean is None else f"{parameter.prior_mean:.4g}"
         if parameter.prior_spread is not None:
-            prior += f" ± {parameter.prior_spread:.2g}"
+            prior += f" ± {TWO_SIDED_95 * parameter.prior_spread:.2g}"
         share = f"{100 * error / abs(value):.2g} %" if value and np.isfinite(error) else ""
         interval = f"{low:.4g} to {high:.4g}" if np.isfinite(error) else "unbounded"
         rows.append((name, f"{value:.5g}", f"{error:.2g}", share, interval, prior, parameter.unit))
     headers = (
-        "parameter", "value", "std. error", "relative", "95 % interval", "prior", "unit",
+        "parameter", "value", "std. error", "relative", "95 % interval", "prior ± (95 %)", "unit",
     )  # fmt: skip
     figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.34 * len(fit.names)))
     plot_intervals(fit, ax=axes[0, 0])

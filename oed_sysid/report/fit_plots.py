@@ -154,7 +154,8 @@ def plot_autocorrelation(
         title=f"{symbol_of(output)}: {effective:.0f} independent of {total} samples",
         ylim=(-1.05, 1.05),
     )
-    return clean(ax)
+    words = f"Residuals of {output}: {effective:.0f} of {total} samples are independent."
+    return say(clean(ax), words if total else f"{output} was not measured.")
 
 
 def plot_intervals(
@@ -266,9 +267,12 @@ def figure_fit(fit: Fit, record: str | int = 0, *, style: int = 0) -> Figure:
         axes[-2, 1].tick_params(labelbottom=True)
         axes[-2, 1].set_xlabel("time $t$ [s]")
     figure.align_ylabels()
-    axes[0, 0].set_title(f"{data.name}: measured and model")
     axes[0, 1].set_title("measured − model")
-    spread_legend(axes[0, 0], loc="upper right", ncols=3, fontsize=8, markerscale=3)
+    axes[0, 0].set_title(f"{data.name}: measured and model", pad=20)
+    spread_legend(
+        axes[0, 0], loc="lower left", bbox_to_anchor=(0.0, 0.97), ncols=3, fontsize=8,
+        markerscale=3, borderaxespad=0.0,
+    )  # fmt: skip
     return figure
 
 
@@ -299,7 +303,9 @@ def _least_certain(fits: Sequence[Fit]) -> str:
         }
         if half:
             name = max(half, key=lambda one: half[one])
-            said.append(f"{fit.model.name}: least certain is {name}, ± {half[name]:.2g} (95 %).")
+            said.append(
+                f"{fit.model.name}: least certain is {name}, ± {100 * half[name]:.2g} % (95 %)."
+            )
     return " ".join(said)
 
 

@@ -28,6 +28,8 @@ from oed_sysid.report.style import (
     model_style,
     new_axes,
     new_figure,
+    say,
+    shown,
     spread_legend,
     symbol_of,
 )
@@ -70,7 +72,12 @@ def plot_residual_force(
     clean(ax)
     legend = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "borderaxespad": 0.0}
     spread_legend(ax, ncols=3, fontsize=8, **legend)
-    return ax
+    seen = np.isfinite(mean) & (np.abs(mean) > half)
+    return say(
+        ax,
+        f"Record {record + 1}: residual {equation} up to {np.nanmax(np.abs(mean)):.2g} "
+        f"{_unit(located, equation)}, beyond its 95 % band for {np.mean(seen):.0%} of the time.",
+    )
 
 
 def plot_force_against(
@@ -97,7 +104,8 @@ def plot_force_against(
     """
     column = _column(located, equation)
     ax = new_axes(ax, size=(4.4, 3.2))
-    x = np.concatenate([_signal(record, signal) for record in dataset])
+    channel = _channel(dataset, signal)
+    x = shown(channel, np.concatenate([_signal(record, signal) for record in dataset]))
     y = np.concatenate([series.values[:, column] for series in located.forces])
     seen = np.isfinite(x) & np.isfinite(y)
     x, y = x[seen], y[seen]
@@ -107,8 +115,12 @@ def plot_force_against(
     share = independent / sum(len(s.times) for s in located.forces)
     centres, means, half = slice_means(x, y, share)
     ax.errorbar(centres, means, yerr=half, fmt="o", ms=5, color=COLOURS[1], capsize=3, lw=1.4)
-    ax.set(xlabel=label(_channel(dataset, signal)), ylabel=f"residual {_name(located, equation)}")
-    return clean(ax)
+    ax.set(xlabel=label(channel), ylabel=f"residual {_name(located, equation)}")
+    clear = int(np.sum(np.abs(means) > half))
+    return say(
+        clean(ax),
+        f"Residual {equation} over {signal}: {clear} of {len(means)} means differ from zero.",
+    )
 
 
 def figure_force(located: Located, equation: str, dataset: Dataset) -> Figure:
@@ -189,9 +201,13 @@ def _column(located: Located, equation: str) -> int:
     return located.force_names.index(equation)
 
 
-def _name(located: Located, equation: str) -> str:
+def _unit(located: Located, equation: str) -> str:
     units: Mapping[str, str] = {place.name: place.unit for place in located.places}
-    return f"{symbol_of(equation)} [{units.get(f'force {equation}', '') or '-'}]"
+    return units.get(f"force {equation}", "") or "-"
+
+
+def _name(located: Located, equation: str) -> str:
+    return f"{symbol_of(equation)} [{_unit(located, equation)}]"
 
 
 def _signal(record: Record, name: str) -> np.ndarray:

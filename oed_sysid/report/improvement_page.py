@@ -11,7 +11,7 @@ from oed_sysid.report.comparison_page import comparison_sections, log_verdict
 from oed_sysid.report.diagnosis_page import evidence_section, located_section
 from oed_sysid.report.improvement_plots import plot_error_fall
 from oed_sysid.report.page import Page, Picture, Section, Table
-from oed_sysid.report.style import new_figure
+from oed_sysid.report.style import TWO_SIDED_95, new_figure
 
 
 def improvement_page(
@@ -112,7 +112,7 @@ def _steps(improvement: Improvement) -> Section:
         for step in improvement.steps
     )
     headers = (
-        "added", "evidence", "needed", "on validation records", "error, training",
+        "added", "log-likelihood gain", "needed", "on validation records", "error, training",
         "error, validation", "cannot be told from it",
     )  # fmt: skip
     figure, axes = new_figure(1, 1, size=(7.6, 3.8))
@@ -122,10 +122,10 @@ def _steps(improvement: Improvement) -> Section:
         "Prediction error over whole records, in units of the noise. A right model has one.",
     )
     words = [
-        "Evidence is the gain in twice the log-likelihood after all parameters and noise levels "
-        "were estimated again; chance rarely exceeds the needed gain, however many candidates were "
-        "tried. Errors are those of plain least squares on the training records. Nothing was "
-        "fitted to the validation records but their initial states."
+        "The log-likelihood gain is what twice the log-likelihood gains after all parameters and "
+        "noise levels were estimated again; chance rarely exceeds the needed gain, however many "
+        "candidates were tried. Errors are those of plain least squares on the training records. "
+        "Nothing was fitted to the validation records but their initial states."
     ]
     if improvement.rejected:
         refused = ", ".join(dict.fromkeys(improvement.rejected))
@@ -157,7 +157,7 @@ def _estimates(improvement: Improvement) -> Section:
         prior = improvement.model.parameter(name)
         known = "" if prior.prior_mean is None else f"{prior.prior_mean:.4g}"
         if prior.prior_spread is not None:
-            known += f" ± {prior.prior_spread:.2g}"
+            known += f" ± {TWO_SIDED_95 * prior.prior_spread:.2g}"
         rows.append(
             (
                 name,
@@ -170,8 +170,8 @@ def _estimates(improvement: Improvement) -> Section:
             )
         )
     headers = (
-        "parameter", "value", "std. error", "relative", "without the effects", "prior",
-        "unit",
+        "parameter", "value", "std. error", "relative", "without the effects",
+        "prior ± (95 %)", "unit",
     )  # fmt: skip
     added = {p.name for s in improvement.steps for p in _parameters(improvement, s.added)}
     marked = tuple(i for i, row in enumerate(rows) if row[0] in added)

@@ -64,7 +64,7 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
     ax.set_yticks(rows, [name.replace("_", " ") for name in names])
     largest = max([*gain.values(), *(score[name] for name in names), 1.0])
     _readable_scale(ax, largest)
-    ax.set(xlabel="evidence: gain in twice the log-likelihood [-]")
+    ax.set(xlabel="log-likelihood gain [-]")
     clean(ax)
     ax.grid(False, axis="y")
     handles = [
@@ -77,15 +77,15 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
     if len(group) < 2:
         handles.pop(1)
     ax.legend(
-        handles=handles, frameon=False, fontsize=8.5, ncols=3, loc="upper center",
-        bbox_to_anchor=(0.5, -0.18 - 0.4 / len(names)),
+        handles=handles, frameon=False, fontsize=8.5, ncols=3, loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
     )  # fmt: skip
     if not ranking.refits:
         return say(ax, "No candidate was worth a refit.")
     best = ranking.refits[0]
     return say(
         ax,
-        f"{best.name} gains most, {best.gain:.4g} in twice the log-likelihood; "
+        f"{best.name} has the largest log-likelihood gain, {best.gain:.4g}; "
         f"{ranking.needed(best):.3g} are needed.",
     )
 

@@ -63,6 +63,7 @@ def plot_ellipses(
     *,
     centres: Sequence[tuple[float, float]] | None = None,
     labels: Sequence[str] | None = None,
+    units: tuple[str, str] | None = None,
     truth: tuple[float, float] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -81,6 +82,8 @@ def plot_ellipses(
         Estimates; zero by default.
     labels : sequence of str, optional
         Names.
+    units : tuple of str, optional
+        Units of the two, such as ``fit.model.parameter(name).unit``.
     truth : tuple of float, optional
         True values, where they are known.
     ax : Axes, optional
@@ -114,11 +117,19 @@ def plot_ellipses(
         ax.plot(*centre, "+", color=look.colour, ms=8)
         errors = np.sqrt(np.diag(covariance))
         rho = covariance[0, 1] / errors.prod()
-        half = ", ".join(f"{n} ± {TWO_SIDED_95 * e:.2g}" for n, e in zip(pair, errors, strict=True))
+        half = ", ".join(
+            f"{n} ± {TWO_SIDED_95 * e:.2g}{f' {unit}' if unit else ''}"
+            for n, e, unit in zip(pair, errors, units or ("", ""), strict=True)
+        )
         said.append(f"{name}: {half} (95 %), correlation {rho:+.2f}.")
     if truth is not None:
         ax.plot(*truth, "x", color=TRUTH, ms=8, mew=2, label="truth")
     about = "" if centres is not None else " away from the estimate"
-    ax.set(xlabel=f"{symbol_of(pair[0])}{about}", ylabel=f"{symbol_of(pair[1])}{about}")
+    x, y = (f"{symbol_of(n)}{about}{_in(u)}" for n, u in zip(pair, units or ("", ""), strict=True))
+    ax.set(xlabel=x, ylabel=y)
     spread_legend(ax, loc="best")
     return say(clean(ax), " ".join(said))
+
+
+def _in(unit: str) -> str:
+    return f" [{unit}]" if unit else ""

@@ -35,8 +35,8 @@ def ranking_page(ranking: SensitivityRanking, subset: Subset, *, title: str = ""
         subtitle=f"Parameters in {', '.join(ranking.runs)}",
         verdict=_verdict(ranking, subset),
         numbers=(
-            (f"best: {best.name}", _percent(best.error)),
-            (f"worst: {worst.name}", _percent(worst.error)),
+            (f"std. error, best: {best.name}", _percent(best.error)),
+            (f"std. error, worst: {worst.name}", _percent(worst.error)),
             ("estimated together", f"{subset.size} of {len(subset.order)}"),
         ),
         sections=(

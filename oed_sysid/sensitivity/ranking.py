@@ -111,8 +111,8 @@ class SensitivityRanking:
             far = abs(rank - place) >= max(2, n // 4)
             if row.output_change >= median and (row.error > POOR or (far and rank > place)):
                 words.append(
-                    f"{row.name} moves the outputs (place {place + 1}) but is determined to "
-                    f"{100 * row.error:.2g} % of its value only (place {rank + 1}): other "
+                    f"{row.name} moves the outputs (place {place + 1}) but its std. error is "
+                    f"still {100 * row.error:.2g} % of its value (place {rank + 1}): other "
                     f"unknowns mimic it, its error is {row.inflation:.3g} times that of known ones"
                 )
             elif row.output_change < median and far and rank < place and row.error <= POOR:
@@ -122,8 +122,8 @@ class SensitivityRanking:
                     else "it acts where the noise is low"
                 )
                 words.append(
-                    f"{row.name} moves the outputs little (place {place + 1}) but is determined "
-                    f"to {100 * row.error:.2g} % of its value (place {rank + 1}): {reason}"
+                    f"{row.name} moves the outputs little (place {place + 1}) but its std. error "
+                    f"is only {100 * row.error:.2g} % of its value (place {rank + 1}): {reason}"
                 )
         return tuple(words)
 
