@@ -5,8 +5,8 @@
 REMUS-like AUV in the diving plane, 0.5 s, start at level trim and known, held levels of
 the fin within 20 degrees, pitch within 45 degrees, depth 2 to 60 m, criterion
 D in units of the parameters' values, no priors. The peer runs in a process of its own with
-the interpreter of ``--python`` (``pip install pyomo numpy scipy pandas packaging``) and begins
-with a square wave; ``--begin ours`` lets it try to improve on our design instead.
+the interpreter of ``--python`` (``pip install pyomo numpy scipy pandas packaging`` there) and
+begins with a square wave; ``--begin ours`` lets it try to improve on our design instead.
 Without a program ``ipopt`` on the path, the stand-in of
 :mod:`benchmarks.peers.ipopt_program` is used, and said so. Both designs are judged by
 our information, and simulated against the limits. Times are on the clock, processor times
