@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import statistics
 import subprocess
 import sys
@@ -201,3 +202,21 @@ def test_import_is_light() -> None:
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "[]"
+
+
+def test_no_modules_import_each_other() -> None:
+    """Imports make no circle, those for type checking and inside functions included."""
+    known = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in modules(PACKAGE)
+    }
+    graph: dict[str, set[str]] = {}
+    for name, path in known.items():
+        graph[name] = set()
+        for _, module, members in imports(path):
+            parts = {f"{module}.{member}" for member in members}
+            found = (parts & known.keys()) or ({module} & known.keys())
+            # A package offers what its modules define: these, not its name, are imported.
+            found = {one for one in found if known[one].name != "__init__.py"}
+            graph[name] |= found - {name}
+    graphlib.TopologicalSorter(graph).prepare()

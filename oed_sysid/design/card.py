@@ -12,20 +12,20 @@ rules come from :mod:`oed_sysid.design.assurance`.
 from __future__ import annotations
 
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from oed_sysid.design.accuracy import TRUSTED
+from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.quantities import quantity, span, units_of
-from oed_sysid.design.reveal import missing_physics
+from oed_sysid.design.reference import Reference
+from oed_sysid.design.reveal import Chance, missing_physics
+from oed_sysid.experiment import Experiment
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity.sea import sea_words
 from oed_sysid.simulation import Trajectory
-
-if TYPE_CHECKING:
-    from oed_sysid.design.result import Design
 
 _MOST_ORDERS = 40
 _WIDTH = 92
@@ -33,7 +33,61 @@ _WIDTH = 92
 _GOOD, _USABLE = 0.05, 0.5
 
 
-def sea_trial_card(design: Design) -> str:
+class Planned(Protocol):
+    """What the card is written from: a :class:`~oed_sysid.design.result.Design`."""
+
+    @property
+    def experiment(self) -> Experiment:
+        """The run."""
+
+    @property
+    def model(self) -> Model:
+        """The vehicle as believed."""
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """What it is expected to do."""
+
+    @property
+    def active(self) -> tuple[str, ...]:
+        """Limits that are reached, in words."""
+
+    @property
+    def assurance(self) -> Assurance | None:
+        """How surely limits are kept."""
+
+    @property
+    def sea(self) -> NoiseModel | None:
+        """Random forces and coloured sensors, if any."""
+
+    @property
+    def misfits(self) -> dict[tuple[str, str], float]:
+        """Expected misfit of each rival."""
+
+    @property
+    def chances(self) -> tuple[Chance, ...]:
+        """How surely each candidate effect would show."""
+
+    @property
+    def references(self) -> tuple[Reference, ...]:
+        """Standard manoeuvres beside it."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters."""
+
+    @property
+    def relative_errors(self) -> np.ndarray:
+        """Expected standard errors as shares of the values."""
+
+    def gain(self, reference: Reference) -> tuple[float, float]:
+        """How much larger a reference's errors are."""
+
+    def accuracy_table(self, *, sort: bool = False) -> list[str]:
+        """Lines about every parameter."""
+
+
+def sea_trial_card(design: Planned) -> str:
     """Return what to run, for how long, what to watch and what to expect.
 
     Parameters
@@ -74,7 +128,7 @@ def sea_trial_card(design: Design) -> str:
     return "\n".join(lines)
 
 
-def _danger(design: Design) -> list[str]:
+def _danger(design: Planned) -> list[str]:
     """First lines where limits are likely to be left."""
     found = design.assurance
     if found is None or found.is_safe:
@@ -82,7 +136,7 @@ def _danger(design: Design) -> list[str]:
     return wrap(f"{found.danger} Read WATCH before anything else.", _WIDTH)
 
 
-def _start(design: Design, units: dict[str, str]) -> str:
+def _start(design: Planned, units: dict[str, str]) -> str:
     initial = design.experiment.initial
     given = [f"{n} = {quantity(v, units[n])}" for n, v in initial.items() if v]
     speeds = [s.name for s in design.model.states if s.name in ("u", "v", "w")]
@@ -124,7 +178,7 @@ def _orders(model: Model, trajectory: Trajectory, units: dict[str, str]) -> list
     return lines
 
 
-def _motion(design: Design, units: dict[str, str]) -> list[str]:
+def _motion(design: Planned, units: dict[str, str]) -> list[str]:
     """Predicted ranges, what other vehicles would do, and where to stop."""
     model, assurance = design.model, design.assurance
     head = f"  {'':<10} {'predicted':<24}"
@@ -148,7 +202,7 @@ def _between(lower: float, upper: float, unit: str) -> str:
     return f"{quantity(lower, unit).split(' ')[0]} to {quantity(upper, unit)}"
 
 
-def _watch(design: Design) -> list[str]:
+def _watch(design: Planned) -> list[str]:
     limits = design.experiment.limits.signals
     words = []
     if not limits:
@@ -179,7 +233,7 @@ def _watch(design: Design) -> list[str]:
     return lines + abort_lines(design)
 
 
-def abort_lines(design: Design) -> list[str]:
+def abort_lines(design: Planned) -> list[str]:
     """When to stop, and how often that is to be expected."""
     found = design.assurance
     if found is None or not found.rules:
@@ -199,7 +253,7 @@ def abort_lines(design: Design) -> list[str]:
     return [*lines, f"  Any of these fires on {found.any_fires:.1%} of {found.n_checked} vehicles."]
 
 
-def _accuracy(design: Design) -> list[str]:
+def _accuracy(design: Planned) -> list[str]:
     kind = "white noise" if design.sea is None else "noise and random forces"
     lines = [f"ACCURACY TO EXPECT (standard error / value; {kind} as below)"]
     for reference in design.references:
