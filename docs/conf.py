@@ -8,6 +8,7 @@ public names, and one for each name, from its docstring. Warnings are errors.
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -133,5 +134,6 @@ def _write(path: Path, lines: list[str]) -> None:
         path.write_text(text, encoding="utf-8")
 
 
-# Before Sphinx looks for pages.
+# Before Sphinx looks for pages. The gallery in a process of its own, whose pictures leave no trace.
 write_reference()
+subprocess.run([sys.executable, str(HERE / "gallery.py")], check=True)

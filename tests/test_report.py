@@ -6,6 +6,7 @@ import base64
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import matplotlib as mpl
@@ -328,3 +329,9 @@ def test_plain_import_does_not_load_matplotlib() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "False True", done.stderr
+
+
+def test_a_fit_says_nothing_of_records_it_has_not_seen(fit: Fit, data: Dataset) -> None:
+    """The message names the records that it knows and the way to a prediction."""
+    with pytest.raises(DataError, match=r"not fitted to record 'stranger'.*fit\.predict"):
+        report.plot_track(replace(data["circle"], name="stranger"), [fit])

@@ -281,5 +281,5 @@ def _in_percent(ax: Axes) -> None:
     """Label a logarithmic axis of shares at 1, 2, 5, 10 ... per cent."""
     decades = np.diff(np.log10(ax.get_xlim()))[0]
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.5 else (1.0,)))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda share, _: f"{100 * share:.3g}"))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda share, _: f"{100 * share:.4g}"))
     ax.xaxis.set_minor_formatter(NullFormatter())

@@ -191,6 +191,11 @@ def plot_zigzag(
 
 def _said(model: Fit | Prediction, record: Record) -> tuple[np.ndarray, np.ndarray]:
     """Outputs of a model on a record and their standard deviation, ``(n_times, n_outputs)``."""
+    if record.name not in model.dataset.names:
+        raise DataError(
+            f"A model was not fitted to record {record.name!r} and says nothing about it (it knows "
+            f"{', '.join(model.dataset.names)}). Give fit.predict(Dataset((record,))) instead."
+        )
     row = model.dataset.names.index(record.name)
     if isinstance(model, Fit):
         return model.predictions[row], np.broadcast_to(model.sigma, model.predictions[row].shape)
