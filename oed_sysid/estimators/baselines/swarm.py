@@ -25,10 +25,9 @@ class DifferentialSwarm:
         x_i^{k+1} = r\,p_i^k + (1 - r)\,p_g^k + \omega\,(p_{i_1}^k - p_{i_2}^k),
         \qquad r \sim U[0, 1]
 
-    with personal bests :math:`p`, the best of all :math:`p_g` and two random
-    members. A better position replaces the personal best. A coordinate outside
-    its bounds is drawn anew between the personal best and the bound. All
-    particles are simulated at once, on all cores.
+    with personal bests :math:`p`, the best of all :math:`p_g` and two random members. A better
+    position replaces the personal best. A coordinate outside its bounds is drawn anew between the
+    personal best and the bound. All particles are simulated at once, on all cores.
 
     Parameters
     ----------
@@ -40,10 +39,9 @@ class DifferentialSwarm:
         Whether ``r`` is one number per ``"particle"`` or per ``"dimension"``;
         the source does not say, and the first converges far better.
     distinct : bool
-        Whether the two members of the difference must differ. The source does
-        not say. Where they may be the same, now and then a particle moves on the
-        line between its own best and the best of all, and the search converges
-        many times faster (measured on two problems, three seeds each).
+        Whether the two members of the difference must differ. The source does not say. Where they
+        may be the same, now and then a particle moves on the line between its own best and the best
+        of all, and the search converges many times faster (two problems, three seeds each).
     scale : str or mapping of str to float
         Scale of the residuals of each output, see
         :class:`~oed_sysid.estimators.baselines.trajectory_cost.TrajectoryCost`.
