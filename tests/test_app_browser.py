@@ -194,7 +194,9 @@ def test_whole_loop_on_a_shipped_record(page: Any, ship: Path, tmp_path: Path) -
     problem = load_problem(name)
     nominal, improved = (Fit.load(tmp_path / f"{name}.json") for name in ("nominal", "improved"))
     assert read_csv(tmp_path / "train", problem.channels).names == nominal.dataset.names
-    assert improved.cost < nominal.cost
+    # Costs are of noise models of their own; whole runs say which model is better.
+    output = problem.model.output_names[0]
+    assert improved.rms[output] < 0.5 * nominal.rms[output]
     assert {"study.py", "commands.sh", "fit.html", "improve.html"} <= {
         file.name for file in tmp_path.iterdir()
     }

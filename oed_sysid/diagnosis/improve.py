@@ -171,7 +171,7 @@ def improve(
         ),
     )
     state = _State(study, (), base, (base,))
-    notes = [*ready.notes, *_bought(study, base)]
+    notes = list(ready.notes)
     rejected: list[str] = []
     first: Ranking | None = None
     for reached, ranking, refused in _search(state, max_effects, tell, keep, notes):
@@ -191,6 +191,7 @@ def improve(
             left = replace(again or left, tied=tied)
     if left is None:
         left = Remains(np.inf, None)
+    notes += _bought(state.study, state.fit)
     tell("fits and errors of every step")
     return keep.once(
         "every step",
@@ -198,20 +199,20 @@ def improve(
     )
 
 
-def _bought(study: Study, base: FilteredSolution) -> list[str]:
-    """Words where random forces explain the records at the price of whole runs."""
-    alone = total_error(study.rms(base, study.train) / study.setting.white)
+def _bought(study: Study, found: FilteredSolution) -> list[str]:
+    """Words where random forces still explain the records at the price of whole runs."""
+    alone = total_error(study.rms(found, study.train) / study.setting.white)
     acting = [
         place
-        for place, level in zip(base.noise.places, base.noise.force, strict=True)
+        for place, level in zip(found.noise.places, found.noise.force, strict=True)
         if level > 0 and not place.startswith("actuator")
     ]
     if not acting or not alone > BOUGHT * study.plain_error:
         return []
     return [
         f"Random forces make the records likely, but a whole run is then {alone:.3g} x noise off, "
-        f"{study.plain_error:.3g} without them. Where the sea was calm, look again with "
-        "disturbances='none' (--disturbances none): what is missing shows more clearly."
+        f"{study.plain_error:.3g} for the nominal model without them. Where the sea was calm, look "
+        "again with disturbances='none' (--disturbances none): what is missing shows more clearly."
     ]
 
 
