@@ -23,7 +23,7 @@ from oed_sysid.cli.options import (
     ProblemName,
     Validate,
     Variant,
-    disturbances_of,
+    noise_settings,
 )
 from oed_sysid.cli.terminal import (
     INTERRUPTED,
@@ -89,10 +89,7 @@ def fit(
     if validation is not None:
         check_disjoint(dataset, validation)
     log = quick_check(dataset, chosen.model)
-    wanted = {
-        "noise": "given" if known_noise else "auto",
-        "disturbances": disturbances_of(disturbances),
-    }
+    wanted = noise_settings(known_noise, disturbances)
     with journal(kept_in, fresh) as keep:
         with progress("Fitting") as show:
             result = _fits({"": chosen.model}, dataset, wanted, keep, show)[""]
@@ -159,10 +156,7 @@ def compare(
     for used in (training, *(fit.dataset for fit in kept.values())):
         check_disjoint(used, validation)
     log = quick_check(together(training, validation), chosen.model).without("duplicate")
-    wanted = {
-        "noise": "given" if known_noise else "auto",
-        "disturbances": disturbances_of(disturbances),
-    }
+    wanted = noise_settings(known_noise, disturbances)
     with journal(kept_in, fresh) as keep:
         with progress("Fitting") as show:
             fits = _fits(models, training, wanted, keep, show) | kept

@@ -21,6 +21,8 @@ from oed_sysid.cli.options import (
     PictureFile,
     ProblemName,
     Sea,
+    ToReveal,
+    ToTellApart,
     Variant,
 )
 from oed_sysid.cli.terminal import (
@@ -142,25 +144,8 @@ def design(
         ),
     ] = 0.3,
     criterion: Criterion = "D",
-    discriminate: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--discriminate",
-            metavar="EFFECT...",
-            help="Tell these candidates apart instead of sharpening parameters.",
-            show_default=False,
-        ),
-    ] = None,
-    reveal: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--reveal",
-            metavar="EFFECT...|all",
-            help="Make these candidates visible, should they be missing, or all of the problem; "
-            "with --after what its records have shown already counts.",
-            show_default=False,
-        ),
-    ] = None,
+    discriminate: ToTellApart = None,
+    reveal: ToReveal = None,
     family: Family = "levels",
     avoid: Annotated[
         list[str] | None,

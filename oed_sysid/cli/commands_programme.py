@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from oed_sysid.cli.answers import of_decision, of_programme
-from oed_sysid.cli.options import HtmlFile, JsonFile, PictureFile, ProblemName, Sea, Variant
+from oed_sysid.cli.options import (
+    HtmlFile,
+    JsonFile,
+    PictureFile,
+    ProblemName,
+    Sea,
+    ToReveal,
+    ToTellApart,
+    Variant,
+)
 from oed_sysid.cli.terminal import answer, note, progress, store
 from oed_sysid.errors import DesignError
 
@@ -71,25 +80,8 @@ def programme(
     criterion: Annotated[
         str, typer.Option("--criterion", metavar="D|A", help="What is good: see docs.")
     ] = "A",
-    discriminate: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--discriminate",
-            metavar="EFFECT...",
-            help="Tell these candidates apart instead of sharpening parameters.",
-            show_default=False,
-        ),
-    ] = None,
-    reveal: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--reveal",
-            metavar="EFFECT...|all",
-            help="Make these candidates visible, should they be missing, or all of the problem; "
-            "with --after what its records have shown already counts.",
-            show_default=False,
-        ),
-    ] = None,
+    discriminate: ToTellApart = None,
+    reveal: ToReveal = None,
     uncertainty: Uncertainty = None,
     sensor: Annotated[
         list[str] | None,

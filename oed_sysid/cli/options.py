@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -132,6 +132,25 @@ KnownNoise = Annotated[
         help="Trust the noise levels that the problem declares instead of estimating them.",
     ),
 ]
+ToTellApart = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--discriminate",
+        metavar="EFFECT...",
+        help="Tell these candidates apart instead of sharpening parameters.",
+        show_default=False,
+    ),
+]
+ToReveal = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--reveal",
+        metavar="EFFECT...|all",
+        help="Make these candidates visible, should they be missing, or all of the problem; "
+        "with --after what its records have shown already counts.",
+        show_default=False,
+    ),
+]
 Disturbances = Annotated[
     str,
     typer.Option(
@@ -141,6 +160,14 @@ Disturbances = Annotated[
         "named, as Z,M.",
     ),
 ]
+
+
+def noise_settings(known_noise: bool, disturbances: str) -> dict[str, Any]:
+    """Settings of an estimator from ``--known-noise`` and ``--disturbances``."""
+    return {
+        "noise": "given" if known_noise else "auto",
+        "disturbances": disturbances_of(disturbances),
+    }
 
 
 def disturbances_of(text: str) -> str | tuple[str, ...]:

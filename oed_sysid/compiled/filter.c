@@ -191,6 +191,26 @@ static inline __attribute__((always_inline)) void levels_measured(double *restri
     }
 }
 
+/* target <- row i of F times source: its lines, or with a column given those of PAIR with it. */
+static inline __attribute__((always_inline)) void lanes_moved(double *restrict target,
+                                                              const transition_t *f, int i,
+                                                              const double *restrict source,
+                                                              const int column, const int lanes)
+{
+    const int lone = i;
+    const int coupled = i < f->na;
+    const int *index = coupled ? f->index + f->first[i] : &lone;
+    const double *value = coupled ? f->value + f->first[i] : f->phi + i;
+    const int count = coupled ? f->first[i + 1] - f->first[i] : 1;
+    four_t sum[lanes / 4];
+    for (int j = 0; j < lanes / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
+    for (int r = 0; r < count; ++r) {
+        const double *from = source + (size_t)(column < 0 ? index[r] : PAIR(index[r], column)) * lanes;
+        for (int j = 0; j < lanes / 4; ++j) sum[j] += value[r] * *(const four_t *)(from + 4 * j);
+    }
+    for (int j = 0; j < lanes / 4; ++j) *(four_t *)(target + 4 * j) = sum[j];
+}
+
 /* target <- F d F' for the tangents of all levels; line is scratch. */
 static inline __attribute__((always_inline)) void levels_moved(double *restrict target,
                                                                const transition_t *f,
@@ -199,35 +219,9 @@ static inline __attribute__((always_inline)) void levels_moved(double *restrict 
                                                                const int lanes)
 {
     for (int i = 0; i < f->size; ++i) {
-        for (int s = 0; s < f->size; ++s) {
-            four_t sum[lanes / 4];
-            if (i < f->na) {
-                for (int j = 0; j < lanes / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
-                for (int r = f->first[i]; r < f->first[i + 1]; ++r) {
-                    const double *from = d + (size_t)PAIR(f->index[r], s) * lanes;
-                    for (int j = 0; j < lanes / 4; ++j)
-                        sum[j] += f->value[r] * *(const four_t *)(from + 4 * j);
-                }
-            } else
-                for (int j = 0; j < lanes / 4; ++j)
-                    sum[j] = f->phi[i] * *(const four_t *)(d + (size_t)PAIR(i, s) * lanes + 4 * j);
-            for (int j = 0; j < lanes / 4; ++j) *(four_t *)(line + (size_t)s * lanes + 4 * j) = sum[j];
-        }
-        for (int o = 0; o <= i; ++o) {
-            double *to = target + (size_t)PAIR(i, o) * lanes;
-            four_t sum[lanes / 4];
-            if (o < f->na) {
-                for (int j = 0; j < lanes / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
-                for (int r = f->first[o]; r < f->first[o + 1]; ++r) {
-                    const double *from = line + (size_t)f->index[r] * lanes;
-                    for (int j = 0; j < lanes / 4; ++j)
-                        sum[j] += f->value[r] * *(const four_t *)(from + 4 * j);
-                }
-            } else
-                for (int j = 0; j < lanes / 4; ++j)
-                    sum[j] = f->phi[o] * *(const four_t *)(line + (size_t)o * lanes + 4 * j);
-            for (int j = 0; j < lanes / 4; ++j) *(four_t *)(to + 4 * j) = sum[j];
-        }
+        for (int s = 0; s < f->size; ++s) lanes_moved(line + (size_t)s * lanes, f, i, d, s, lanes);
+        for (int o = 0; o <= i; ++o)
+            lanes_moved(target + (size_t)PAIR(i, o) * lanes, f, o, line, -1, lanes);
     }
 }
 

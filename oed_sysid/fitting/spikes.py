@@ -40,15 +40,9 @@ def spike_masks(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
     """
     masks = [np.zeros(part.shape, dtype=bool) for part in whitened]
     for column in range(whitened[0].shape[1]):
-        rows = [np.flatnonzero(np.isfinite(part[:, column])) for part in whitened]
-        series = [part[index, column] for part, index in zip(whitened, rows, strict=True)]
-        pieces = [_beside(values) for values in series]
-        away = np.concatenate(pieces)
-        n = len(away)
-        if n < 30:
-            continue
-        size = 1.4826 * float(np.median(np.abs(away - np.median(away))))
-        if size <= 0.0:
+        rows, series, pieces, size = _departures(whitened, column)
+        n = sum(len(piece) for piece in pieces)
+        if n < 30 or size <= 0.0:
             continue
         own = np.concatenate(series)
         middle = float(np.median(own))
@@ -97,13 +91,22 @@ def spike_sizes(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
     """
     found = [np.full(part.shape, np.nan) for part in whitened]
     for column in range(whitened[0].shape[1]):
-        rows = [np.flatnonzero(np.isfinite(part[:, column])) for part in whitened]
-        pieces = [_beside(part[index, column]) for part, index in zip(whitened, rows, strict=True)]
-        away = np.concatenate(pieces)
-        usual = 1.4826 * float(np.median(np.abs(away - np.median(away)))) if len(away) else 0.0
+        rows, _, pieces, usual = _departures(whitened, column)
         for one, index, piece in zip(found, rows, pieces, strict=True):
             one[index, column] = piece / usual if usual > 0 else 0.0
     return tuple(found)
+
+
+def _departures(
+    whitened: Sequence[np.ndarray], column: int
+) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], float]:
+    """Rows, values and departures of the samples of one output, per record; the usual departure."""
+    rows = [np.flatnonzero(np.isfinite(part[:, column])) for part in whitened]
+    series = [part[index, column] for part, index in zip(whitened, rows, strict=True)]
+    pieces = [_beside(values) for values in series]
+    away = np.concatenate(pieces)
+    usual = 1.4826 * float(np.median(np.abs(away - np.median(away)))) if len(away) else 0.0
+    return rows, series, pieces, usual
 
 
 def _beside(values: np.ndarray) -> np.ndarray:
