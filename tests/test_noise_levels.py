@@ -34,22 +34,24 @@ def _levels(*, own_times: bool) -> Levels:
 
 
 @pytest.mark.parametrize("own_times", [False, True])
-def test_a_step_in_time_alone_keeps_to_the_curve_of_equal_intensity(own_times: bool) -> None:
-    """Both a force and a coloured sensor keep their intensity; white input noise stays."""
+@pytest.mark.parametrize("power", [1.0, -1.0])
+def test_a_step_in_time_alone_keeps_to_the_curve(own_times: bool, power: float) -> None:
+    """A force and a coloured sensor keep what their power says; white input noise stays."""
     levels = _levels(own_times=own_times)
     start = levels.vector()
     step = np.zeros(len(levels))
     names = [levels.name_of(*entry) for entry in levels.entries]
     longer = [i for i, name in enumerate(names) if name.endswith("time")]
     step[longer] = 0.7
-    # The straight part of that curve, d(sigma^2) = sigma^2 d(ln tau), is part of the step.
+    # The straight part of that curve, d(sigma^2) = a sigma^2 d(ln tau), is part of the step.
     lasting = [names.index("force Z level"), names.index("colour of q level")]
-    step[lasting] = 0.7 * start[lasting]
-    noise, begin = levels.at(levels.moved(start, step)), levels.noise
-    intensity = noise.force[0] ** 2 / noise.force_time[0]
-    assert intensity == pytest.approx(begin.force[0] ** 2 / begin.force_time[0])
-    intensity = noise.colour[1] ** 2 / noise.colour_time[1]
-    assert intensity == pytest.approx(begin.colour[1] ** 2 / begin.colour_time[1])
+    step[lasting] = 0.7 * power * start[lasting]
+    moved = levels.moved(start, step, np.full(len(levels), power))
+    noise, begin = levels.at(moved), levels.noise
+    kept = noise.force[0] ** 2 / noise.force_time[0] ** power
+    assert kept == pytest.approx(begin.force[0] ** 2 / begin.force_time[0] ** power)
+    kept = noise.colour[1] ** 2 / noise.colour_time[1] ** power
+    assert kept == pytest.approx(begin.colour[1] ** 2 / begin.colour_time[1] ** power)
     # What is white from step to step has no time.
     assert noise.force[1] == begin.force[1]
 
@@ -58,18 +60,36 @@ def test_small_steps_are_straight_to_second_order() -> None:
     """A step a tenth as long departs from the straight one a hundredth as much."""
     levels = _levels(own_times=False)
     start = levels.vector()
-    step = np.random.default_rng(0).normal(size=len(levels)) * np.maximum(np.abs(start), 0.1)
+    rng = np.random.default_rng(0)
+    step = rng.normal(size=len(levels)) * np.maximum(np.abs(start), 0.1)
+    power = rng.uniform(-1.0, 1.0, len(levels))
     away = [
-        float(np.abs(levels.moved(start, size * step) - (start + size * step)).max())
+        float(np.abs(levels.moved(start, size * step, power) - (start + size * step)).max())
         for size in (1e-2, 1e-3)
     ]
     assert away[1] < 0.02 * away[0]
 
 
 def test_what_ends_at_zero_gets_there_in_a_straight_step() -> None:
-    """Where no intensity is left, the step stays straight; bounds do the rest."""
+    """Where nothing of a level is left, the step stays straight; bounds do the rest."""
     levels = _levels(own_times=False)
     start = levels.vector()
     step = np.zeros(len(levels))
     step[0] = -1.5 * start[0]
-    assert levels.moved(start, step)[0] == pytest.approx(-0.5 * start[0])
+    moved = levels.moved(start, step, np.ones(len(levels)))
+    assert moved[0] == pytest.approx(-0.5 * start[0])
+
+
+@pytest.mark.parametrize(("slope", "power"), [(1.0, 1.0), (-1.0, -1.0), (9.0, 2.0)])
+def test_levels_follow_their_time_as_the_information_says(slope: float, power: float) -> None:
+    """Of records that tell only ``sigma^2 tau^-a``, the power is ``a``, within its bounds."""
+    levels = _levels(own_times=True)
+    start = levels.vector()
+    names = [levels.name_of(*entry) for entry in levels.entries]
+    level, time = names.index("force Z level"), names.index("force Z time")
+    row = np.zeros(len(levels))
+    row[level], row[time] = 1.0 / start[level], -slope
+    information = np.outer(row, row) + 1e-9 * np.eye(len(levels))
+    found = levels.following(information, start)
+    assert found[level] == pytest.approx(power, rel=1e-6)
+    assert np.count_nonzero(found) == 1

@@ -60,6 +60,9 @@ from oed_sysid.noise.model import NoiseModel
 # Residuals of a white fit, in noise, beyond which its values may be bent far off by what it takes
 # for noise: random forces are then looked for from the start values too.
 BENT = 3.0
+# Iterations of a white fit after which such residuals end it where random forces are looked for,
+# and the share of the cost that has to be left.
+PATIENCE, ENOUGH = 8, 0.7
 # Of two ends the one that converged is taken unless its cost is higher by this factor; an end that
 # leaves this share of an output's motion is doubted.
 WORSE, HALF = 1.2, 0.5
@@ -69,7 +72,7 @@ NOISE_ROUNDS = 12
 # Most rounds in which spikes are looked for; large ones hide small ones.
 SPIKE_ROUNDS = 4
 
-Minimiser = Callable[[Shooting, Point], Solution | None]
+Minimiser = Callable[..., Solution | None]
 
 
 @dataclass(frozen=True)
@@ -288,19 +291,29 @@ class MultipleShooting:
         if warm is not None and initial_states is None:
             point = warm_point(shooting, warm)
         minimise = self._minimiser(shooting)
-        solution, iterations = self._solve(shooting, point, minimise)
+        asked = self.disturbances != "none" or bool(random_effects(model.effects))
+        wanted = asked and not self._white_only
+        # Where random forces may follow, residuals that are no white noise end the iterations
+        # soon, and their colour is weighed only if none do.
+        first = partial(minimise, enough=_bent(shooting)) if wanted else minimise
+        solution, iterations = self._solve(shooting, point, first)
         if solution is not None and estimated.any():
             shooting, solution, more = self._estimate_noise(shooting, solution, estimated, minimise)
             iterations += more
-        fit = summarise(
-            shooting, solution, estimated, self.name, iterations, began, coloured=self.coloured
-        )
+        described = partial(summarise, estimated=estimated, estimator=self.name, began=began)
+        coloured = "never" if wanted else self.coloured
+        fit = white = described(shooting, solution, iterations=iterations, coloured=coloured)
         excluded: dict[str, tuple[int, int]] = {}
         if self.loss == "auto" and fit.status.code != "interrupted":
             fit, excluded = self._without_spikes(fit, model)
-        wanted = self.disturbances != "none" or random_effects(model.effects)
-        if wanted and not self._white_only and fit.status.code != "interrupted":
+        if wanted and fit.status.code != "interrupted":
             fit = self._disturbed(fit, model, fit.dataset, estimated, began, known_starts)
+        if wanted and fit.covariance is white.covariance:
+            if solution is not None and solution.reason == "enough":
+                solution = minimise(shooting, solution.point) or solution
+                iterations += solution.iterations
+            whole = described(shooting, solution, iterations=iterations, coloured=self.coloured)
+            fit = replace(whole, extras=fit.extras)
         fit = with_step_advice(fit, shooting, solution)
         told: dict[str, object] = {"excluded": excluded} if excluded else {}
         told["magnitudes"] = {p.name: p.magnitude for p in model.free_parameters}
@@ -443,7 +456,7 @@ class MultipleShooting:
 
     def _minimiser(self, shooting: Shooting) -> Minimiser:
         """What turns a problem and a point into a solution."""
-        minimise: Callable[..., Solution | None] = solve
+        minimise: Minimiser = solve
         if self.solver == "ipopt":
             minimise = NonlinearProgram(
                 shooting, hessian=self.hessian, constraints=self.constraints
@@ -465,7 +478,7 @@ class MultipleShooting:
             return first, first.iterations if first else 0
         # A local minimum is worth a second attempt only if the start was doubtful.
         trusted = begin < DOUBTFUL or (first is not None and misfit(shooting, first.point) < GOOD)
-        if first is not None and first.reason == "converged" and trusted:
+        if first is not None and first.reason in ("converged", "enough") and trusted:
             return first, first.iterations
         try:
             second = minimise(shooting, wide_start(shooting, point))
@@ -479,8 +492,22 @@ class MultipleShooting:
         if not found:
             return None, 0
         least = min(s.cost for s in found)
-        best = min(found, key=lambda s: (s.cost > WORSE * least, s.reason != "converged", s.cost))
+        ended = ("converged", "enough")
+        best = min(found, key=lambda s: (s.cost > WORSE * least, s.reason not in ended, s.cost))
         return best, sum(s.iterations for s in found)
+
+
+def _bent(shooting: Shooting) -> Callable[[Progress], bool]:
+    """Tell when residuals are no white noise of the given levels, wherever iterations end."""
+    count = sum(int(np.isfinite(record.outputs).sum()) for record in shooting.records)
+    large = 0.5 * BENT**2 * count
+
+    def told(progress: Progress) -> bool:
+        left = progress.cost - max(progress.decrement, 0.0)
+        near = left > ENOUGH * progress.cost
+        return progress.iteration >= PATIENCE and near and left > large
+
+    return told
 
 
 def _explains(shooting: Shooting, solution: Solution | None) -> bool:

@@ -35,8 +35,9 @@ from oed_sysid.noise.model import NoiseModel
 # Step of differences of whole filters, in standard deviations of the unknown, others known: a
 # smaller one says no more of a smooth model, and drowns in rounding that an unstable one amplifies.
 DIFFERENCE = 1.0
-# Information in these over that at frozen gain beyond which it is such rounding.
-AMPLIFIED = 1.2
+# Most that a variance clear of zero by so many standard deviations, or a time, grows or shrinks in
+# one step.
+FARTHEST, CLEAR_OF_ZERO, LONGER = 10.0, 1.0, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,11 +157,31 @@ class Filtered:
         step: np.ndarray,
         length: float,
     ) -> Point:
-        """Return the point after a step; there are no nodes to move."""
+        """Return the point after a step; its map says how levels follow times, see `maps`."""
         unknowns = point.unknowns + length * step
         block = self.layout.levels
-        unknowns[block] = self.levels.moved(point.unknowns[block], length * step[block])
+        unknowns[block] = self.levels.moved(point.unknowns[block], length * step[block], maps[0])
         return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), ())
+
+    def trusted(
+        self, unknowns: np.ndarray, matrix: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of a step within which the equations at a point still tell something of levels.
+
+        A variance that stands clear of zero goes to a tenth or ten times of itself at most.
+        """
+        block = self.layout.levels
+        here = unknowns[block]
+        variance = self.levels.are_variances
+        clear = variance & (here * np.sqrt(np.diag(matrix)[block]) > CLEAR_OF_ZERO)
+        lower, upper = lower.copy(), upper.copy()
+        least = np.where(clear, (1.0 / FARTHEST - 1.0) * here, -np.inf)
+        most = np.where(clear, (FARTHEST - 1.0) * here, np.inf)
+        least = np.where(variance, least, -np.log(LONGER))
+        most = np.where(variance, most, np.log(LONGER))
+        lower[block] = np.maximum(lower[block], least)
+        upper[block] = np.minimum(upper[block], most)
+        return lower, upper
 
     def prior_cost(self, unknowns: np.ndarray) -> float:
         """Half the weighted sum of squares of the departures from the priors."""
@@ -175,6 +196,11 @@ class Filtered:
             n = len(self.layout.shared)
             matrix[:n, :n] += self.knowledge.information
             right[:n] += self.knowledge.information @ (self.knowledge.mean - unknowns[:n])
+
+    def maps(self, point: Point, matrix: np.ndarray) -> tuple[np.ndarray, ...]:
+        """How variances follow their times at a point with given equations."""
+        block = self.layout.levels
+        return (self.levels.following(matrix[block, block], point.unknowns[block]),)
 
     def holding(self, positions: np.ndarray, values: np.ndarray) -> Filtered:
         """Return the same problem with some unknowns held at given values."""
@@ -312,18 +338,19 @@ class Filtered:
         return matrix, right
 
     def differentiated(
-        self, unknowns: np.ndarray, std: np.ndarray
+        self, unknowns: np.ndarray, base: Sequence[FilterPass], std: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Matrix and right-hand side of the filter as it is, by differences of whole filters.
 
         Parameters
         ----------
         unknowns : ndarray (n_unknowns,)
+        base : sequence of FilterPass
+            Passes there, with the derivatives of every innovation.
         std : ndarray (n_unknowns,)
             Sizes of the differences, in hundreds.
         """
         n, layout = self.layout.n_unknowns, self.layout
-        base = self.passes(unknowns, rows=True)
         n_own, n_levels = layout.n_own, len(self.levels)
         width = n_own + len(layout.free_names)
         tail = np.arange(layout.levels.start, layout.levels.stop)
@@ -437,94 +464,3 @@ def _limits(
     for name in ("lower", "upper", "prior_mean", "prior_weight"):
         getattr(limits, name)[layout.levels] = getattr(levels, name)
     return limits
-
-
-@dataclass(frozen=True, eq=False)
-class Whitened:
-    """A point with gradients along the filtered path at frozen gain; an iterate.
-
-    A rise of the cost within ``slack`` near the end is the frozen gain's, not a wrong step.
-    """
-
-    problem: Filtered
-    point: Point
-    cost: float
-    matrix: np.ndarray
-    right: np.ndarray
-    defect: float = 0.0
-    maps: tuple[np.ndarray, ...] = ()
-    offsets: tuple[np.ndarray, ...] = ()
-
-    @classmethod
-    def at(cls, problem: Filtered, point: Point) -> Whitened | None:
-        """Evaluate a point; None where the filter leaves the numbers."""
-        found = problem.passes(point.unknowns)
-        objective = sum(part.objective for part in found)
-        if not np.isfinite(objective):
-            return None
-        matrix, right = problem.gathered(point.unknowns, found)
-        if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
-            return None
-        cost = 0.5 * objective + problem.prior_cost(point.unknowns)
-        return cls(problem, point, cost, matrix, right)
-
-    def equations(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss-Newton matrix and right-hand side, priors excluded."""
-        return self.matrix, self.right
-
-    def predicted(self, step: np.ndarray) -> float:
-        """Cost of the quadratic model after a step."""
-        return _predicted(self.problem, self.point, self.cost, self.matrix, self.right, step)
-
-
-class Differentiated:
-    """A point with the gradient of the filter as it is; derivatives only when asked for."""
-
-    defect = 0.0
-    maps: tuple[np.ndarray, ...] = ()
-    offsets: tuple[np.ndarray, ...] = ()
-
-    def __init__(self, problem: Filtered, point: Point, cost: float) -> None:
-        self.problem, self.point, self.cost = problem, point, cost
-        self._equations: tuple[np.ndarray, np.ndarray] | None = None
-
-    @classmethod
-    def at(cls, problem: Filtered, point: Point) -> Differentiated | None:
-        """Evaluate a point; None where the filter leaves the numbers."""
-        objective = problem.objective(point.unknowns)
-        return cls(problem, point, 0.5 * objective) if np.isfinite(objective) else None
-
-    def equations(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss-Newton matrix and right-hand side, priors excluded."""
-        if self._equations is None:
-            unknowns = self.point.unknowns
-            frozen, right = self.problem.gathered(unknowns, self.problem.passes(unknowns))
-            size = np.diag(frozen) + self.problem.limits.prior_weight
-            scale = self.problem.limits.scale
-            std = np.where(size > 0, 1.0 / np.sqrt(np.where(size > 0, size, 1.0)), scale)
-            whole = self.problem.differentiated(unknowns, np.minimum(std, scale))
-            known = np.arange(self.problem.layout.levels.start)
-            more = np.diag(whole[0])[known] > AMPLIFIED * np.diag(frozen)[known]
-            self._equations = (frozen, right) if more.any() else whole
-        return self._equations
-
-    def predicted(self, step: np.ndarray) -> float:
-        """Cost of the quadratic model after a step."""
-        matrix, right = self.equations()
-        return _predicted(self.problem, self.point, self.cost, matrix, right, step)
-
-
-def _predicted(
-    problem: Filtered,
-    point: Point,
-    cost: float,
-    matrix: np.ndarray,
-    right: np.ndarray,
-    step: np.ndarray,
-) -> float:
-    # Joint knowledge is in matrix and right-hand side already, priors of single unknowns are not.
-    change = float(step @ (0.5 * (matrix @ step) - right))
-    limits = problem.limits
-    away = point.unknowns - limits.prior_mean
-    prior = 0.5 * float(limits.prior_weight @ ((away + step) ** 2 - away**2))
-    return cost + change + prior

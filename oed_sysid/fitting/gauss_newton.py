@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.fitting.filtered import Differentiated, Filtered, Whitened
+from oed_sysid.fitting.filtered import Filtered
+from oed_sysid.fitting.filtered_iterates import Differentiated, Whitened
 from oed_sysid.fitting.iterates import Exact, Gathered, Iterate
 from oed_sysid.fitting.shooting import Linearisation, Point, Shooting
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.projection import bounded_step
 
-LINE_SEARCH_STEPS = 5
+# Lengths of a step that are tried, and the ratio of one to the one before.
+LINE_SEARCH_STEPS, SHORTER = 5, 0.4
 # A trajectory whose scaled jumps sum to less is continuous.
 CLOSED = 1e-8
 # Rounding errors grow along an unstable trajectory. Jumps below the first number that no longer
@@ -24,7 +26,7 @@ NEARLY_CLOSED, ROUNDING_SHARE, ROUNDING_COST = 1e-6, 1e-8, 1e-3
 # With random forces: the step that ends the iterations at frozen gain, the rise of the cost that
 # its gradient may cause near the end, most steps of the exact one, the gain below which the last
 # of these was enough, and the promised gain below which a search without a way on has arrived.
-FROZEN_TOLERANCE, SLACK, POLISH_STEPS, SETTLED, STALLED_NEAR = 1e-3, 0.1, 8, 0.02, 0.1
+FROZEN_TOLERANCE, SLACK, POLISH_STEPS, SETTLED, STALLED_NEAR = 1e-3, 0.1, 8, 0.1, 0.1
 # Where the frozen gradient promises what no step keeps, few trials show it.
 MOST_DAMPING, FEW_LENGTHS = 10.0, 3
 # Steps at frozen gain after which one looks back, and the fall of the cost over these that is too
@@ -32,6 +34,7 @@ MOST_DAMPING, FEW_LENGTHS = 10.0, 3
 LOOK_BACK, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
 
 Evaluate = Callable[[Any, Point], Any]
+Trust = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -48,8 +51,8 @@ class Progress:
 class Solution:
     """Where the iterations ended.
 
-    ``reason`` is ``"converged"``, ``"stalled"``, ``"iterations"``,
-    ``"interrupted"`` or, from constrained solvers, ``"infeasible"``.
+    ``reason`` is ``"converged"``, ``"stalled"``, ``"iterations"``, ``"interrupted"``,
+    ``"enough"`` or, from constrained solvers, ``"infeasible"``.
     """
 
     point: Point
@@ -66,6 +69,7 @@ def solve(
     max_iterations: int = 60,
     tolerance: float = 1e-6,
     callback: Callable[[Progress], None] | None = None,
+    enough: Callable[[Progress], bool] | None = None,
 ) -> Solution | None:
     """Minimise by damped Gauss-Newton steps with an exact-penalty line search.
 
@@ -83,6 +87,8 @@ def solve(
         deviation, so 1e-6 leaves estimates 0.001 standard errors off.
     callback : callable, optional
         Called after each iteration.
+    enough : callable, optional
+        Whether to stop after an iteration, before the end is reached.
 
     Returns
     -------
@@ -105,8 +111,12 @@ def solve(
             if outcome:
                 reason = outcome
                 break
+            progress = Progress(iteration, search.now.cost, search.now.defect, search.decrease)
             if callback is not None:
-                callback(Progress(iteration, search.now.cost, search.now.defect, search.decrease))
+                callback(progress)
+            if enough is not None and enough(progress):
+                reason = "enough"
+                break
     except KeyboardInterrupt:
         reason = "interrupted"
     search.confirm()
@@ -213,6 +223,7 @@ def solve_filtered(
         return None
     search = _Search(problem, begin, Whitened.at, Differentiated.at if polish else Whitened.at)
     search.slack, search.most_damping, search.lengths = SLACK, MOST_DAMPING, FEW_LENGTHS
+    search.trust, search.cheap = problem.trusted, Differentiated.at
     reason, iteration = "iterations", 0
     best: Iterate = begin
     costs = [begin.cost]
@@ -257,7 +268,9 @@ class _Search:
         self.shooting, self.now, self.evaluate, self.exact = shooting, begin, evaluate, exact
         self.slack, self.most_damping, self.lengths = 0.0, 1e8, LINE_SEARCH_STEPS
         self.damping, self.penalty, self.decrease = 0.0, 1.0, np.inf
-        self.at_floor = False
+        self.at_floor, self.length = False, 1.0
+        self.trust: Trust | None = None
+        self.cheap: Evaluate | None = None
 
     def confirm(self) -> bool:
         """Go on with exact sensitivities at the same point; return whether that is news."""
@@ -277,6 +290,8 @@ class _Search:
         right = right + limits.prior_weight * (limits.prior_mean - unknowns)
         matrix = matrix + np.diag(limits.prior_weight)
         lower, upper = limits.lower - unknowns, limits.upper - unknowns
+        if self.trust is not None:
+            lower, upper = self.trust(unknowns, matrix, lower, upper)
         closed = now.defect < CLOSED or self.at_floor
         if self.at_floor:
             tolerance = max(tolerance, min(ROUNDING_SHARE * abs(now.cost), ROUNDING_COST))
@@ -301,19 +316,26 @@ class _Search:
     def _line_search(self, step: np.ndarray) -> bool:
         now = self.now
         expected = self.decrease + self.penalty * now.defect
-        length = 1.0
+        # Where only short steps were good, the next begins a little longer than the last.
+        length = min(1.0, self.length / SHORTER)
+        evaluate = self.evaluate
         for _ in range(self.lengths):
             trial = self.shooting.move(now.point, now.maps, now.offsets, step, length)
-            new = self.evaluate(self.shooting, trial)
+            new = evaluate(self.shooting, trial)
             if new is not None:
                 merit = now.cost - new.cost + self.penalty * (now.defect - new.defect)
                 # Near the optimum the gain drowns in rounding: any step that does no harm will do.
                 tiny = expected < 1e-6 * abs(now.cost) and merit >= -1e-10 * abs(now.cost)
                 if expected < 1.0:
                     tiny = tiny or merit > -self.slack
-                if merit > 1e-4 * length * expected or tiny:
+                good = merit > 1e-4 * length * expected or tiny
+                if good and evaluate is not self.evaluate:
+                    new = self.evaluate(self.shooting, trial)
+                if good and new is not None:
                     self.at_floor = 0.1 * now.defect < new.defect < NEARLY_CLOSED
-                    self.now = new
+                    self.now, self.length = new, length
                     return True
-            length *= 0.4
+            length *= SHORTER
+            evaluate = self.cheap or evaluate
+        self.length = 1.0
         return False

@@ -45,8 +45,9 @@ LEAST_START = 1.0
 DECADES, STRIDE = 21, 3
 # Steps of everything else before levels move too.
 HELD_STEPS = 2
-# Iterations after which a further start is given up unless it promises to overtake.
-FIRST_LOOK = 3
+# Iterations after which the likeliest of several starts goes on, and the others only where they
+# promise to overtake; and the difference of twice the log-likelihood below which two are one.
+FIRST_LOOK, SAME_PLACE = 3, 10.0
 
 
 def fit_disturbed(
@@ -107,23 +108,7 @@ def fit_disturbed(
             known_starts=setting.known_starts,
         )
         begun.append((problem, *_begun(problem, start, setting, begin)))
-    best: FilteredSolution | None = None
-    for problem, point, _ in sorted(begun, key=lambda one: one[2]):
-        found = solve_filtered(
-            problem,
-            point,
-            max_iterations=max_iterations if best is None else FIRST_LOOK,
-            polish=0,
-            callback=progress,
-        )
-        if found is None or best is None:
-            best = best or found
-            continue
-        if found.cost - found.promise < best.cost and found.reason != "converged":
-            found = solve_filtered(
-                problem, found.point, max_iterations=max_iterations, polish=0, callback=progress
-            )
-        best = found if found is not None and found.cost < best.cost else best
+    best = _raced(begun, max_iterations, progress)
     if best is None:
         return None
     best = with_colour(best, setting, max_iterations=max_iterations)
@@ -135,6 +120,38 @@ def fit_disturbed(
     return best
 
 
+def _raced(
+    begun: Sequence[tuple[Filtered, Point, float]],
+    max_iterations: int,
+    progress: Callable[[Progress], None] | None,
+) -> FilteredSolution | None:
+    """The likeliest end from several beginnings, the leader after a first look first.
+
+    Where a beginning arrives at the same likelihood as another, they are one.
+    """
+    apart: list[tuple[Filtered, Point, float]] = []
+    for one in sorted(begun, key=lambda one: one[2]):
+        if not apart or one[2] - apart[-1][2] > SAME_PLACE:
+            apart.append(one)
+
+    def ahead(problem: Filtered, point: Point, most: int) -> FilteredSolution | None:
+        return solve_filtered(problem, point, max_iterations=most, polish=0, callback=progress)
+
+    if len(apart) == 1:
+        return ahead(apart[0][0], apart[0][1], max_iterations)
+    looked = [ahead(problem, point, min(FIRST_LOOK, max_iterations)) for problem, point, _ in apart]
+    best: FilteredSolution | None = None
+    for found in sorted((one for one in looked if one is not None), key=lambda one: one.cost):
+        end: FilteredSolution | None = found
+        if best is not None and found.cost - found.promise >= best.cost:
+            continue
+        if found.reason != "converged":
+            end = ahead(found.problem, found.point, max_iterations)
+        if end is not None and (best is None or end.cost < best.cost):
+            best = end
+    return best
+
+
 def _begun(
     problem: Filtered, start: Start, setting: Setting, begin: NoiseModel
 ) -> tuple[Point, float]:
@@ -142,7 +159,9 @@ def _begun(
 
     Levels and time would otherwise first follow the misfit of wrong values, and then come back.
     """
-    point, objective = _likeliest_level(problem, start, setting, begin)
+    levels = problem.layout.levels
+    others = problem.point(start.initial, start.local, begin).unknowns[: levels.start]
+    point, objective, decade = _likeliest_level(problem, others, setting, begin)
     held = Filtered(
         problem.model,
         problem.dataset,
@@ -150,42 +169,49 @@ def _begun(
         kernel=problem.kernel,
         known_starts=problem.known_starts,
     )
-    others = Point(point.unknowns[: problem.layout.levels.start], ())
-    found = solve_filtered(held, others, max_iterations=HELD_STEPS, polish=0)
+    found = solve_filtered(held, Point(others, ()), max_iterations=HELD_STEPS, polish=0)
     if found is None:
         return point, objective
-    nearer = replace(start, values=found.values, initial=found.initial, local=found.local)
-    there = _likeliest_level(problem, nearer, setting, begin)
-    return there if there[1] < objective else (point, objective)
+    there, less, _ = _likeliest_level(problem, found.point.unknowns, setting, begin, decade)
+    return (there, less) if less < objective else (point, objective)
 
 
 def _likeliest_level(
-    problem: Filtered, start: Start, setting: Setting, begin: NoiseModel
-) -> tuple[Point, float]:
-    """Point at the start's values and the likeliest decade of levels; its objective.
+    problem: Filtered,
+    others: np.ndarray,
+    setting: Setting,
+    begin: NoiseModel,
+    near: int | None = None,
+) -> tuple[Point, float, int]:
+    """Point with the likeliest decade of levels at given other unknowns, its objective, the decade.
 
     The objective is flat where the levels do nothing yet, falls, and rises where they are too
-    large: strides find the valley, single decades its floor.
+    large: strides find the valley, single decades its floor, which is ``near`` where that is known.
     """
     free = np.array([place not in setting.known for place in begin.places], dtype=bool)
-    tried: dict[int, tuple[Point, float]] = {}
+    tried: dict[int, tuple[Point, float, int]] = {}
 
     def attempt(decade: int) -> float:
-        force = np.where(free, 10.0**decade * begin.force, begin.force)
-        point = problem.point(start.initial, start.local, replace(begin, force=force))
-        tried[decade] = point, problem.objective(point.unknowns)
+        if decade < 0:
+            return np.inf
+        if decade not in tried:
+            force = np.where(free, 10.0**decade * begin.force, begin.force)
+            levels = problem.levels.vector(replace(begin, force=force))
+            point = Point(np.concatenate([others, levels]), ())
+            tried[decade] = point, problem.objective(point.unknowns), decade
         return tried[decade][1]
 
     least, best = np.inf, 0
-    for decade in range(0, DECADES + 1, STRIDE):
+    for decade in range(0, DECADES + 1, STRIDE) if near is None else (near,):
         found = attempt(decade)
         if found < least - 1.0:
             least, best = found, decade
         elif np.isfinite(least) and (not np.isfinite(found) or best > 0):
             break
-    for decade in (best - 1, best + 1):
-        if decade >= 0 and decade not in tried:
-            attempt(decade)
+    for way in (-1, 1):
+        decade = best
+        while attempt(decade + way) < attempt(decade) and decade + way <= DECADES + 1:
+            decade += way
     return min(tried.values(), key=lambda one: one[1])
 
 

@@ -6,8 +6,9 @@ There every disturbance has variance zero. The likelihood has a slope ``s`` and 
 .. math:: T = \max_{d \ge 0}\; 2 s' d - d' I d
 
 is what letting them in would gain in twice the log-likelihood (Silvapulle & Sen 2005,
-*Constrained statistical inference*, ch. 3). White data stay below 2 in 99 of 100 records; above
-``CLEAR`` disturbances are let in and estimated with everything else.
+*Constrained statistical inference*, ch. 3). With three forces, five sensors and three times, white
+data stay below 6.8 in 95 and below 9.2 in 99 of 100 cases; above ``CLEAR`` disturbances are let in
+and estimated with everything else, and stay only where that is likelier.
 
 At variance zero nothing is corrected, so that only forces need the filter:
 

@@ -21,6 +21,7 @@ _ADVICE = {
         "no step lowers the misfit, yet the gradient is not zero. Values are the best found; "
         "check bounds and not identifiable parameters, or shorten the shooting interval."
     ),
+    "enough": "white noise does not explain the residuals, and iterations ended early.",
     "iterations": "the limit of iterations was reached. Raise max_iterations or start closer.",
     "interrupted": "stopped by the user. Values are the best so far; fit(..., warm=fit) goes on.",
     "infeasible": (

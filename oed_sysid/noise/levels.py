@@ -29,6 +29,8 @@ WHITE_FLOOR = 1e-4
 VAGUE_TIME = 2.0
 # Shortest time in samples, longest as a share of the shortest record.
 SHORTEST, LONGEST = 0.5, 0.2
+# Least share that a variance keeps in one step along its curve, and the steepest such curve.
+LEAST_KEPT, MOST_POWER = 0.1, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,26 +188,65 @@ class Levels:
             force_time=force_time,
         )
 
-    def moved(self, vector: np.ndarray, step: np.ndarray) -> np.ndarray:
-        r"""Unknowns after a step, taken along the curve on which times leave intensities.
+    def following(self, information: np.ndarray, vector: np.ndarray) -> np.ndarray:
+        r"""How the logarithm of each variance follows that of its time, ``(n_levels,)``.
 
-        Records tell the intensity :math:`\sigma^2 / \tau` of a disturbance far better than either
-        of the two, so that a straight step in both would leave it.
+        Along :math:`\sigma^2 \propto \tau^a` the records cannot tell the two apart: :math:`a = 1`
+        where a disturbance lasts longer than the vehicle answers, so that its intensity counts,
+        and :math:`-1` where it is over before.
+
+        Parameters
+        ----------
+        information : ndarray (n_levels, n_levels)
+            Of all levels and times.
+        vector : ndarray (n_levels,)
+            Where.
+        """
+        power = np.zeros(len(self))
+        for j, (kind, index) in enumerate(self.entries):
+            if kind not in (FORCE_TIME, COLOUR_TIME):
+                continue
+            level = FORCE_VARIANCE if kind == FORCE_TIME else COLOUR_VARIANCE
+            of = [
+                i
+                for i, (other, its) in enumerate(self.entries)
+                if other == level and index in (-1, its) and vector[i] > 0 and self._lasts(i)
+            ]
+            among, beside = information[np.ix_(of, of)], information[of, j]
+            if of and np.all(np.diag(among) > 0):
+                size = 1.0 / np.sqrt(np.diag(among))
+                change = -size * np.linalg.lstsq(size[:, None] * among * size, size * beside)[0]
+                power[of] = np.clip(change / vector[of], -MOST_POWER, MOST_POWER)
+        return power
+
+    def _lasts(self, position: int) -> bool:
+        kind, index = self.entries[position]
+        return kind != FORCE_VARIANCE or bool(self.noise.force_time[index] > 0)
+
+    def moved(self, vector: np.ndarray, step: np.ndarray, power: np.ndarray) -> np.ndarray:
+        r"""Unknowns after a step, taken along the curves on which levels follow their times.
+
+        Records tell :math:`\sigma^2 \tau^{-a}` of a disturbance far better than either of the
+        two, so that a straight step in both would leave it.
+
+        Parameters
+        ----------
+        vector, step : ndarray (n_levels,)
+        power : ndarray (n_levels,)
+            As :meth:`following` tells.
         """
         after = vector + step
         for i, (kind, index) in enumerate(self.entries):
             force = kind == FORCE_VARIANCE
-            if not (force or kind == COLOUR_VARIANCE) or vector[i] <= 0:
-                continue
-            if force and self.noise.force_time[index] <= 0:  # white from step to step
+            if not (force or kind == COLOUR_VARIANCE) or vector[i] <= 0 or not self._lasts(i):
                 continue
             time = FORCE_TIME if force else COLOUR_TIME
             of = [j for j, entry in enumerate(self.entries) if entry in ((time, index), (time, -1))]
-            if of:
+            if of and after[i] > self.lower[i]:  # at its bound it has vanished
                 longer = float(np.clip(after[of[0]], self.lower[of[0]], self.upper[of[0]]))
-                longer -= vector[of[0]]
-                kept = after[i] - vector[i] * longer
-                after[i] = kept * np.exp(longer) if kept > 0 else after[i]
+                longer = power[i] * (longer - vector[of[0]])
+                kept = max(after[i] - vector[i] * longer, LEAST_KEPT * vector[i])
+                after[i] = kept * np.exp(longer)
         return after
 
     def disturbed(self, noise: NoiseModel) -> Disturbed:
@@ -244,6 +285,12 @@ class Levels:
             prior_mean=nothing,
             prior_weight=nothing,
         )
+
+    @property
+    def are_variances(self) -> np.ndarray:
+        """Which unknowns are variances, not times, of shape ``(n_levels,)``."""
+        kinds = [kind for kind, _ in self.entries]
+        return ~np.isin(kinds, (FORCE_TIME, COLOUR_TIME)).reshape(len(kinds))
 
     @property
     def shares_a_time(self) -> bool:
