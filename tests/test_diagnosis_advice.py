@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from oed_sysid import Force, Parameter
 from oed_sysid.diagnosis.improvement import advice
@@ -75,3 +77,16 @@ def test_a_claim_beside_a_rising_error_is_doubted() -> None:
     assert "drag" in doubted[0]
     assert any("size of E_drag" in line for line in lines)
     assert not any("inf" in line for line in lines)
+
+
+@pytest.mark.parametrize(("std_error", "told"), [(0.1, True), (30.0, True), (60.0, False)])
+def test_a_size_that_may_be_anything_is_not_stated(std_error: float, told: bool) -> None:
+    """An interval of more than a hundred typical sizes is no size; nor one beyond all bounds."""
+    row = {"name": "E_drag", "value": 2.0, "std_error": std_error, "unit": "N"}
+    lines = advice([step("drag")], RANKING, (row,), explained=True)
+    assert any("size of E_drag" in line for line in lines) != told
+    bounded = replace(step("drag").effect.parameters[0], lower=0.0, upper=3.0)
+    effect = replace(step("drag").effect, parameters=(bounded,))
+    claim = SimpleNamespace(**{**vars(step("drag")), "effect": effect})
+    lines = advice([claim], RANKING, (row,), explained=True)
+    assert any("size of E_drag" in line for line in lines) == (std_error > 1.0)

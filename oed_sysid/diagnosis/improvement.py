@@ -20,6 +20,7 @@ from oed_sysid.effects import Effect
 from oed_sysid.fitting.fit import TWO_SIDED_95, Fit, align
 from oed_sysid.fitting.noise_levels import signal_spread
 from oed_sysid.model import Model
+from oed_sysid.parameters import Parameter
 
 # Evidence (gain less the cost of freedom) from which a candidate is mentioned as a hint.
 HINT = 4.0
@@ -27,6 +28,8 @@ HINT = 4.0
 NAMED = 6
 # Factor by which the error on validation records may seem to rise by chance.
 RISE = 1.02
+# Half a 95 % interval, in typical sizes, from which the records do not tell a size.
+UNTOLD = 100.0
 
 # Root mean square errors of every output, ``(n_outputs,)``, on ``train`` and ``test`` records.
 Errors = Mapping[str, np.ndarray]
@@ -480,7 +483,8 @@ def advice(
     estimates = {row["name"]: row for row in parameters}
     believe, doubt, sea = [], [], []
     for step in steps:
-        sizes = [_size(estimates[p.name]) for p in step.effect.parameters if p.name in estimates]
+        own = [p for p in step.effect.parameters if p.name in estimates]
+        sizes = [_size(estimates[p.name], p) for p in own]
         tested = not np.isnan(step.test_gain)
         rivals = step.group[1:]
         what = " or ".join(step.group) if rivals else step.added
@@ -488,11 +492,7 @@ def advice(
             f"{what} is missing{', the validation records agree' if tested else ''}"
             + (f": {', '.join(sizes)}." if sizes and not rivals else ".")
         )
-        unknown = [
-            p.name
-            for p in step.effect.parameters
-            if p.name in estimates and not np.isfinite(estimates[p.name]["std_error"])
-        ]
+        unknown = [p.name for p in own if not _is_told(estimates[p.name], p)]
         if unknown:
             doubt.append(f"the size of {', '.join(unknown)}: these records do not give it.")
         if step.test_error > RISE * before:
@@ -537,9 +537,15 @@ def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) 
     return lines
 
 
-def _size(row: Mapping[str, Any]) -> str:
+def _is_told(row: Mapping[str, Any], parameter: Parameter) -> bool:
+    """Whether the records give a size: its interval is within what was possible anyway."""
+    widest = min(parameter.upper - parameter.lower, UNTOLD * parameter.magnitude)
+    return bool(TWO_SIDED_95 * row["std_error"] < widest)
+
+
+def _size(row: Mapping[str, Any], parameter: Parameter) -> str:
     unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
-    if not np.isfinite(row["std_error"]):
+    if not _is_told(row, parameter):
         return f"{row['name']} about {row['value']:.3g}{unit}"
     half = TWO_SIDED_95 * row["std_error"]
     return f"{row['name']} = {row['value']:.3g} +/- {half:.2g}{unit} (95 %)"
