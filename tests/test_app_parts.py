@@ -161,7 +161,7 @@ def test_rotation_turns_body_axes_into_north_east_down() -> None:
     np.testing.assert_allclose(bow_east, (0.0, 1.0, 0.0), atol=1e-12)
 
 
-def test_chain_is_coloured_by_evidence() -> None:
+def test_chain_is_coloured_by_gain() -> None:
     """The likeliest place is the darkest, one that chance explains has no colour."""
     places = (Place("force", "Z", "N"), Place("sensor", "theta", "rad"), Place("actuator", "fin"))
     gains = {"force Z": 4000.0, "sensor theta": 900.0, "actuator fin": 3.0}

@@ -182,10 +182,10 @@ def against(
 
 
 def chain(located: Located) -> str:
-    """Return the signal chain as HTML, each place coloured by the evidence against it."""
+    """Return the signal chain as HTML, each place coloured by its log-likelihood gain."""
     from html import escape
 
-    top = max((located.evidence.get(p.name, 0.0) for p in located.places), default=0.0)
+    top = max((located.gains.get(p.name, 0.0) for p in located.places), default=0.0)
     stages = []
     for stage, words in _STAGES.items():
         here = [place for place in located.places if place.stage == stage]
@@ -193,7 +193,7 @@ def chain(located: Located) -> str:
             continue
         boxes = []
         for place in here:
-            gain = located.evidence.get(place.name, 0.0)
+            gain = located.gains.get(place.name, 0.0)
             share = gain / top if gain > CLEAR and top > 0.0 else 0.0
             level = min(int(np.ceil(4.0 * share)), 4)
             best = " best" if place.name == located.best else ""

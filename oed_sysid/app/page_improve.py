@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from oed_sysid.app.panels import command, html_download, work
 from oed_sysid.app.panels import show as show_page
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
+from oed_sysid.diagnosis.preparation import prepared
 
 if TYPE_CHECKING:
     from oed_sysid.diagnosis.compare import Comparison
@@ -23,9 +25,12 @@ def show(study: Study) -> None:
     st.header("Improve")
     study.training()
     if study.test is None:
+        kept = prepared(study.training(), None, enough=sys.maxsize).notes
         st.warning(
-            "There is no validation record, so what is found cannot be tested. Choose one on the "
-            "page Problem."
+            kept[0]
+            if kept
+            else "There is no validation record, so what is found cannot be tested. Choose one on "
+            "the page Problem."
         )
     key = choices.preset(choices.kept("most", study.source, study.variant), 4)
     most = st.columns(2)[0].slider("Most effects to add", 1, 6, key=key)
@@ -35,7 +40,7 @@ def show(study: Study) -> None:
     if outcome is not None:
         found = outcome.result
         first = views.of_comparison(outcome.comparison, "improve") | views.of_located(
-            found.location, study.training(), found.base_fit, "improve"
+            found.location, found.base_fit.dataset, found.base_fit, "improve"
         )
         show_page(outcome.page, first)
         html_download(outcome.page, "improve")

@@ -229,7 +229,7 @@ def _parameters(problem: Problem) -> Table:
         )
         for one in problem.model.all_parameters
     )
-    headers = ("parameter", "meaning", "believed", "± (95 %)", "role", "unit")
+    headers = ("parameter", "meaning", "nominal", "± (95 %)", "role", "unit")
     return Table(headers, rows, words=(1,))
 
 

@@ -143,7 +143,8 @@ def improve(
 
             fits = {"nominal": result.base_fit} | ({"improved": result.fit} if result.steps else {})
             ready = prepared(training, validation)
-            comparison = compare(fits, ready.validation or ready.train)
+            judged, levels = ready.validation or ready.train, result.yardstick.sigma
+            comparison = compare(fits, judged, sigma=levels)
             page = improvement_page(result, comparison, train=ready.train, title=chosen.title)
             note(f"Written: {page.write(html_file)}")
         if picture is not None:

@@ -87,7 +87,7 @@ Variant = Annotated[
     typer.Option(
         "--model",
         metavar="NAME",
-        help="Which of the problem's models to believe, if it has several.",
+        help="Which of the problem's models is the nominal one, if it has several.",
         show_default=False,
     ),
 ]

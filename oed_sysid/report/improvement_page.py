@@ -8,7 +8,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.compare import Comparison
 from oed_sysid.diagnosis.improvement import Improvement
 from oed_sysid.report.comparison_page import comparison_sections, log_verdict
-from oed_sysid.report.diagnosis_page import evidence_section, located_section
+from oed_sysid.report.diagnosis_page import candidates_section, located_section
 from oed_sysid.report.improvement_plots import plot_error_fall
 from oed_sysid.report.page import Page, Picture, Section, Table
 from oed_sysid.report.style import TWO_SIDED_95, new_figure
@@ -21,7 +21,7 @@ def improvement_page(
     train: Dataset | None = None,
     title: str = "",
 ) -> Page:
-    """Compose the report on a search: verdict, steps, evidence, predictions, estimates.
+    """Compose the report on a search: verdict, steps, candidates, predictions, estimates.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def improvement_page(
         _steps(improvement),
         _advice(improvement),
         located_section(improvement.location, train),
-        evidence_section(improvement.ranking),
+        candidates_section(improvement.ranking),
     ]
     if comparison is not None:
         sections += comparison_sections(comparison)
@@ -102,7 +102,7 @@ def _steps(improvement: Improvement) -> Section:
     rows = tuple(
         (
             step.added,
-            f"{step.evidence:.4g}",
+            f"{step.gain:.4g}",
             f"{step.needed:.3g}",
             f"{step.test_gain:.4g}" if np.isfinite(step.test_gain) else "",
             f"{step.train_error:.3g}",
