@@ -165,8 +165,8 @@ def _introduce(problem: Problem, train: Dataset, test: Dataset) -> None:
     model = problem.model
     print(f"Nominal model    {model.name}; {len(model.free_names)} parameters to estimate")
     print(f"Perhaps missing  {len(problem.effects)} candidate effects")
-    print(f"Learning from    {', '.join(train.names)}")
-    print(f"Judging with     {', '.join(test.names)} (no choice looks at them)")
+    print(f"Training         {', '.join(train.names)}")
+    print(f"Validation       {', '.join(test.names)} (no choice looks at them)")
     for line in model.equations().splitlines():
         if "' " in line and "<-" not in line:
             print(f"    {line}")

@@ -103,7 +103,7 @@ def _aside() -> None:
     except OedSysidError:
         return
     st.markdown(f"**{study.problem.title}**")
-    parts = (("Learn from", study.train), ("Judge with", study.test))
+    parts = (("Training records", study.train), ("Validation records", study.test))
     for words, records in parts:
         st.caption(f"{words}: {', '.join(records.names) if records else 'none'}")
     if running := visit.desk().running(visit.study_id()):

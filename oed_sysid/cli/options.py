@@ -32,7 +32,7 @@ Files = Annotated[
     list[str],
     typer.Argument(
         metavar="CSV...",
-        help="Records to learn from: files, folders or patterns.",
+        help="Training records: files, folders or patterns.",
         show_default=False,
     ),
 ]
@@ -41,7 +41,7 @@ Validate = Annotated[
     typer.Option(
         "--validate",
         metavar="CSV...",
-        help="Records to judge with; nothing is fitted to them.",
+        help="Validation records; nothing is fitted to them.",
         show_default=False,
     ),
 ]
@@ -50,7 +50,7 @@ IfValidated = Annotated[
     typer.Option(
         "--validate",
         metavar="CSV...",
-        help="Records to judge with; nothing is fitted to them. Without them improve keeps "
+        help="Validation records; nothing is fitted to them. Without them improve keeps "
         "the end of a single record for that.",
         show_default=False,
     ),

@@ -63,7 +63,7 @@ class Yardstick:
         kinds = [k for k in ("train", "test") if not np.isnan(before[k]).all()]
         models = [before, *([after] if after else [])]
         rows: list[tuple[str, ...]] = [
-            ("error", "records", "nominal", *(["improved"] if after else []), "noise", "unit")
+            ("output", "records", "nominal", *(["improved"] if after else []), "noise", "unit")
         ]
         for index, output in enumerate(self.outputs):
             # Angles are read in degrees.

@@ -94,14 +94,18 @@ def candidates_section(ranking: Ranking) -> Section:
             f"{len(hidden)} of {len(ranking.scores)} candidates would not be seen in these "
             "records at their typical size. That they were not found says nothing about them."
         )
-        rows = tuple((name, _visible_from(limits)) for name, limits in hidden.items())
+        units = {p.name: p.unit for score in ranking.scores for p in score.effect.parameters}
+        rows = tuple((name, _visible_from(limits, units)) for name, limits in hidden.items())
         headers = ("candidate", "would be seen from")
         tables.append(Table(headers, rows, caption="Invisible at typical size", words=(1,)))
     return Section("Candidates", tuple(words), tuple(tables), (picture,))
 
 
-def _visible_from(limits: Mapping[str, float]) -> str:
+def _visible_from(limits: Mapping[str, float], units: Mapping[str, str]) -> str:
     """Amplitudes from which a candidate would show; none where free parameters imitate it."""
     if not all(np.isfinite(value) for value in limits.values()):
         return "no size: the free parameters imitate it"
-    return ", ".join(f"{key} = {value:.3g}" for key, value in limits.items())
+    return ", ".join(
+        f"{key} = {value:.3g} {'' if units[key] == '1' else units[key]}".rstrip()
+        for key, value in limits.items()
+    )

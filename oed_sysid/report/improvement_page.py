@@ -112,8 +112,8 @@ def _steps(improvement: Improvement) -> Section:
         for step in improvement.steps
     )
     headers = (
-        "added", "log-likelihood gain", "needed", "on validation records", "error, training",
-        "error, validation", "cannot be told from it",
+        "added", "log-likelihood gain", "needed", "gain, validation", "error, training [noise]",
+        "error, validation [noise]", "cannot be told from it",
     )  # fmt: skip
     figure, axes = new_figure(1, 1, size=(7.6, 3.8))
     plot_error_fall(improvement, ax=axes[0, 0])
@@ -124,8 +124,8 @@ def _steps(improvement: Improvement) -> Section:
     words = [
         "The log-likelihood gain is what twice the log-likelihood gains after all parameters and "
         "noise levels were estimated again; chance rarely exceeds the needed gain, however many "
-        "candidates were tried. Errors are those of plain least squares on the training records. "
-        "Nothing was fitted to the validation records but their initial states."
+        "candidates were tried. Errors are those of the model running on its own over whole "
+        "records. Nothing was fitted to the validation records but their initial states."
     ]
     if improvement.rejected:
         refused = ", ".join(dict.fromkeys(improvement.rejected))
