@@ -134,14 +134,15 @@ def _ask_channels(source: str, problem: Problem, log: Log) -> None:
         if channel.unit == "rad":
             row[4].checkbox(
                 f"Unwrap {channel.name}", key=choices.preset(key("wrap"), False),
-                label_visibility="collapsed", help="The log holds the angle within one turn: 0° to 360°, or ±180°.",
+                label_visibility="collapsed",
+                help="The log holds the angle within one turn: 0° to 360°, or ±180°.",
             )  # fmt: skip
         with row[5].popover("More", width="stretch"):
             st.caption("Channel = factor × (reading − trim)")
             st.number_input("Factor", key=choices.preset(key("factor"), 1.0), format="%.6g")
             logged = st.session_state.get(key("unit")) or "as logged"
-            st.number_input(f"Trim: reading at zero [{logged}]", key=choices.preset(key("trim"), 0.0),
-                            format="%.6g")  # fmt: skip
+            words = f"Trim: reading at zero [{logged}]"
+            st.number_input(words, key=choices.preset(key("trim"), 0.0), format="%.6g")
             st.number_input("Late by [s]", key=choices.preset(key("delay"), 0.0), format="%.4g")
 
 

@@ -15,7 +15,7 @@ from oed_sysid.cli.options import (
     Files,
     Fresh,
     HtmlFile,
-    IfValidated,
+    ToValidate,
     JournalFolder,
     JsonFile,
     KnownNoise,
@@ -83,7 +83,7 @@ def diagnose(
 def improve(
     problem: ProblemName,
     files: Files,
-    validate: IfValidated = None,
+    validate: ToValidate = None,
     model: Variant = None,
     known_noise: KnownNoise = False,
     disturbances: Disturbances = "auto",

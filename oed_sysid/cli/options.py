@@ -50,8 +50,17 @@ IfValidated = Annotated[
     typer.Option(
         "--validate",
         metavar="CSV...",
-        help="Validation records; nothing is fitted to them. Without them improve keeps "
-        "the end of a single record for that.",
+        help="Validation records; nothing is fitted to them.",
+        show_default=False,
+    ),
+]
+ToValidate = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--validate",
+        metavar="CSV...",
+        help="Validation records; nothing is fitted to them. Without any, the last two fifths of a "
+        "single record are kept for that.",
         show_default=False,
     ),
 ]
@@ -69,7 +78,8 @@ Criterion = Annotated[
     typer.Option(
         "--criterion",
         metavar="D|A|E",
-        help="What is good: see docs.",
+        help="What shall be small: D the errors of all parameters together, A their mean, E the "
+        "worst combination.",
         autocompletion=_one_of("D", "A", "E"),
     ),
 ]
