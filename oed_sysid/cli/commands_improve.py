@@ -15,12 +15,12 @@ from oed_sysid.cli.options import (
     Files,
     Fresh,
     HtmlFile,
-    ToValidate,
     JournalFolder,
     JsonFile,
     KnownNoise,
     PictureFile,
     ProblemName,
+    ToValidate,
     Variant,
     disturbances_of,
 )

@@ -28,7 +28,7 @@ def improvement_page(
     improvement : Improvement
         The search.
     comparison : Comparison, optional
-        Of the believed and the improved model, best on validation records.
+        Of the nominal and the improved model, best on validation records.
     train : Dataset, optional
         The training records, to draw residual forces against their signals.
     title : str
@@ -150,7 +150,7 @@ def _in_units(improvement: Improvement) -> Table:
 
 
 def _estimates(improvement: Improvement) -> Section:
-    believed = improvement.base.values
+    nominal = improvement.base.values
     rows = []
     for one in improvement.parameters:
         name, value, error = one["name"], one["value"], one["std_error"]
@@ -164,7 +164,7 @@ def _estimates(improvement: Improvement) -> Section:
                 f"{value:.5g}",
                 f"{error:.2g}",
                 f"{100 * error / abs(value):.2g} %" if value else "",
-                f"{believed[name]:.5g}" if name in believed else "",
+                f"{nominal[name]:.5g}" if name in nominal else "",
                 known,
                 one["unit"],
             )
@@ -173,11 +173,6 @@ def _estimates(improvement: Improvement) -> Section:
         "parameter", "value", "std. error", "relative", "without the effects",
         "prior ± (95 %)", "unit",
     )  # fmt: skip
-    added = {p.name for s in improvement.steps for p in _parameters(improvement, s.added)}
+    added = {parameter.name for step in improvement.steps for parameter in step.effect.parameters}
     marked = tuple(i for i, row in enumerate(rows) if row[0] in added)
     return Section("Estimates", tables=(Table(headers, tuple(rows), marked=marked),))
-
-
-def _parameters(improvement: Improvement, effect: str) -> tuple:
-    names = improvement.model.effect_names
-    return improvement.model.effect(effect).parameters if effect in names else ()
