@@ -171,6 +171,7 @@ def test_chain_is_coloured_by_gain() -> None:
     assert 'class="place l1" title="sensor theta' in html
     assert 'class="place l0" title="actuator fin' in html
     assert html.index("fin<") < html.index("Z<") < html.index("theta<")
+    assert html.index("<h4>forces</h4>") < html.index("3,100 behind")
 
 
 def test_design_that_leaves_its_limits_is_named() -> None:

@@ -230,12 +230,12 @@ def chain(located: Located) -> str:
             level = 4 if place.name in group else 0
             if not level and gain > CLEAR:
                 level = 1 + sum(behind < share * top for share in _NEAR)
-            words = "best" if best else f"{behind:,.0f} behind" if gain > CLEAR else "chance"
+            said = "best" if best else f"{behind:,.0f} behind" if gain > CLEAR else "chance"
             size = located.levels.get(place.name, 0.0)
             tip = f"{place.name}: log-likelihood gain {gain:.0f}; size {size:.2g} {place.unit}"
             boxes.append(
                 f'<span class="place l{level}{best}" title="{escape(tip)}">'
-                f"{escape(place.signal)}<small>{words}</small></span>"
+                f"{escape(place.signal)}<small>{said}</small></span>"
             )
         inner = "".join(boxes) or '<span class="place l0">as logged</span>'
         stages.append(f'<div class="stage"><h4>{words}</h4>{inner}</div>')

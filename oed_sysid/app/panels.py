@@ -111,7 +111,9 @@ def show(
         How many sections stand before these.
     """
     st.html(f'<div class="oed">{page.summary_html()}</div>')
-    parts = [(section.title, partial(_beneath, page, section)) for section in page.sections]
+    parts: list[tuple[str, Callable[[], None]]] = [
+        (section.title, partial(_beneath, page, section)) for section in page.sections
+    ]
     parts[lead:lead] = (pictures or {}).items()
     if not parts:
         return

@@ -202,7 +202,7 @@ def residual_section(fit: Fit, *, style: int = 0) -> Section:
         "output", "rms residual", "noise", "ratio", f"independent {_steps_of(fit)}",
         "white in records", "unit",
     )  # fmt: skip
-    words = ()
+    words: tuple[str, ...] = ()
     if fit.innovations is not None:
         words = (
             "Random forces were estimated with the parameters. The table counts independent "
