@@ -194,11 +194,15 @@ def test_columns_are_mapped_by_choice(ship: Path) -> None:
     app.button_group[0].set_value("My logs").run()
     content = "\n".join(lines).encode()
     app.file_uploader[0].set_value([("circle.csv", content, "text/csv")]).run()
-    assert "has no column with times" in app.error[0].value
+    fine(app)
+    assert app.info[0].value.startswith("Choose the column")
     key = f"keep:map:{ship}"
     app.selectbox(key=f"{key}:time").set_value("clock").run()
     app.selectbox(key=f"{key}:time unit").set_value("ms").run()
-    assert "No output is mapped yet" in app.error[0].value
+    assert app.selectbox(key=f"{key}:psi:field").value == "circle.compass [deg]"  # by its name
+    app.selectbox(key=f"{key}:psi:field").set_value("not logged").run()
+    fine(app)
+    assert app.info[0].value.startswith("No output is mapped yet")
     app.selectbox(key=f"{key}:psi:field").set_value("circle.compass [deg]").run()
     assert app.text_input(key=f"{key}:psi:unit").value == "deg"
     app.checkbox(key=f"{key}:psi:wrap").check().run()

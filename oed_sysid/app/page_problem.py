@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import streamlit as st
@@ -77,7 +78,8 @@ def show() -> None:
             st.caption("Amplitudes without a unit are in SI units; angles then in radians.")
     with sources:
         part(Section("", problem.references or ("None stated.",)))
-    command(commands.describe(choices.study()))
+    with suppress(NothingMappedError):  # said with the records
+        command(commands.describe(choices.study()))
 
 
 def _measured() -> None:
