@@ -55,6 +55,8 @@ def begin() -> bool:
         if str(key).startswith(KEEP):
             state[key] = state[key]
     _hold()
+    if "kept text" in state:  # before anything is drawn: a reload may come at once
+        end(str(state.get("title", "")))
     return earlier
 
 
@@ -126,6 +128,7 @@ def edition() -> str:
 def end(title: str) -> None:
     """Keep the study if anything in it has changed since it was looked at first."""
     state = st.session_state
+    state["title"] = title
     _hold()
     left = _left(title)
     text = left.text()
