@@ -23,18 +23,18 @@ with tempfile.TemporaryDirectory() as temporary:
     data = problem.data()
 
 estimator = oed_sysid.MultipleShooting()
-believed = estimator.fit(problem.model, data)
+nominal = estimator.fit(problem.model, data)
 better = estimator.fit(problem.model + problem.effect("yaw_quadratic_damping"), data)
 
 labels = ["linear", "with quadratic damping"]
-axes = plot_zigzag(data["zigzag_20_20"], [believed, better], labels=labels)
+axes = plot_zigzag(data["zigzag_20_20"], [nominal, better], labels=labels)
 axes.figure.savefig(place / "zigzag.png", dpi=150)
-axes = plot_autocorrelation(believed, "r")
+axes = plot_autocorrelation(nominal, "r")
 axes.figure.savefig(place / "autocorrelation.png", dpi=150)
 fit_page(better, style=1).write(place / "better.html")
 
 print(f"Pictures and report: {place.resolve()}")
-for label, fit in zip(labels, (believed, better), strict=True):
+for label, fit in zip(labels, (nominal, better), strict=True):
     white = sum(test.is_white for tests in fit.whiteness().values() for test in tests)
     total = sum(len(tests) for tests in fit.whiteness().values())
     print(

@@ -9,9 +9,9 @@ from oed_sysid import MultipleShooting, compare, improve, load_problem
 problem = load_problem("remus_diving_plane")
 train, test = problem.data().split(test=["test_steps", "test_zigzag_15_12"])
 
-# The model as it is believed converges, and is wrong.
-believed = MultipleShooting().fit(problem.model, train)
-print(compare(believed, test).verdict)
+# The nominal model converges, and is wrong.
+nominal = MultipleShooting().fit(problem.model, train)
+print(compare(nominal, test).verdict)
 
 found = improve(problem.model, train, test, candidates=problem.effects, known_noise=True)
 print()

@@ -55,10 +55,10 @@ for row, target in zip(rows[2:], targets[2:], strict=True):
 live.draw()
 live.animate("tanker_on_line.gif", frames=30)
 
-print("samples   K [1/s]    T [s]")
+print("samples   K [1/s]    T [s], 95 %")
 for count in (10, 20, 30, 50, 70, 100):
     gain, time, spread = history[count - 3]
-    print(f"{count:7d}   {gain:7.3f}   {time:5.1f} ± {spread:.1f}")
+    print(f"{count:7d}   {gain:7.3f}   {time:5.1f} ± {1.96 * spread:.1f}")
 found = np.array([(gain, time) for gain, time, _ in history])
 away = np.abs(found / found[-1] - 1).max(axis=1)
 settled = 3 + int(np.flatnonzero(away > 0.1)[-1]) + 1

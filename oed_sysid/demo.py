@@ -163,10 +163,10 @@ def tanker(out: Path) -> Improvement | None:
 def _introduce(problem: Problem, train: Dataset, test: Dataset) -> None:
     """Say what is believed, and what it is confronted with."""
     model = problem.model
-    print(f"Believed         {model.name}; {len(model.free_names)} parameters to estimate")
+    print(f"Nominal model    {model.name}; {len(model.free_names)} parameters to estimate")
     print(f"Perhaps missing  {len(problem.effects)} candidate effects")
-    print(f"Learning from    {', '.join(train.names)}")
-    print(f"Judging with     {', '.join(test.names)} (no choice looks at them)")
+    print(f"Training         {', '.join(train.names)}")
+    print(f"Validation       {', '.join(test.names)} (no choice looks at them)")
     for line in model.equations().splitlines():
         if "' " in line and "<-" not in line:
             print(f"    {line}")
@@ -192,7 +192,7 @@ def _search(
     print()
     print(found.report())
     fits = {"nominal": found.base_fit} | ({"improved": found.fit} if found.steps else {})
-    return found, compare(fits, test)
+    return found, compare(fits, test, sigma=found.yardstick.sigma)
 
 
 def _conclude(found: Improvement, comparison: Comparison) -> None:

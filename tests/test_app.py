@@ -153,7 +153,7 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
 def test_shipped_problem_with_other_records() -> None:
     """Other records of a shipped problem can be chosen; fit and report are of these."""
     app = opened("nomoto_sparse_heading")
-    for part, names in (("Judge with", []), ("Learn from", ["fast_rudder"])):
+    for part, names in (("Validation records", []), ("Training records", ["fast_rudder"])):
         next(w for w in app.multiselect if w.label == part).set_value(names).run()
     app = done(at_fit(app), "fit")
     assert app.caption[0].value == "Fitted by multiple shooting to fast_rudder"
@@ -175,7 +175,7 @@ def test_files_of_the_user(ship: Path) -> None:
     app.file_uploader[0].set_value(files).run()
     assert not app.exception
     assert [error.value for error in app.error if "**bad.csv** was refused" in error.value]
-    learn = next(w for w in app.multiselect if w.label == "Learn from")
+    learn = next(w for w in app.multiselect if w.label == "Training records")
     assert list(learn.options) == ["circle"]
     app = app.button(key="next").click().run()
     app.button(key="next").click().run()
@@ -194,11 +194,15 @@ def test_columns_are_mapped_by_choice(ship: Path) -> None:
     app.button_group[0].set_value("My logs").run()
     content = "\n".join(lines).encode()
     app.file_uploader[0].set_value([("circle.csv", content, "text/csv")]).run()
-    assert "has no column with times" in app.error[0].value
+    fine(app)
+    assert app.info[0].value.startswith("Choose the column")
     key = f"keep:map:{ship}"
     app.selectbox(key=f"{key}:time").set_value("clock").run()
     app.selectbox(key=f"{key}:time unit").set_value("ms").run()
-    assert "No output is mapped yet" in app.error[0].value
+    assert app.selectbox(key=f"{key}:psi:field").value == "circle.compass [deg]"  # by its name
+    app.selectbox(key=f"{key}:psi:field").set_value("not logged").run()
+    fine(app)
+    assert app.info[0].value.startswith("No output is mapped yet")
     app.selectbox(key=f"{key}:psi:field").set_value("circle.compass [deg]").run()
     assert app.text_input(key=f"{key}:psi:unit").value == "deg"
     app.checkbox(key=f"{key}:psi:wrap").check().run()
@@ -207,7 +211,7 @@ def test_columns_are_mapped_by_choice(ship: Path) -> None:
     again = fine(reopened(app, ship))
     assert again.selectbox(key=f"{key}:psi:field").value == "circle.compass [deg]"
     assert again.session_state[f"{key}:psi:wrap"] is True
-    learn = next(w for w in again.multiselect if w.label == "Learn from")
+    learn = next(w for w in again.multiselect if w.label == "Training records")
     assert learn.value == ["circle"]
 
 
@@ -239,10 +243,10 @@ def test_nothing_is_downloaded_unasked(tmp_path: Path, monkeypatch) -> None:
 def test_a_record_cannot_be_learnt_from_and_judged_with(ship: Path) -> None:
     """Choosing one record for both is said in words."""
     app = opened(ship)
-    for part in ("Learn from", "Judge with"):
+    for part in ("Training records", "Validation records"):
         next(w for w in app.multiselect if w.label == part).set_value(["zigzag_10_10"]).run()
     assert not app.exception
-    assert "chosen to learn from and to judge with" in app.error[0].value
+    assert "chosen for training and for validation" in app.error[0].value
 
 
 def test_problem_that_does_not_exist(tmp_path: Path) -> None:
@@ -482,24 +486,24 @@ def test_reload_finds_the_study_again(ship: Path) -> None:
     app.button_group[0].set_value("My CSV files").run()
     files = [(name, content, "text/csv") for name in ("one.csv", "two.csv")]
     app.file_uploader[0].set_value(files).run()
-    next(w for w in app.multiselect if w.label == "Judge with").set_value([]).run()
+    next(w for w in app.multiselect if w.label == "Validation records").set_value([]).run()
     app = fine(reopened(app))
     assert app.session_state["keep:source"] == str(ship)
     chosen = {w.label: w.value for w in app.multiselect}
-    assert chosen["Learn from"] == ["one"]
-    assert chosen["Judge with"] == []
+    assert chosen["Training records"] == ["one"]
+    assert chosen["Validation records"] == []
 
 
 def test_choices_outlive_their_widgets(ship: Path) -> None:
     """What streamlit forgets of widgets that are not drawn, as beside a job, is chosen still."""
     app = opened(ship)
-    learn = next(w for w in app.multiselect if w.label == "Learn from")
+    learn = next(w for w in app.multiselect if w.label == "Training records")
     learn.set_value(["zigzag_10_10"]).run()
     app = following(app)
     for side in ("train", "test"):
         del app.session_state[f"keep:{side}:{ship}:default:With the problem"]
     app = fine(app.run())
-    assert any(caption.value == "Learn from: zigzag_10_10" for caption in app.caption)
+    assert any(caption.value == "Training records: zigzag_10_10" for caption in app.caption)
 
 
 def test_reload_in_mid_job_waits_for_the_same_job(ship: Path) -> None:
@@ -522,10 +526,10 @@ def test_two_tabs_are_two_studies(ship: Path) -> None:
     one, two = opened(ship), opened(ship)
     assert one.session_state["study"] != two.session_state["study"]
     for app, name in ((one, "zigzag_10_10"), (two, "turning_circle")):
-        next(w for w in app.multiselect if w.label == "Learn from").set_value([name]).run()
+        next(w for w in app.multiselect if w.label == "Training records").set_value([name]).run()
     for app, name in ((one, "zigzag_10_10"), (two, "turning_circle")):
         again = fine(reopened(app, ship))
-        learn = next(w for w in again.multiselect if w.label == "Learn from")
+        learn = next(w for w in again.multiselect if w.label == "Training records")
         assert learn.value == [name]
 
 

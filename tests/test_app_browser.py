@@ -252,6 +252,13 @@ def test_own_csv_with_other_names_units_and_a_wrapped_heading(
     np.testing.assert_allclose(record.output("psi") + start, psi, atol=1e-8)
     np.testing.assert_allclose(record.output("r"), r, atol=1e-9)
     assert np.nanmax(np.abs(np.diff(record.output("psi")))) < 0.5
+    # Jobs of other pages leave the records as they were chosen.
+    go(page, "Check the log")
+    finished(page)
+    go(page, "Fit")
+    assert page.get_by_role("button", name="Fit", exact=True).count() == 1
+    page.get_by_text(f"Training records: {record.name}").wait_for()
+    no_error(page)
 
 
 def test_bad_csv_is_refused_in_words(page: Any, tmp_path: Path) -> None:

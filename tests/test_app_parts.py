@@ -22,7 +22,7 @@ from oed_sysid.app.records import archive, at_hand, measured_sets
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
 from oed_sysid.design.assurance import Assurance
-from oed_sysid.diagnosis.locate import Located
+from oed_sysid.diagnosis.locate import Located, Series
 from oed_sysid.errors import OedSysidError
 from oed_sysid.export import KINDS
 from oed_sysid.logs import LogMapping, Source
@@ -161,7 +161,7 @@ def test_rotation_turns_body_axes_into_north_east_down() -> None:
     np.testing.assert_allclose(bow_east, (0.0, 1.0, 0.0), atol=1e-12)
 
 
-def test_chain_is_coloured_by_evidence() -> None:
+def test_chain_is_coloured_by_gain() -> None:
     """The likeliest place is the darkest, one that chance explains has no colour."""
     places = (Place("force", "Z", "N"), Place("sensor", "theta", "rad"), Place("actuator", "fin"))
     gains = {"force Z": 4000.0, "sensor theta": 900.0, "actuator fin": 3.0}
@@ -171,6 +171,7 @@ def test_chain_is_coloured_by_evidence() -> None:
     assert 'class="place l1" title="sensor theta' in html
     assert 'class="place l0" title="actuator fin' in html
     assert html.index("fin<") < html.index("Z<") < html.index("theta<")
+    assert html.index("<h4>forces</h4>") < html.index("3,100 behind")
 
 
 def test_design_that_leaves_its_limits_is_named() -> None:
@@ -180,11 +181,11 @@ def test_design_that_leaves_its_limits_is_named() -> None:
     class Design:
         assurance = stated
 
-    assert "on 25% of 200" in plans.risk(Design())
+    assert "DANGER: on 25% of the vehicles" in plans.risk(Design())
     Design.assurance = replace(stated, n_kept=196)
     assert plans.risk(Design()) == ""
     Design.assurance = replace(stated, n_kept=196, wanted=0.99)
-    assert "left first: z" in plans.risk(Design())
+    assert "Left first: z" in plans.risk(Design())
 
 
 def test_corridor_reaches_the_limits(study: Study) -> None:
@@ -280,3 +281,16 @@ def test_measured_sets_are_known_where_they_are(tmp_path: Path, monkeypatch) -> 
     assert at_hand(folder)
     assert at_hand(catalogue_folder() / "remus_diving_plane")
     assert not at_hand(catalogue_folder() / "nomoto_sparse_heading")
+
+
+def test_residual_force_is_first_shown_against_the_signal_that_explains_it() -> None:
+    """A force that is cubic in one of two signals stands against that one."""
+    rng = np.random.default_rng(3)
+    times = np.linspace(0.0, 60.0, 601)
+    speed, other = np.sin(0.7 * times), np.cos(0.31 * times)
+    force = (speed**3 + 0.05 * rng.standard_normal(times.size))[:, None]
+    series = Series(times, force, np.full_like(force, 0.05))
+    places = (Place("force", "Z", "N"),)
+    located = Located(places, {"force Z": 90.0}, {"force Z": 0.1}, ("Z",), (series,), {}, {}, {})
+    assert charts.clearest(located, "Z", {"other": other, "speed": speed}) == 1
+    assert charts.clearest(located, "Z", {"speed": speed, "other": other}) == 0

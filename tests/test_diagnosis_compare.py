@@ -11,6 +11,7 @@ from oed_sysid import Force, Input, Model, MultipleShooting, Output, Parameter, 
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.diagnosis.compare import Comparison, compare
 from oed_sysid.diagnosis.forecasts import forecasts
+from oed_sysid.diagnosis.improve import improve
 from oed_sysid.diagnosis.misfit import correlate
 from oed_sysid.diagnosis.regimes import Signal, concentrations, regimes
 from oed_sysid.errors import DataError
@@ -206,3 +207,19 @@ def test_what_differs_from_record_to_record_is_estimated_on_each() -> None:
     assert found["biased"].forecasts.overall == pytest.approx(1.0, abs=0.08)
     assert not found["plain"].is_noise
     assert found["biased"].prediction.local_values[1]["b_r"] == pytest.approx(0.02, abs=0.002)
+
+
+def test_errors_of_a_search_and_of_a_comparison_are_the_same() -> None:
+    """Declared levels measure both, though the search estimates its noise again."""
+    train = Dataset((record("a", 1, -20.0), record("b", 2, -20.0, amplitude=0.25)))
+    test = Dataset((record("c", 3, -20.0),))
+    found = improve(NOMINAL, train, test, candidates=[CUBIC])
+    assert not np.allclose(found.base_fit.noise.sensors, NOISE, rtol=1e-3)
+    fits = {"nominal": found.base_fit, "improved": found.fit}
+    by_default = compare(fits, test)
+    np.testing.assert_array_equal(by_default.sigma, NOISE)
+    errors = [found.base_error["test"], found.final_error["test"]]
+    for same in (by_default, compare(fits, test, sigma=found.yardstick.sigma)):
+        np.testing.assert_allclose([part.relative for part in same.models], errors, rtol=2e-3)
+    doubled = compare(fits, test, sigma=2.0 * NOISE)
+    np.testing.assert_allclose([2.0 * part.relative for part in doubled.models], errors, rtol=2e-3)

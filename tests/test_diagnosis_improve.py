@@ -198,7 +198,7 @@ def test_improvement_as_plain_data(auv: Improvement) -> None:
         "notes",
         "parameters",
     }
-    assert set(plain["steps"][0]) == {"added", "group", "evidence", "train_error", "test_error"}
+    assert set(plain["steps"][0]) == {"added", "group", "gain", "train_error", "test_error"}
     assert set(plain["ranking"][0]) == {"effect", "statistic"}
     assert plain["ranking"][0]["effect"] == "heave_crossflow_drag"
     assert len(plain["ranking"]) == len(load_problem("remus_diving_plane").effects)

@@ -38,7 +38,7 @@ def test_every_step_is_a_fit(found: Improvement) -> None:
     assert last.log_likelihood - found.base_fit.log_likelihood > 10.0
     # What the step gained is the difference of the likelihoods of the two fits.
     gain = 2 * (last.log_likelihood - found.base_fit.log_likelihood)
-    assert gain == pytest.approx(found.steps[0].evidence, rel=0.1, abs=2.0)
+    assert gain == pytest.approx(found.steps[0].gain, rel=0.1, abs=2.0)
 
 
 def test_fits_are_saved_loaded_and_predict(found: Improvement, tmp_path) -> None:  # type: ignore[no-untyped-def]

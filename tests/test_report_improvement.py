@@ -51,13 +51,13 @@ def test_ranking_plot_shows_gains_in_order(story) -> None:
     np.testing.assert_allclose(widths, gains)
 
 
-def test_located_plot_shows_the_evidence(story) -> None:
+def test_located_plot_shows_the_gains(story) -> None:
     """One bar per place, as long as it is behind the best; the last is no disturbance at all."""
     located = story[0].location
     ax = report.plot_located(located, n_shown=3)
     widths = [bar.get_width() for group in ax.containers for bar in group]
-    evidence = [located.evidence[place.name] for place in located.places[:3]]
-    np.testing.assert_allclose(widths, [*(evidence[0] - np.array(evidence)), evidence[0]])
+    gains = [located.gains[place.name] for place in located.places[:3]]
+    np.testing.assert_allclose(widths, [*(gains[0] - np.array(gains)), gains[0]])
     assert widths[0] == 0.0
     assert report.finding(ax) == located.verdict
 
@@ -138,7 +138,7 @@ def test_report_tells_the_story(story) -> None:
         "What is missing",
         "What to believe, and what to do next at sea",
         "Where the nominal model fails",
-        "Evidence",
+        "Candidates",
     ]
     assert all(
         any(line.strip(" -") in p for p in page.sections[1].paragraphs) for line in found.advice

@@ -19,6 +19,10 @@ AROUND = ("threshold", "before", "after")
 _FACTS = ("field", "unit", "flip", "wrap", "factor", "trim", "delay", "constant")
 
 
+class NothingMappedError(DataError):
+    """No column was chosen yet for any measured signal."""
+
+
 def time_column(source: str) -> tuple[str, str] | None:
     """Header of the column of time, and its unit, where none is called so."""
     header = visit.chosen("map", source, "time")
@@ -32,8 +36,10 @@ def asked(source: str, problem: Problem) -> LogMapping:
 
     Raises
     ------
+    NothingMappedError
+        If no output is mapped.
     DataError
-        If no output is mapped, or an answer cannot be.
+        If an answer cannot be.
     """
     inputs, outputs = {}, {}
     for channel in problem.model.inputs:
@@ -47,7 +53,7 @@ def asked(source: str, problem: Problem) -> LogMapping:
         if measured is not None:
             outputs[output.name] = measured
     if not outputs:
-        raise DataError(
+        raise NothingMappedError(
             "No output is mapped yet. Choose a column for at least one measured signal."
         )
     how = visit.chosen("map", source, "cuts", default=WHOLE)

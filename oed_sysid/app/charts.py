@@ -156,19 +156,15 @@ def against(
     turn : float
         What turns the signal into that unit.
     """
-    column = located.force_names.index(equation)
     units = {place.name: place.unit for place in located.places}
-    force = np.concatenate([series.values[:, column] for series in located.forces])
-    seen = np.isfinite(where) & np.isfinite(force)
-    x, y = turn * where[seen], force[seen]
+    x, y, share = _seen(located, equation, where)
+    x = turn * x
     figure = go.Figure()
     thin = slice(None, None, max(x.size // _MOST, 1))
     figure.add_scatter(
         x=x[thin], y=y[thin], mode="markers", name="every sample", hoverinfo="skip",
         marker={"size": 3, "color": MEASURED, "opacity": 0.35},
     )  # fmt: skip
-    independent = sum(effective_sample_size(s.values[:, column]) for s in located.forces)
-    share = independent / max(sum(len(s.times) for s in located.forces), 1)
     if x.size:
         centres, means, half = slice_means(x, y, share)
         figure.add_scatter(
@@ -181,11 +177,46 @@ def against(
     return laid_out(figure, 380)
 
 
+def _seen(
+    located: Located, equation: str, where: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """A signal and a residual force where both are known, and the share of independent samples."""
+    column = located.force_names.index(equation)
+    force = np.concatenate([series.values[:, column] for series in located.forces])
+    seen = np.isfinite(where) & np.isfinite(force)
+    independent = sum(effective_sample_size(s.values[:, column]) for s in located.forces)
+    return where[seen], force[seen], independent / max(sum(len(s.times) for s in located.forces), 1)
+
+
+def clearest(located: Located, equation: str, signals: Mapping[str, np.ndarray]) -> int:
+    """Position of the signal against which a residual force shows the clearest curve.
+
+    That whose slice means are furthest from zero, in halves of their 95 % intervals.
+
+    Parameters
+    ----------
+    located : Located
+    equation : str
+        Which of its ``force_names``; of another one the first signal is the clearest.
+    signals : mapping of str to ndarray (n_samples,)
+        At all times of all records.
+    """
+    if equation not in located.force_names:
+        return 0
+    distances = []
+    for where in signals.values():
+        x, y, share = _seen(located, equation, where)
+        _, means, half = slice_means(x, y, share) if x.size else (None, np.zeros(1), np.ones(1))
+        distances.append(float(np.mean((means / np.maximum(half, 1e-300)) ** 2)))
+    return int(np.argmax(distances)) if distances else 0
+
+
 def chain(located: Located) -> str:
-    """Return the signal chain as HTML, each place coloured by the evidence against it."""
+    """Return the signal chain as HTML, each place coloured by how close it comes to the best."""
     from html import escape
 
-    top = max((located.evidence.get(p.name, 0.0) for p in located.places), default=0.0)
+    top = max((located.gains.get(p.name, 0.0) for p in located.places), default=0.0)
+    group = located.group
     stages = []
     for stage, words in _STAGES.items():
         here = [place for place in located.places if place.stage == stage]
@@ -193,21 +224,26 @@ def chain(located: Located) -> str:
             continue
         boxes = []
         for place in here:
-            gain = located.evidence.get(place.name, 0.0)
-            share = gain / top if gain > CLEAR and top > 0.0 else 0.0
-            level = min(int(np.ceil(4.0 * share)), 4)
+            gain = located.gains.get(place.name, 0.0)
+            behind = top - gain
             best = " best" if place.name == located.best else ""
+            level = 4 if place.name in group else 0
+            if not level and gain > CLEAR:
+                level = 1 + sum(behind < share * top for share in _NEAR)
+            said = "best" if best else f"{behind:,.0f} behind" if gain > CLEAR else "chance"
             size = located.levels.get(place.name, 0.0)
             tip = f"{place.name}: log-likelihood gain {gain:.0f}; size {size:.2g} {place.unit}"
             boxes.append(
                 f'<span class="place l{level}{best}" title="{escape(tip)}">'
-                f"{escape(place.signal)}<small>{gain:.0f}</small></span>"
+                f"{escape(place.signal)}<small>{said}</small></span>"
             )
         inner = "".join(boxes) or '<span class="place l0">as logged</span>'
         stages.append(f'<div class="stage"><h4>{words}</h4>{inner}</div>')
     return f'<div class="oed-chain">{"<b>→</b>".join(stages)}</div>'
 
 
+# Shares of the best gain that a place may be behind for the two stronger colours.
+_NEAR = (0.1, 0.5)
 _STAGES = {
     "command": "command",
     "actuator": "actuator",

@@ -123,13 +123,13 @@ def study() -> Study:
 def selection(
     source: str, variant: str, origin: str, names: tuple[str, ...]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the records to learn from and to judge with; those that exist."""
+    """Names of the training and the validation records; those that exist."""
     guess = likely_test(names)
     defaults = {"train": [n for n in names if n not in guess], "test": list(guess)}
     found = []
     for part, default in defaults.items():
         key = kept(part, source, variant, origin)
-        # A new file joins the records to learn from, or those to judge with, by its name.
+        # A new file joins the training or the validation records, by its name.
         known = set(st.session_state.get(visit.SEEN + key, ()))
         picked = st.session_state.get(key, [])
         now = [n for n in names if (n in picked if n in known else n in default)]
@@ -140,8 +140,8 @@ def selection(
     learn, judge = found
     if both := [name for name in learn if name in judge]:
         raise DataError(
-            f"{', '.join(both)} is chosen to learn from and to judge with. An error on records "
-            "that were learnt from proves nothing: take it out on one side."
+            f"{', '.join(both)} is chosen for training and for validation. An error on records "
+            "that a model was fitted to proves nothing: take it out on one side."
         )
     return learn, judge
 

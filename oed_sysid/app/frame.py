@@ -65,7 +65,7 @@ def show(initial: str | None = None) -> None:
     style()
     first = st.Page(
         _guarded(page_problem.show),
-        title="Problem",
+        title=visit.FIRST,
         url_path="problem",
         icon=":material/directions_boat:",
         default=True,
@@ -81,6 +81,7 @@ def show(initial: str | None = None) -> None:
     ]
     st.session_state["pages"] = {page.title: page for page in (first, *others)}
     page = st.navigation([first, *others])
+    st.session_state["drawn"] = page.title
     page.run()
     if page in (order := [first, *others][:-1]):
         following = others[order.index(page)]
@@ -103,7 +104,7 @@ def _aside() -> None:
     except OedSysidError:
         return
     st.markdown(f"**{study.problem.title}**")
-    parts = (("Learn from", study.train), ("Judge with", study.test))
+    parts = (("Training records", study.train), ("Validation records", study.test))
     for words, records in parts:
         st.caption(f"{words}: {', '.join(records.names) if records else 'none'}")
     if running := visit.desk().running(visit.study_id()):

@@ -37,7 +37,7 @@ def _compare(study: Study) -> None:
     groups = tuple((name,) for name in added)
     line = commands.compare(study, groups)
     code = script.compare(study, groups)
-    about = Asked("Comparison on validation records", "compare", line, code)
+    about = Asked("Compare: validation records", "compare", line, code)
     outcome = work("Compare", about, study, tasks.compare, groups)
     if outcome is not None:
         show_page(outcome.page, views.of_comparison(outcome.result, "compare"))
@@ -48,7 +48,7 @@ def _compare(study: Study) -> None:
 def _diagnose(study: Study) -> None:
     study.training()
     line = commands.diagnose(study)
-    about = Asked("Diagnosis", "diagnose", line, script.diagnose(study))
+    about = Asked("Diagnose: where it fails", "diagnose", line, script.diagnose(study))
     outcome = work("Diagnose", about, study, tasks.diagnose)
     if outcome is not None:
         located = outcome.result.location

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from oed_sysid.app.panels import command, html_download, work
 from oed_sysid.app.panels import show as show_page
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
+from oed_sysid.diagnosis.preparation import prepared
 
 if TYPE_CHECKING:
     from oed_sysid.diagnosis.compare import Comparison
@@ -23,21 +25,24 @@ def show(study: Study) -> None:
     st.header("Improve")
     study.training()
     if study.test is None:
+        kept = prepared(study.training(), None, enough=sys.maxsize).notes
         st.warning(
-            "There is no validation record, so what is found cannot be tested. Choose one on the "
-            "page Problem."
+            kept[0]
+            if kept
+            else "There is no validation record, so what is found cannot be tested. Choose one on "
+            "the page Problem."
         )
     key = choices.preset(choices.kept("most", study.source, study.variant), 4)
     most = st.columns(2)[0].slider("Most effects to add", 1, 6, key=key)
     line = commands.improve(study, most)
-    about = Asked("Missing physics", "improve", line, script.improve(study, most))
+    about = Asked("Improve: what is missing", "improve", line, script.improve(study, most))
     outcome = work("Find what is missing", about, study, tasks.improve, most)
     if outcome is not None:
         found = outcome.result
-        first = views.of_comparison(outcome.comparison, "improve") | views.of_located(
-            found.location, study.training(), found.base_fit, "improve"
+        pictures = views.of_comparison(outcome.comparison, "improve") | views.of_located(
+            found.location, found.base_fit.dataset, found.base_fit, "improve"
         )
-        show_page(outcome.page, first)
+        show_page(outcome.page, pictures, lead=2)
         html_download(outcome.page, "improve")
         _tell_apart(study, outcome.result)
     command(line)
@@ -86,10 +91,11 @@ def _step_back(study: Study, found: Improvement) -> None:
     st.caption("Side by side: nominal; " + "; ".join(" + ".join(group) for group in groups))
     line = commands.compare(study, groups).replace("compare.html", "kept.html")
     titles = "; ".join(", ".join(group) for group in groups)
-    about = Asked(f"With {titles}", "kept", line, script.compare(study, groups))
+    about = Asked(f"Improve: with {titles}", "kept", line, script.compare(study, groups))
     outcome = work("Fit with these", about, study, tasks.compare, groups)
     if outcome is not None:
         st.dataframe(side_by_side(outcome.result), hide_index=True)
+        st.caption("Root mean square errors on the validation records, each in its unit.")
         show_page(outcome.page, views.of_comparison(outcome.result, "kept"))
         html_download(outcome.page, "kept")
     command(line)
@@ -99,7 +105,7 @@ def side_by_side(found: Comparison) -> list[dict[str, str]]:
     """Errors on the validation records, one row per model, angles in degrees."""
     rows = []
     for part in found.models:
-        row = {"model": part.label, "error / noise": f"{part.relative:.3g}"}
+        row = {"model": part.label, "error": f"{part.relative:.3g} × noise"}
         rms = part.prediction.rms
         for output in found.dataset.channels.outputs:
             turn, unit = commands.factor(output.unit), commands.shown(output.unit)

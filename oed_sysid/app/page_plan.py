@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -56,7 +57,7 @@ def _rank(study: Study) -> None:
         raise ProblemError(f"Choose either planned experiments or {_RECORDS.lower()}, not both.")
     runs = () if _RECORDS in picked else tuple(name for name in names if name in picked)
     line = commands.rank(study, runs)
-    about = Asked("What trials tell", "rank", line, script.rank(study, runs))
+    about = Asked("Rank: what trials tell", "rank", line, script.rank(study, runs))
     outcome = work("Rank", about, study, plans.rank, runs)
     if outcome is not None:
         show_page(outcome.page)
@@ -75,12 +76,15 @@ def _design(study: Study) -> None:
     line = commands.design(study, wish)
     if wish.after_fit:
         line = f"{commands.fit(study)}\n{line}"
-    about = Asked("Designed trial", "design", line, script.design(study, wish))
+    about = Asked("Design: the next trial", "design", line, script.design(study, wish))
     outcome = work("Design", about, study, plans.design, wish)
     if outcome is not None:
+        page = outcome.page
         if danger := plans.risk(outcome.result):
             message(danger)
-        show_page(outcome.page)
+            said = tuple(words for words in page.verdict if not danger.startswith(words))
+            page = replace(page, verdict=said)
+        show_page(page)
         for column, offer in zip(
             st.columns([1, 1, 1, 3]),
             (
@@ -118,7 +122,7 @@ def _programme(study: Study) -> None:
     )
     wish = plans.ProgrammeWish(int(runs), hours or None, float(turnaround), criterion)
     line = commands.programme(study, wish)
-    about = Asked("Programme of runs", "programme", line, script.programme(study, wish))
+    about = Asked("Programme: several runs", "programme", line, script.programme(study, wish))
     outcome = work("Plan the runs", about, study, plans.programme, wish)
     if outcome is not None:
         show_page(outcome.page)

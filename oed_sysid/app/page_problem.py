@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import streamlit as st
 
 from oed_sysid.app import choices, commands, panel_mapping, views
+from oed_sysid.app.answers import NothingMappedError
 from oed_sysid.app.mapping import headers
 from oed_sysid.app.panels import command, message, part
 from oed_sysid.app.records import plain_name
@@ -72,9 +74,12 @@ def show() -> None:
     with experiments:
         lines = [run.describe() for run in problem.experiments.values()]
         part(Section("", tuple(lines) or ("None.",)))
+        if lines:
+            st.caption("Amplitudes without a unit are in SI units; angles then in radians.")
     with sources:
         part(Section("", problem.references or ("None stated.",)))
-    command(commands.describe(choices.study()))
+    with suppress(NothingMappedError):  # said with the records
+        command(commands.describe(choices.study()))
 
 
 def _measured() -> None:
@@ -167,7 +172,7 @@ def _ask_consent(source: str) -> None:
 
 
 def _records(problem: Problem, source: str, variant: str) -> None:
-    """Choose records, and which of them to learn from."""
+    """Choose records, and which of them are for training and which for validation."""
     left, right = st.columns([2, 1], vertical_alignment="bottom")
     options = choices.origins(problem)
     first = choices.first_origin(source, problem)
@@ -184,25 +189,36 @@ def _records(problem: Problem, source: str, variant: str) -> None:
         _upload(problem, source)
     elif origin == choices.MAPPED:
         panel_mapping.show(problem, source)
-    stock = choices.stock(source, variant, origin)
+    try:
+        stock = choices.stock(source, variant, origin)
+    except NothingMappedError as error:
+        st.info(str(error))
+        return
+    said = choices.opened_logs(source).refused if origin == choices.MAPPED else {}
     for name, refusal in stock.refused.items():
-        message(f"**{name}** was refused. {refusal}")
+        if said.get(name) != refusal:
+            message(f"**{name}** was refused. {refusal}")
     if stock.refused and origin == choices.UPLOADED:
         st.caption(f"*{choices.MAPPED}* takes files with other names of columns, units and signs.")
-    for note in stock.notes:
-        st.warning(note)
+    if stock.notes:
+        st.info("  \n".join(stock.notes))
     if stock.records is None:
         return
     try:
         choices.selection(source, variant, origin, stock.names)
     finally:
         left, right = st.columns(2)
-        for column, label, side in ((left, "Learn from", "train"), (right, "Judge with", "test")):
+        for column, label, side in (
+            (left, "Training records", "train"),
+            (right, "Validation records", "test"),
+        ):
             column.multiselect(
                 label,
                 stock.names,
                 key=choices.kept(side, source, variant, origin),
-                help="No choice looks at these." if side == "test" else None,
+                help="Nothing is fitted to these, and no choice looks at them."
+                if side == "test"
+                else "Models are fitted to these, and effects are sought in them.",
                 wrap=True,
             )
     views.look_at(stock.records, f"{source}:{origin}")
@@ -229,7 +245,7 @@ def _parameters(problem: Problem) -> Table:
         )
         for one in problem.model.all_parameters
     )
-    headers = ("parameter", "meaning", "believed", "± (95 %)", "role", "unit")
+    headers = ("parameter", "meaning", "nominal", "± (95 %)", "role", "unit")
     return Table(headers, rows, words=(1,))
 
 

@@ -6,7 +6,7 @@ from functools import partial
 
 import streamlit as st
 
-from oed_sysid.app import script, takeaway, visit
+from oed_sysid.app import choices, script, takeaway, visit
 from oed_sysid.app.panels import download, html_download, message
 from oed_sysid.app.records import archive
 from oed_sysid.app.shelf import Asked
@@ -14,6 +14,10 @@ from oed_sysid.app.study import Study, digest
 from oed_sysid.app.tasks import Outcome
 from oed_sysid.errors import OedSysidError
 from oed_sysid.fitting.fit import Fit
+
+# Reports in the order of the work.
+_FILES = ("check", "fit", "compare", "diagnose", "improve", "kept", "rank", "design", "programme")
+_ORDER = {file: place for place, file in enumerate(_FILES)}
 
 
 def show(study: Study) -> None:
@@ -23,15 +27,22 @@ def show(study: Study) -> None:
     if not done:
         st.write("Nothing has been computed for these records yet.")
     for about, outcome in done:
-        left, right = st.columns([4, 1], vertical_alignment="center")
-        left.write(about.title)
+        left, right = st.columns([5, 1], vertical_alignment="center")
+        with left:
+            st.markdown(about.title)
+            for words in outcome.page.verdict[:1]:
+                st.caption(words)
         with right:
-            html_download(outcome.page, about.file)
+            html_download(outcome.page, about.file, wide=True)
     fits = takeaway.fits_of(done)
     if fits:
         st.subheader("Fitted models")
         _models(fits)
     st.subheader("Records, folder, everything")
+    st.caption(
+        "The folder is the problem with these records and fits. Everything is the records, "
+        "reports, fits, commands and script of this study."
+    )
     zip_ = "application/zip"
     name = study.problem.name
     offers = (
@@ -39,9 +50,9 @@ def show(study: Study) -> None:
         ("Problem folder (ZIP)", partial(takeaway.problem_archive, study, fits), f"{name}.zip"),
         ("Everything (ZIP)", partial(takeaway.everything, study, done), "study.zip"),
     )
-    for column, (label, content, file) in zip(st.columns(4), offers, strict=False):
+    for column, (label, content, file) in zip(st.columns(3), offers, strict=True):
         with column:
-            download(label, content, file, zip_)
+            download(label, content, file, zip_, wide=True)
     st.subheader("The same on the command line")
     st.caption("In the folder where the records were unpacked.")
     st.code(takeaway.commands(done) or "# nothing yet", language="bash", wrap_lines=True)
@@ -60,13 +71,15 @@ def finished(study: Study) -> list[tuple[Asked, Outcome]]:
         job = visit.desk().find(visit.study_id(), key) if about.about == this else None
         if job is not None and job.state == "done":
             found[about.file] = (about, job.result)
-    return list(found.values())
+    return sorted(found.values(), key=lambda one: _ORDER.get(one[0].file, len(_ORDER)))
 
 
 def _models(fits: dict[str, tuple[str, Fit]]) -> None:
     """Offer the fits, and their models for other programs."""
     left, middle, right = st.columns([2, 2, 2], vertical_alignment="bottom")
-    name = left.selectbox("Model", list(fits), key=visit.kept("model"))
+    best = "improved" if "improved" in fits else next(iter(fits))
+    key = choices.preset(visit.kept("model"), best)
+    name = left.selectbox("Model", list(fits), key=key)
     kind = middle.selectbox(
         "For", list(takeaway.KINDS), format_func=takeaway.KINDS.__getitem__, key=visit.kept("kind")
     )

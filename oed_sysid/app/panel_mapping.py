@@ -50,6 +50,9 @@ def show(problem: Problem, source: str) -> None:
     if not opened.logs or time_column(source) is not None:
         _ask_time(source, files)
         opened = choices.opened_logs(source)
+    if not opened.logs and any(map(mapping.is_table, files)) and time_column(source) is None:
+        st.info("Choose the column that holds the times.")
+        return
     for name, refusal in opened.refused.items():
         message(f"**{name}** was refused. {refusal}")
     if not opened.logs:
@@ -98,7 +101,7 @@ def _begin(source: str, problem: Problem, log: Log) -> None:
 def _ask_channels(source: str, problem: Problem, log: Log) -> None:
     """One row per channel."""
     widths = [2.2, 3.0, 1.2, 0.9, 1.1, 1.1]
-    heads = ("Channel", "Column", "Its unit", "Other way", "Jumps at ±180°", "")
+    heads = ("Channel", "Column", "Its unit", "Reversed", "Jumps by 360°", "")
     for column, head in zip(st.columns(widths), heads, strict=True):
         column.caption(head)
     for channel in problem.channels.all:
@@ -118,6 +121,7 @@ def _ask_channels(source: str, problem: Problem, log: Log) -> None:
                     format="%.4g", help=f"It did not change: its value, in {shown(channel.unit)}",
                     label_visibility="collapsed",
                 )  # fmt: skip
+                row[3].caption(f"{shown(channel.unit)}, constant")
             continue
         row[2].text_input(
             f"Unit of {channel.name}", key=choices.preset(key("unit"), ""),
@@ -130,13 +134,15 @@ def _ask_channels(source: str, problem: Problem, log: Log) -> None:
         if channel.unit == "rad":
             row[4].checkbox(
                 f"Unwrap {channel.name}", key=choices.preset(key("wrap"), False),
-                label_visibility="collapsed", help="The log holds the angle within one turn.",
+                label_visibility="collapsed",
+                help="The log holds the angle within one turn: 0° to 360°, or ±180°.",
             )  # fmt: skip
         with row[5].popover("More", width="stretch"):
-            st.caption("Channel = factor × (reading - trim)")
+            st.caption("Channel = factor × (reading − trim)")
             st.number_input("Factor", key=choices.preset(key("factor"), 1.0), format="%.6g")
-            st.number_input("Trim (reading at zero)", key=choices.preset(key("trim"), 0.0),
-                            format="%.6g")  # fmt: skip
+            logged = st.session_state.get(key("unit")) or "as logged"
+            words = f"Trim: reading at zero [{logged}]"
+            st.number_input(words, key=choices.preset(key("trim"), 0.0), format="%.6g")
             st.number_input("Late by [s]", key=choices.preset(key("delay"), 0.0), format="%.4g")
 
 

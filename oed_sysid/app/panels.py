@@ -96,30 +96,36 @@ def _progress(job: Job) -> None:
         st.rerun()
 
 
-def show(page: Page, first: Mapping[str, Callable[[], None]] | None = None) -> None:
+def show(
+    page: Page, pictures: Mapping[str, Callable[[], None]] | None = None, *, lead: int = 0
+) -> None:
     """Show what a report says: outcome and numbers, then one tab per section.
 
     Parameters
     ----------
     page : Page
         The report.
-    first : mapping of str to callable, optional
-        Titles of tabs before the sections, and what draws them.
+    pictures : mapping of str to callable, optional
+        Titles of further tabs, and what draws them.
+    lead : int
+        How many sections stand before these.
     """
     st.html(f'<div class="oed">{page.summary_html()}</div>')
-    first = first or {}
-    if not page.sections and not first:
+    parts: list[tuple[str, Callable[[], None]]] = [
+        (section.title, partial(_beneath, page, section)) for section in page.sections
+    ]
+    parts[lead:lead] = (pictures or {}).items()
+    if not parts:
         return
-    titles = [*first, *(section.title for section in page.sections)]
-    tabs = st.tabs(titles)
-    for tab, draw in zip(tabs, first.values(), strict=False):
+    for tab, (_, draw) in zip(st.tabs([title for title, _ in parts]), parts, strict=True):
         with tab:
             draw()
-    for tab, section in zip(tabs[len(first) :], page.sections, strict=True):
-        # What stands above the tabs need not be said again.
-        words = tuple(text for text in section.paragraphs if text not in page.verdict)
-        with tab:
-            part(replace(section, paragraphs=words))
+
+
+def _beneath(page: Page, section: Section) -> None:
+    """Show a section; what stands above the tabs need not be said again."""
+    words = tuple(text for text in section.paragraphs if text not in page.verdict)
+    part(replace(section, paragraphs=words))
 
 
 def part(section: Section) -> None:
@@ -133,14 +139,19 @@ def command(text: str) -> None:
         st.code(text, language="bash", wrap_lines=True)
 
 
-def download(label: str, content: Callable[[], str | bytes], file: str, mime: str) -> None:
+def download(
+    label: str, content: Callable[[], str | bytes], file: str, mime: str, *, wide: bool = False
+) -> None:
     """Offer a file that is made when it is asked for."""
-    st.download_button(label, content, file, mime, on_click="ignore", key=f"download:{file}")
+    st.download_button(
+        label, content, file, mime, on_click="ignore", key=f"download:{file}",
+        width="stretch" if wide else "content",
+    )  # fmt: skip
 
 
-def html_download(page: Page, file: str) -> None:
+def html_download(page: Page, file: str, *, wide: bool = False) -> None:
     """Offer a page as the HTML file that the command line writes."""
-    download("Report (HTML)", partial(Page.html, page), f"{file}.html", "text/html")
+    download("Report (HTML)", partial(Page.html, page), f"{file}.html", "text/html", wide=wide)
 
 
 def message(text: str) -> None:
@@ -160,6 +171,7 @@ _STYLE = """
 .oed tr.marked td { background: rgba(0, 114, 178, .16); }
 .oed figure img { background: white; border-radius: 6px; }
 .oed .verdict { margin-top: 0; }
+.oed .verdict p.danger { color: color-mix(in srgb, #e0002a 62%, currentColor); }
 .oed th.words, .oed td.words { min-width: 6rem; }
 .oed figure { margin-bottom: 1.6rem; }
 .oed figure img { max-width: min(100%, 64rem); }

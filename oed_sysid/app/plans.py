@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
 # How wrong coefficients may be before there is a fit, as a share of their values.
 UNCERTAINTY = 0.3
-# Share of vehicles on which limits have to be kept, where nothing was asked for.
-TOLERATED = 0.95
 
 
 @dataclass(frozen=True)
@@ -217,17 +215,14 @@ def risk(design: Design) -> str:
     Returns
     -------
     str
-        Empty where limits are kept on the share of vehicles that was wanted, or on 95 %.
+        Empty where limits are kept on the share of vehicles that was wanted, or on 90 %.
     """
     stated = design.assurance
-    if stated is None or not stated.limited or stated.probability >= (stated.wanted or TOLERATED):
+    if stated is None or stated.is_safe:
         return ""
-    share = 1.0 - stated.probability
-    first = ", ".join(stated.left)
     return (
-        f"This trial leaves its limits on {share:.0%} of {stated.n_checked} simulated vehicles "
-        f"with {stated.drawn}; left first: {first}. Take narrower commands, wider limits, or ask "
-        "for limits that are kept on uncertain vehicles."
+        f"{stated.danger} Left first: {', '.join(stated.left)}. Take narrower commands, wider "
+        "limits, or ask for limits that are kept on uncertain vehicles."
     )
 
 

@@ -1,4 +1,4 @@
-"""What is being studied: a problem, the records to learn from and those to judge with."""
+"""What is being studied: a problem, its training and its validation records."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Study:
     problem : Problem
         The problem, that model believed.
     train, test : Dataset or None
-        Records to learn from; validation records.
+        Training records; validation records.
     known_noise : bool
         Whether the declared noise levels are trusted.
     """
@@ -57,7 +57,7 @@ class Study:
         return "given" if self.known_noise else "auto"
 
     def training(self) -> Dataset:
-        """Return the records to learn from.
+        """Return the training records.
 
         Raises
         ------
@@ -65,7 +65,7 @@ class Study:
             If none were chosen.
         """
         if self.train is None:
-            raise DataError("There is no record to learn from. Choose one on the page Problem.")
+            raise DataError("There is no training record. Choose one on the page Problem.")
         return self.train
 
     def records(self) -> Dataset:

@@ -113,6 +113,7 @@ def improve(study: Study, max_effects: int, tell: Tell) -> Outcome:
     """Find the effects that the nominal model lacks."""
     from oed_sysid.diagnosis.compare import compare as compare_models
     from oed_sysid.diagnosis.improve import improve as search
+    from oed_sysid.diagnosis.preparation import prepared
     from oed_sysid.report import improvement_page
 
     problem, train = study.problem, study.training()
@@ -127,9 +128,11 @@ def improve(study: Study, max_effects: int, tell: Tell) -> Outcome:
     )
     fits = {NOMINAL: result.base_fit} | ({"improved": result.fit} if result.steps else {})
     tell("predicting")
-    comparison = compare_models(fits, study.test or train)
+    ready = prepared(train, study.test)  # what the search itself has read and judged on
+    judged = ready.validation or ready.train
+    comparison = compare_models(fits, judged, sigma=result.yardstick.sigma)
     tell(DRAWING)
-    page = improvement_page(result, comparison, train=train, title=problem.title)
+    page = improvement_page(result, comparison, train=ready.train, title=problem.title)
     return Outcome(result, page, fits, comparison)
 
 

@@ -61,9 +61,9 @@ def of_located(located: Located, dataset: Dataset, fit: Fit | None, key: str) ->
     def draw() -> None:
         st.html(charts.chain(located))
         st.caption(
-            "The number is the log-likelihood gain if something unknown acts at that place: the "
-            "larger it is and the stronger the colour, the likelier the place. Chance stays below "
-            f"{CLEAR:.0f}. {located.verdict}"
+            "How far the log-likelihood gain of something unknown at each place is behind that of "
+            f"the best, {max(located.gains.values(), default=0.0):,.0f}: the stronger the colour, "
+            f"the likelier the place. Outlined: the best. Chance gains up to {CLEAR:.0f}."
         )
 
     tabs: Tabs = {"Signal chain": draw}
@@ -106,7 +106,9 @@ def _force(located: Located, dataset: Dataset, fit: Fit | None, key: str) -> Non
         "Residual force of", located.force_names, index=first, key=f"equation:{key}"
     )
     axes = _axes(dataset, fit)
-    against = right.selectbox("Against", list(axes), key=f"against:{key}")
+    series = {name: where for name, (_, where) in axes.items()}
+    clearest = charts.clearest(located, str(equation), series)
+    against = right.selectbox("Against", list(axes), index=clearest, key=f"against:{key}")
     if equation not in located.force_names or against not in axes:
         return
     channel, where = axes[against]

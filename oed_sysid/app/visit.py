@@ -13,6 +13,10 @@ from oed_sysid.files import private_cache
 
 KEEP, SEEN, FILES = "keep:", "seen:", "files:"
 _ADDRESS = "study"
+# Title of the first page, and the choices that are made there only.
+FIRST = "Problem"
+_CHOICES = ("source", "variant", "origin", "known_noise", "train", "test", "look", "map")
+_OF_FIRST = tuple(f"{KEEP}{name}" for name in _CHOICES)
 
 
 @st.cache_resource(show_spinner=False)
@@ -42,15 +46,30 @@ def begin() -> bool:
         st.query_params[_ADDRESS] = state["study"]  # for a reload of any page
     # Streamlit forgets a widget that is not on the page, also while a part of the page is drawn
     # anew on its own, as the progress of a job is; these are kept all the same.
-    held = state.get("held", {})
-    for key, value in held.items():
-        if key not in state:
+    # Where a job's progress was drawn, it also brings back widgets of earlier pages with nothing in
+    # them: what a widget says counts only after its page was drawn.
+    for key, value in state.get("held", {}).items():
+        if key not in state or _elsewhere(key):
             state[key] = value
     for key in list(state):
         if str(key).startswith(KEEP):
             state[key] = state[key]
     _hold()
+    if "kept text" in state:  # before anything is drawn: a reload may come at once
+        end(str(state.get("title", "")))
     return earlier
+
+
+def _elsewhere(key: str) -> bool:
+    """Whether the page that was drawn last is none that has the widget of a kept value."""
+    state = st.session_state
+    drawn = state.get("drawn")
+    if drawn is None:
+        return False
+    if key.startswith(_OF_FIRST):
+        return bool(drawn != FIRST)
+    homes = state.get("homes", {}).get(key)
+    return bool(homes) and drawn not in homes
 
 
 def _hold() -> None:
@@ -78,7 +97,10 @@ def note(key: str, about: Asked) -> None:
 
 def kept(*names: str) -> str:
     """Key of a widget whose value outlives its page."""
-    return KEEP + ":".join(names)
+    key = KEEP + ":".join(names)
+    homes: dict[str, set[str | None]] = st.session_state.setdefault("homes", {})
+    homes.setdefault(key, set()).add(st.session_state.get("drawn"))
+    return key
 
 
 def chosen(*names: str, default: Any = None) -> Any:
@@ -106,6 +128,7 @@ def edition() -> str:
 def end(title: str) -> None:
     """Keep the study if anything in it has changed since it was looked at first."""
     state = st.session_state
+    state["title"] = title
     _hold()
     left = _left(title)
     text = left.text()

@@ -162,7 +162,7 @@ def simulate(
         if len(records) > 1:
             note(f"The picture shows {records[0].name}; choose another with --experiment.")
     if chosen.truth and not truth:
-        note("Simulated with the believed values; --truth simulates the problem's truth.")
+        note("Simulated with the nominal values; --truth simulates the problem's truth.")
 
 
 def _experiments(problem: Problem, names: list[str]) -> list[Experiment]:

@@ -139,7 +139,7 @@ def compare(
     kept_in: JournalFolder = None,
     fresh: Fresh = False,
 ) -> None:
-    """Fit to training records and say where predictions of other records fail.
+    """Fit to training records and say where predictions of validation records fail.
 
     [bold]Example[/bold]: oed-sysid compare remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv
@@ -247,7 +247,7 @@ def report(
     validate: IfValidated = None,
     picture: PictureFile = None,
 ) -> None:
-    """Write the report on a saved fit, with its predictions of other records.
+    """Write the report on a saved fit, with its predictions of validation records.
 
     [bold]Example[/bold]: oed-sysid report fit.json --validate dive_3.csv --out fit.html
     """

@@ -15,12 +15,12 @@ from oed_sysid.cli.options import (
     Files,
     Fresh,
     HtmlFile,
-    IfValidated,
     JournalFolder,
     JsonFile,
     KnownNoise,
     PictureFile,
     ProblemName,
+    ToValidate,
     Variant,
     disturbances_of,
 )
@@ -83,7 +83,7 @@ def diagnose(
 def improve(
     problem: ProblemName,
     files: Files,
-    validate: IfValidated = None,
+    validate: ToValidate = None,
     model: Variant = None,
     known_noise: KnownNoise = False,
     disturbances: Disturbances = "auto",
@@ -143,7 +143,8 @@ def improve(
 
             fits = {"nominal": result.base_fit} | ({"improved": result.fit} if result.steps else {})
             ready = prepared(training, validation)
-            comparison = compare(fits, ready.validation or ready.train)
+            judged, levels = ready.validation or ready.train, result.yardstick.sigma
+            comparison = compare(fits, judged, sigma=levels)
             page = improvement_page(result, comparison, train=ready.train, title=chosen.title)
             note(f"Written: {page.write(html_file)}")
         if picture is not None:

@@ -78,7 +78,12 @@ def programme(
     duration: Duration = None,
     turnaround: Turnaround = 10.0,
     criterion: Annotated[
-        str, typer.Option("--criterion", metavar="D|A", help="What is good: see docs.")
+        str,
+        typer.Option(
+            "--criterion",
+            metavar="D|A",
+            help="What shall be small: D the errors of all parameters together, A their mean.",
+        ),
     ] = "A",
     discriminate: ToTellApart = None,
     reveal: ToReveal = None,

@@ -32,7 +32,7 @@ Files = Annotated[
     list[str],
     typer.Argument(
         metavar="CSV...",
-        help="Records to learn from: files, folders or patterns.",
+        help="Training records: files, folders or patterns.",
         show_default=False,
     ),
 ]
@@ -41,7 +41,7 @@ Validate = Annotated[
     typer.Option(
         "--validate",
         metavar="CSV...",
-        help="Records to judge with; nothing is fitted to them.",
+        help="Validation records; nothing is fitted to them.",
         show_default=False,
     ),
 ]
@@ -50,8 +50,17 @@ IfValidated = Annotated[
     typer.Option(
         "--validate",
         metavar="CSV...",
-        help="Records to judge with; nothing is fitted to them. Without them improve keeps "
-        "the end of a single record for that.",
+        help="Validation records; nothing is fitted to them.",
+        show_default=False,
+    ),
+]
+ToValidate = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--validate",
+        metavar="CSV...",
+        help="Validation records; nothing is fitted to them. Without any, the last two fifths of a "
+        "single record are kept for that.",
         show_default=False,
     ),
 ]
@@ -69,7 +78,8 @@ Criterion = Annotated[
     typer.Option(
         "--criterion",
         metavar="D|A|E",
-        help="What is good: see docs.",
+        help="What shall be small: D the errors of all parameters together, A their mean, E the "
+        "worst combination.",
         autocompletion=_one_of("D", "A", "E"),
     ),
 ]
@@ -87,7 +97,7 @@ Variant = Annotated[
     typer.Option(
         "--model",
         metavar="NAME",
-        help="Which of the problem's models to believe, if it has several.",
+        help="Which of the problem's models is the nominal one, if it has several.",
         show_default=False,
     ),
 ]

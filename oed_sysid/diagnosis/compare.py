@@ -194,6 +194,7 @@ def compare(
     *,
     initial: Initial = "fit",
     horizon: float = 10.0,
+    sigma: np.ndarray | None = None,
 ) -> Comparison:
     """Compare models with records, best validation records.
 
@@ -213,6 +214,9 @@ def compare(
     horizon : float
         How far ahead forecasts look, and length of the windows in which the
         misfit is located, s.
+    sigma : ndarray (n_outputs,), optional
+        Noise levels that errors are measured with, SI. By default those declared by the model, or
+        that a fit was given; else the smallest that a fit estimated.
 
     Returns
     -------
@@ -232,7 +236,7 @@ def compare(
         raise DataError("Nothing to compare: give at least one fit or model.")
     if not horizon > 0:
         raise DataError(f"horizon is {horizon} s. Give a length above zero.")
-    sigma, notes = _levels(given, dataset)
+    sigma, notes = _levels(given, dataset) if sigma is None else (np.asarray(sigma), ())
     notes = (*_training_notes(given, dataset), *notes)
     parts = tuple(
         _misfit(label, item, dataset, sigma, initial, horizon)
@@ -336,13 +340,15 @@ def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray,
     """One set of noise levels for all models, and what is doubtful about it.
 
     In this order: a level that a fit was given, a declared one, the smallest
-    that a fit estimated, and the fastest wiggles of the records.
+    that a fit estimated, and the fastest wiggles of the records. A filter along the records
+    estimates declared levels again: errors are still in units of what was declared.
     """
     fits = [item for item in given if isinstance(item, Fit)]
     floor, _ = credible_levels(dataset)
     sigma = given_levels(_model(given[0]).outputs)
     for fit in reversed(fits):
-        sigma = np.where(fit.sigma_estimated, sigma, fit.noise.sensors)
+        own = fit.sigma_estimated | ((fit.innovations is not None) & np.isfinite(sigma))
+        sigma = np.where(own, sigma, fit.noise.sensors)
     unknown = np.isnan(sigma)
     names = dataset.channels.output_names
     notes = []

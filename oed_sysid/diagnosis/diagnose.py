@@ -72,7 +72,7 @@ class Diagnosis:
         return {
             "best": None if self.best is None else self.best.name,
             "group": list(self.group),
-            "located": dict(self.location.evidence),
+            "located": dict(self.location.gains),
             "ranking": [
                 {"effect": name, "statistic": statistic}
                 for name, statistic in self.ranking.statistics()

@@ -589,7 +589,7 @@ def _result(
             Step(
                 effect=_at_estimates(one.effect, fits[number].model.values),
                 group=one.group,
-                evidence=one.gain,
+                gain=one.gain,
                 needed=one.needed,
                 test_gain=one.validation_gain,
                 train_error=errors[number]["train"],

@@ -22,7 +22,7 @@ from oed_sysid.fitting.noise_levels import signal_spread
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
 
-# Evidence (gain less the cost of freedom) from which a candidate is mentioned as a hint.
+# Log-likelihood gain, less the cost of freedom, from which a candidate is mentioned as a hint.
 HINT = 4.0
 # Invisible candidates that are named.
 NAMED = 6
@@ -66,7 +66,7 @@ class Yardstick:
         kinds = [k for k in ("train", "test") if not np.isnan(before[k]).all()]
         models = [before, *([after] if after else [])]
         rows: list[tuple[str, ...]] = [
-            ("error", "records", "nominal", *(["improved"] if after else []), "noise", "unit")
+            ("output", "records", "nominal", *(["improved"] if after else []), "noise", "unit")
         ]
         for index, output in enumerate(self.outputs):
             # Angles are read in degrees.
@@ -132,7 +132,7 @@ class Term:
                 "parameter": parameter.name,
                 "value": parameter.value,
                 "unit": parameter.unit,
-                "evidence": step.evidence,
+                "gain": step.gain,
                 "test_gain": None if np.isnan(step.test_gain) else step.test_gain,
                 "group": list(proposals.group),
                 "replaces": list(replaces),
@@ -154,8 +154,8 @@ class Step:
         What was added, at its estimates after the step.
     group : tuple of str
         Identifiers that these data cannot tell from it, itself first.
-    evidence : float
-        Gain in twice the log-likelihood on the training records.
+    gain : float
+        Log-likelihood gain on the training records: by how much twice the log-likelihood grows.
     needed : float
         Gain that chance rarely exceeds, however many candidates were tried.
     test_gain : float
@@ -170,7 +170,7 @@ class Step:
 
     effect: Effect
     group: tuple[str, ...]
-    evidence: float
+    gain: float
     needed: float
     test_gain: float
     train_error: float
@@ -182,6 +182,11 @@ class Step:
     def added(self) -> str:
         """Identifier of the effect."""
         return self.effect.name
+
+    @property
+    def evidence(self) -> float:
+        """Earlier name of ``gain``."""
+        return self.gain
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,8 +266,8 @@ class Improvement:
 
     @property
     def located(self) -> dict[str, float]:
-        """Evidence, in twice the log-likelihood, for a disturbance at each place."""
-        return dict(self.location.evidence)
+        """Log-likelihood gain of a disturbance at each place of the signal chain."""
+        return dict(self.location.gains)
 
     @property
     def advice(self) -> list[str]:
@@ -315,7 +320,7 @@ class Improvement:
                 {
                     "added": step.added,
                     "group": list(step.group),
-                    "evidence": step.evidence,
+                    "gain": step.gain,
                     "train_error": step.train_error,
                     "test_error": step.test_error,
                 }
@@ -402,7 +407,7 @@ class Improvement:
             rows.append(
                 (
                     step.added,
-                    f"{step.evidence:.1f}",
+                    f"{step.gain:.1f}",
                     f"{step.needed:.1f}",
                     "-" if np.isnan(step.test_gain) else f"{step.test_gain:.1f}",
                     *self._pair({"train": step.train_error, "test": step.test_error}),

@@ -80,10 +80,10 @@ class Located:
     Attributes
     ----------
     places : tuple of Place
-        Largest evidence first.
-    evidence : dict
-        Gain in twice the log-likelihood that a disturbance at each place
-        brings over white noise alone, keys such as ``"force Z"``.
+        Largest gain first.
+    gains : dict
+        Log-likelihood gain that a disturbance at each place brings over white
+        noise alone, keys such as ``"force Z"``.
     levels : dict
         Most likely standard deviation of that disturbance, in its unit.
     force_names : tuple of str
@@ -91,7 +91,7 @@ class Located:
     forces : tuple of Series
         Smoothed residual forces, all let in together, per record.
     discrepancies : dict
-        For the places with the most evidence, the smoothed disturbance there
+        For the places with the largest gain, the smoothed disturbance there
         if nothing else is wrong; one :class:`Series` per record.
     signatures : dict
         For every rival, the residual forces ``(n_times, n_forces)`` that would
@@ -102,7 +102,7 @@ class Located:
     """
 
     places: tuple[Place, ...]
-    evidence: dict[str, float]
+    gains: dict[str, float]
     levels: dict[str, float]
     force_names: tuple[str, ...]
     forces: tuple[Series, ...]
@@ -112,24 +112,24 @@ class Located:
 
     @classmethod
     def nothing(cls, fit: FilteredSolution) -> Located:
-        """A finding without evidence, where locating was not possible."""
+        """A finding without any gain, where locating was not possible."""
         where = places(fit.problem.model)
         zero = {place.name: 0.0 for place in where}
         return cls(where, zero, dict(zero), (), (), {}, {}, {})
 
     @property
     def best(self) -> str | None:
-        """Place with the most evidence; None where chance explains all of it."""
+        """Place with the largest gain; None where chance explains all of it."""
         name = self.places[0].name
-        return name if self.evidence[name] > CLEAR else None
+        return name if self.gains[name] > CLEAR else None
 
     @property
     def group(self) -> tuple[str, ...]:
         """The best place and those that these records cannot tell from it."""
         if self.best is None:
             return ()
-        top = self.evidence[self.best]
-        near = (name for name, gain in self.evidence.items() if abs(top - gain) < GROUP_WIDTH)
+        top = self.gains[self.best]
+        near = (name for name, gain in self.gains.items() if abs(top - gain) < GROUP_WIDTH)
         return tuple(near)
 
     @property
@@ -145,18 +145,18 @@ class Located:
         rivals = [words[name] for name in self.group if name != self.best]
         if rivals:
             text += ", or as likely " + ", or ".join(rivals)
-        later = [name for name in self.evidence if name not in self.group]
+        later = [name for name in self.gains if name not in self.group]
         if later:
-            lag = self.evidence[self.best] - self.evidence[later[0]]
+            lag = self.gains[self.best] - self.gains[later[0]]
             text += f" (next: {later[0]}, log-likelihood gain {lag:.0f} lower)" if lag > 0 else ""
         return text + "."
 
     def report(self) -> str:
         """Return the finding as text."""
-        rows = [("where the model fails", "evidence", "less than best", "size", "unit")]
-        top = max(self.evidence.values())
+        rows = [("where the model fails", "log-likelihood gain", "behind the best", "size", "unit")]
+        top = max(self.gains.values())
         for place in self.places[:LISTED]:
-            gain = self.evidence[place.name]
+            gain = self.gains[place.name]
             if gain > CLEAR:
                 size = f"{self.levels[place.name]:.2g}"
                 rows.append((place.name, _count(gain), _count(top - gain), size, place.unit))
@@ -180,7 +180,7 @@ class Located:
             "best": self.best,
             "group": list(self.group),
             "verdict": self.verdict,
-            "evidence": dict(self.evidence),
+            "gains": dict(self.gains),
             "levels": dict(self.levels),
             "units": {place.name: place.unit for place in self.places},
             "forces": {
@@ -307,7 +307,7 @@ def locate(
                 signatures[name] = smoother.signature(changes)
     return Located(
         places=tuple(part.place for part in found),
-        evidence={part.place.name: part.gain for part in found},
+        gains={part.place.name: part.gain for part in found},
         levels={part.place.name: part.level for part in found},
         force_names=tuple(linear.where[i].signal for i in linear.forces),
         forces=forces,

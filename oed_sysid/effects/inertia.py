@@ -32,7 +32,7 @@ def added_mass_error(
         name,
         {(axis, state): size.name},
         (size,),
-        description=f"inertia of {state} in {axis} differs from what is believed",
+        description=f"inertia of {state} in {axis} differs from its nominal value",
         source=NEWMAN,
         needs="accelerations at several speeds, to tell inertia from damping",
     )

@@ -81,10 +81,10 @@ _ENDINGS = (
 _SYMBOLS = {
     "phi": ("roll", "heel"),
     "theta": ("pitch",),
-    "psi": ("yaw", "heading"),
+    "psi": ("yaw", "heading", "hdg", "compass"),
     "p": ("roll_rate", "rollspeed"),
     "q": ("pitch_rate", "pitchspeed"),
-    "r": ("yaw_rate", "yawspeed", "rate_of_turn"),
+    "r": ("yaw_rate", "yawspeed", "rate_of_turn", "rot"),
     "z": ("depth",),
     "x": ("north",),
     "y": ("east",),

@@ -327,7 +327,9 @@ def _piece(signal: _Signal, cut: Cut, log: Log, notes: list[str]) -> _Signal:
         whole = unwrapped(values)
         turns = int(np.sum(np.abs(np.diff(whole - values)) > 1.0))
         if turns:
-            notes.append(f"{cut.name}: {signal.name} was unwrapped: {turns} full turns added.")
+            notes.append(
+                f"{cut.name}: {signal.name} was unwrapped, jumps by a full turn undone: {turns}."
+            )
         values = whole
     return _Signal(signal.name, times, values)
 

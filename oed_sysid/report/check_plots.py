@@ -47,6 +47,7 @@ def plot_balances(found: LogCheck, ax: Axes | None = None) -> Axes:
     ax.set_xscale("log")
     low, high = min(after.min(), before.min()), max(before.max(), after.max(), 100.0)
     ax.set_xlim(low / 2.0, high * 2.0)
+    ax.xaxis.set_major_formatter("{x:g}")
     ax.set_yticks(rows, [one.relation for one in found.balances])
     ax.set_ylim(-0.6, n - 0.4)
     ax.set_xlabel("unexplained share of the left side's changes [%]")

@@ -72,7 +72,7 @@ def _table(part: ModelMisfit) -> Table:
             (
                 one.output.name,
                 f"{factor * one.rmse:.3g} {unit}",
-                f"{factor * one.sigma:.3g}",
+                f"{factor * one.sigma:.3g} {unit}",
                 f"{one.relative:.3g}",
                 f"{100 * one.coverage:.0f} %",
                 f"{one.effective_samples:.0f} of {one.n_samples}",

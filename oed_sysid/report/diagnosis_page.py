@@ -41,7 +41,7 @@ def diagnosis_page(diagnosis: Diagnosis, train: Dataset | None = None, *, title:
         verdict=(diagnosis.location.verdict, missing),
         sections=(
             located_section(diagnosis.location, train),
-            evidence_section(diagnosis.ranking),
+            candidates_section(diagnosis.ranking),
             Section("Equations of the nominal model", listing=diagnosis.model.equations()),
         ),
     )
@@ -49,7 +49,7 @@ def diagnosis_page(diagnosis: Diagnosis, train: Dataset | None = None, *, title:
 
 def located_section(located: Located, train: Dataset | None) -> Section:
     """Where the nominal model fails, with residual forces where the records are given."""
-    figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.3 * min(len(located.evidence), 14)))
+    figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.3 * min(len(located.gains), 14)))
     plot_located(located, ax=axes[0, 0])
     pictures = [
         Picture.of(
@@ -61,7 +61,7 @@ def located_section(located: Located, train: Dataset | None) -> Section:
     ]
     words = [located.verdict]
     if located.best is not None and train is not None and located.force_names:
-        equation = max(located.force_names, key=lambda n: located.evidence.get(f"force {n}", 0.0))
+        equation = max(located.force_names, key=lambda n: located.gains.get(f"force {n}", 0.0))
         pictures.append(
             Picture.of(
                 figure_force(located, equation, train),
@@ -77,8 +77,8 @@ def located_section(located: Located, train: Dataset | None) -> Section:
     return Section("Where the nominal model fails", tuple(words), pictures=tuple(pictures))
 
 
-def evidence_section(ranking: Ranking) -> Section:
-    """Candidates by evidence, and those that the records would not show."""
+def candidates_section(ranking: Ranking) -> Section:
+    """Candidates by log-likelihood gain, and those that the records would not show."""
     figure, axes = new_figure(1, 1, size=(8.4, 5.2))
     plot_ranking(ranking, ax=axes[0, 0])
     picture = Picture.of(
@@ -94,14 +94,18 @@ def evidence_section(ranking: Ranking) -> Section:
             f"{len(hidden)} of {len(ranking.scores)} candidates would not be seen in these "
             "records at their typical size. That they were not found says nothing about them."
         )
-        rows = tuple((name, _visible_from(limits)) for name, limits in hidden.items())
+        units = {p.name: p.unit for score in ranking.scores for p in score.effect.parameters}
+        rows = tuple((name, _visible_from(limits, units)) for name, limits in hidden.items())
         headers = ("candidate", "would be seen from")
         tables.append(Table(headers, rows, caption="Invisible at typical size", words=(1,)))
-    return Section("Evidence", tuple(words), tuple(tables), (picture,))
+    return Section("Candidates", tuple(words), tuple(tables), (picture,))
 
 
-def _visible_from(limits: Mapping[str, float]) -> str:
+def _visible_from(limits: Mapping[str, float], units: Mapping[str, str]) -> str:
     """Amplitudes from which a candidate would show; none where free parameters imitate it."""
     if not all(np.isfinite(value) for value in limits.values()):
         return "no size: the free parameters imitate it"
-    return ", ".join(f"{key} = {value:.3g}" for key, value in limits.items())
+    return ", ".join(
+        f"{key} = {value:.3g} {'' if units[key] == '1' else units[key]}".rstrip()
+        for key, value in limits.items()
+    )

@@ -46,9 +46,10 @@ def fit_page(
     Page
         Call ``.write("fit.html")``.
     """
+    way = fit.estimator.replace(", ", " with ", 1)
     return Page(
         title=fit.model.name,
-        subtitle=f"Fitted by {fit.estimator} to {', '.join(fit.dataset.names)}",
+        subtitle=f"Fitted by {way} to {', '.join(fit.dataset.names)}",
         verdict=(
             *log_verdict(log),
             *fit_verdict(fit),
@@ -58,7 +59,7 @@ def fit_page(
             ("misfit", f"{fit.normalised_rms:.3g} × noise"),
             ("parameters", str(len(fit.names))),
             ("samples", f"{fit.n_observations:,}".replace(",", " ")),
-            ("independent samples", f"{_effective(fit):.0f}"),
+            (f"independent {_steps_of(fit)}", f"{_effective(fit):,.0f}".replace(",", " ")),
             ("status", fit.status.code),
         ),
         sections=(
@@ -170,6 +171,11 @@ def record_sections(fit: Fit, *, style: int = 0) -> tuple[Section, ...]:
     return (Section("Records", words, pictures=pictures),)
 
 
+def _steps_of(fit: Fit) -> str:
+    """What is tested for independence: residuals, or innovations where random forces act."""
+    return "samples" if fit.innovations is None else "innovations"
+
+
 def residual_section(fit: Fit, *, style: int = 0) -> Section:
     """Size and colour of what the model leaves."""
     effective = fit.effective_samples()
@@ -193,15 +199,22 @@ def residual_section(fit: Fit, *, style: int = 0) -> Section:
             )
         )
     headers = (
-        "output", "rms residual", "noise", "ratio", "independent samples", "white in records",
-        "unit",
+        "output", "rms residual", "noise", "ratio", f"independent {_steps_of(fit)}",
+        "white in records", "unit",
     )  # fmt: skip
+    words: tuple[str, ...] = ()
+    if fit.innovations is not None:
+        words = (
+            "Random forces were estimated with the parameters. The table counts independent "
+            "innovations, measured less expected from all earlier samples; the pictures show "
+            "residuals, measured less the model running on its own.",
+        )
     picture = Picture.of(
         figure_whiteness(fit, style=style),
         "Autocorrelation of the residuals, one line per record. White noise stays inside the "
         "grey band; slow curves are physics or sensor dynamics that the model lacks.",
     )
-    return Section("Residuals", tables=(Table(headers, tuple(rows)),), pictures=(picture,))
+    return Section("Residuals", words, tables=(Table(headers, tuple(rows)),), pictures=(picture,))
 
 
 def _surprise(fit: Fit, name: str) -> float:

@@ -8,7 +8,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.compare import Comparison
 from oed_sysid.diagnosis.improvement import Improvement
 from oed_sysid.report.comparison_page import comparison_sections, log_verdict
-from oed_sysid.report.diagnosis_page import evidence_section, located_section
+from oed_sysid.report.diagnosis_page import candidates_section, located_section
 from oed_sysid.report.improvement_plots import plot_error_fall
 from oed_sysid.report.page import Page, Picture, Section, Table
 from oed_sysid.report.style import TWO_SIDED_95, new_figure
@@ -21,14 +21,14 @@ def improvement_page(
     train: Dataset | None = None,
     title: str = "",
 ) -> Page:
-    """Compose the report on a search: verdict, steps, evidence, predictions, estimates.
+    """Compose the report on a search: verdict, steps, candidates, predictions, estimates.
 
     Parameters
     ----------
     improvement : Improvement
         The search.
     comparison : Comparison, optional
-        Of the believed and the improved model, best on validation records.
+        Of the nominal and the improved model, best on validation records.
     train : Dataset, optional
         The training records, to draw residual forces against their signals.
     title : str
@@ -41,7 +41,7 @@ def improvement_page(
         _steps(improvement),
         _advice(improvement),
         located_section(improvement.location, train),
-        evidence_section(improvement.ranking),
+        candidates_section(improvement.ranking),
     ]
     if comparison is not None:
         sections += comparison_sections(comparison)
@@ -102,7 +102,7 @@ def _steps(improvement: Improvement) -> Section:
     rows = tuple(
         (
             step.added,
-            f"{step.evidence:.4g}",
+            f"{step.gain:.4g}",
             f"{step.needed:.3g}",
             f"{step.test_gain:.4g}" if np.isfinite(step.test_gain) else "",
             f"{step.train_error:.3g}",
@@ -112,8 +112,8 @@ def _steps(improvement: Improvement) -> Section:
         for step in improvement.steps
     )
     headers = (
-        "added", "log-likelihood gain", "needed", "on validation records", "error, training",
-        "error, validation", "cannot be told from it",
+        "added", "log-likelihood gain", "needed", "gain, validation", "error, training [noise]",
+        "error, validation [noise]", "cannot be told from it",
     )  # fmt: skip
     figure, axes = new_figure(1, 1, size=(7.6, 3.8))
     plot_error_fall(improvement, ax=axes[0, 0])
@@ -124,8 +124,8 @@ def _steps(improvement: Improvement) -> Section:
     words = [
         "The log-likelihood gain is what twice the log-likelihood gains after all parameters and "
         "noise levels were estimated again; chance rarely exceeds the needed gain, however many "
-        "candidates were tried. Errors are those of plain least squares on the training records. "
-        "Nothing was fitted to the validation records but their initial states."
+        "candidates were tried. Errors are those of the model running on its own over whole "
+        "records. Nothing was fitted to the validation records but their initial states."
     ]
     if improvement.rejected:
         refused = ", ".join(dict.fromkeys(improvement.rejected))
@@ -150,7 +150,7 @@ def _in_units(improvement: Improvement) -> Table:
 
 
 def _estimates(improvement: Improvement) -> Section:
-    believed = improvement.base.values
+    nominal = improvement.base.values
     rows = []
     for one in improvement.parameters:
         name, value, error = one["name"], one["value"], one["std_error"]
@@ -164,7 +164,7 @@ def _estimates(improvement: Improvement) -> Section:
                 f"{value:.5g}",
                 f"{error:.2g}",
                 f"{100 * error / abs(value):.2g} %" if value else "",
-                f"{believed[name]:.5g}" if name in believed else "",
+                f"{nominal[name]:.5g}" if name in nominal else "",
                 known,
                 one["unit"],
             )
@@ -173,11 +173,6 @@ def _estimates(improvement: Improvement) -> Section:
         "parameter", "value", "std. error", "relative", "without the effects",
         "prior ± (95 %)", "unit",
     )  # fmt: skip
-    added = {p.name for s in improvement.steps for p in _parameters(improvement, s.added)}
+    added = {parameter.name for step in improvement.steps for parameter in step.effect.parameters}
     marked = tuple(i for i, row in enumerate(rows) if row[0] in added)
     return Section("Estimates", tables=(Table(headers, tuple(rows), marked=marked),))
-
-
-def _parameters(improvement: Improvement, effect: str) -> tuple:
-    names = improvement.model.effect_names
-    return improvement.model.effect(effect).parameters if effect in names else ()

@@ -26,7 +26,7 @@ _BEST, _GROUP = COLOURS[1], COLOURS[5]
 
 
 def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None) -> Axes:
-    """Plot the evidence for each candidate: quick score, and gain after a refit.
+    """Plot the log-likelihood gain of each candidate: quick score, and gain after a refit.
 
     Bars are the gain in twice the log-likelihood after all parameters were
     estimated again with the candidate; candidates that were not refitted show
@@ -163,8 +163,8 @@ def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None)
     ax : Axes, optional
         Where to draw.
     """
-    top = max([*located.evidence.values(), 0.0])
-    places = [(place.name, top - located.evidence[place.name]) for place in located.places]
+    top = max([*located.gains.values(), 0.0])
+    places = [(place.name, top - located.gains[place.name]) for place in located.places]
     places = [*places[:n_shown], ("no disturbance", top)]
     ax = new_axes(ax, size=(6.4, 1.2 + 0.3 * len(places)))
     rows = np.arange(len(places))[::-1]

@@ -161,8 +161,7 @@ def _diagnosis(diagnosis: Diagnosis) -> str:
 def _improvement(result: Improvement) -> str:
     pairs = [("nominal", "", result.base_error["train"], result.base_error["test"])]
     pairs += [
-        (step.added, f"{step.evidence:.4g}", step.train_error, step.test_error)
-        for step in result.steps
+        (step.added, f"{step.gain:.4g}", step.train_error, step.test_error) for step in result.steps
     ]
     rows = tuple((name, gain, _number(a), _number(b)) for name, gain, a, b in pairs)
     table = Table(

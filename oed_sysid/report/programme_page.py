@@ -15,6 +15,8 @@ def programme_page(programme: Programme, *, title: str = "") -> Page:
         "most extreme of the possible vehicles stay within; dashed: limits. Right: expected "
         "relative standard errors.",
     )
+    errors = programme.relative_errors
+    worst = int(errors.argmax())
     rows = []
     for number, run in enumerate(programme.runs, start=1):
         kept = programme.assurances.get(run.name)
@@ -28,8 +30,9 @@ def programme_page(programme: Programme, *, title: str = "") -> Page:
     ]
     verdict = [
         *danger,
-        f"{len(programme.runs)} runs in {programme.hours:.3g} h tell {programme.share:.1%} of what "
-        f"the best programme of {len(programme.candidates)} candidate runs could.",
+        f"{len(programme.runs)} runs in {programme.hours:.3g} h tell "
+        f"{100 * programme.share:.3g} % of what the best programme of "
+        f"{len(programme.candidates)} candidate runs could.",
     ]
     if programme.standard is not None:
         verdict.append(
@@ -44,7 +47,7 @@ def programme_page(programme: Programme, *, title: str = "") -> Page:
         numbers=(
             ("runs", str(len(programme.runs))),
             ("time", f"{programme.hours:.3g} h"),
-            ("worst error", f"{100 * programme.relative_errors.max():.2g} %"),
+            (f"std. error, worst: {programme.names[worst]}", f"{100 * errors[worst]:.2g} %"),
         ),
         sections=(
             Section(

@@ -81,7 +81,7 @@ def _table(ranking: SensitivityRanking) -> Table:
         for row in ranking.rows
     )
     headers = (
-        "parameter", "value", "error", "if others were known", "ratio", "output change",
+        "parameter", "value", "std. error", "if others were known", "ratio", "output change",
         "change of peaks", "unit",
     )  # fmt: skip
     return Table(headers, rows)
