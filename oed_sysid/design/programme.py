@@ -52,7 +52,7 @@ from oed_sysid.information import Information
 from oed_sysid.manoeuvres import Manoeuvre, Piecewise, ZigZag
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.bound import information_of
+from oed_sysid.sensitivity.bound import information_of, information_of_each
 from oed_sysid.sensitivity.noise import Levels as NoiseLevels
 from oed_sysid.sensitivity.noise import noise_of
 from oed_sysid.sensitivity.shifts import Shifts, joint_information
@@ -342,26 +342,46 @@ class _Task:
                 )
         return tuple(n for n in self.model.output_names if n not in optional or n in subset)
 
-    def information(self, run: Candidate, outputs: tuple[str, ...]) -> np.ndarray | None:
-        """Relative information on every vehicle, ``(n_vehicles, n, n)``; None if one diverges."""
-        key = (id(run), outputs)
-        if key not in self._cache:
-            try:
-                told = [self._told(vehicle, run, outputs) for vehicle in self.vehicles]
-                self._cache[key] = np.stack(told) * self.units[:, None] * self.units
-            except OedSysidError:
-                self._cache[key] = None
-        return self._cache[key]
+    def information(
+        self, runs: Sequence[Candidate], outputs: tuple[str, ...]
+    ) -> list[np.ndarray | None]:
+        """Relative information of runs on every vehicle, ``(n_vehicles, n, n)`` each.
 
-    def _told(self, vehicle: Model, run: Candidate, outputs: tuple[str, ...]) -> np.ndarray:
-        """Information of a run on one vehicle, SI units."""
+        None where one vehicle diverges.
+        """
+        missing = [run for run in runs if (id(run), outputs) not in self._cache]
+        told = [self._told(vehicle, missing, outputs) for vehicle in self.vehicles]
+        for run, parts in zip(missing, zip(*told, strict=True), strict=True):
+            found = [part for part in parts if part is not None]
+            whole = len(found) == len(parts)
+            self._cache[id(run), outputs] = (
+                np.stack(found) * self.units[:, None] * self.units if whole else None
+            )
+        return [self._cache[id(run), outputs] for run in runs]
+
+    def _told(
+        self, vehicle: Model, runs: Sequence[Candidate], outputs: tuple[str, ...]
+    ) -> list[np.ndarray | None]:
+        """Information of runs on one vehicle, SI units; None where it diverges."""
         if self.shifts is None:
-            return information_of(
-                vehicle, run.experiment, noise=self.noise, priors=None, outputs=outputs
-            ).matrix
+            each = information_of_each(
+                vehicle, [run.experiment for run in runs], noise=self.noise, priors=None,
+                outputs=outputs,
+            )  # fmt: skip
+            return [None if one is None else one.matrix for one in each]
         assert isinstance(self.criterion, ByShifts)
         shifts = self.shifts if vehicle is self.model else self.criterion.shifts(vehicle)
-        return joint_information(vehicle, run.experiment, shifts, noise=self.noise, outputs=outputs)
+        found: list[np.ndarray | None] = []
+        for run in runs:
+            try:
+                found.append(
+                    joint_information(
+                        vehicle, run.experiment, shifts, noise=self.noise, outputs=outputs
+                    )
+                )
+            except OedSysidError:
+                found.append(None)
+        return found
 
     def misfits(self, total: np.ndarray) -> dict[tuple[str, str], float]:
         """For discrimination: expected gain of every rival over every other."""
@@ -383,8 +403,8 @@ class _Task:
         begin: np.ndarray | None = None,
     ) -> tuple[Library, Weights, Selection]:
         """Weights and whole runs; ``kept`` then holds the runs in the library's order."""
-        found = [(run, self.information(run, outputs)) for run in runs]
-        there = [(run, matrix) for run, matrix in found if matrix is not None]
+        told = self.information(runs, outputs)
+        there = [(run, m) for run, m in zip(runs, told, strict=True) if m is not None]
         self.kept = [run for run, _ in there]
         if not there:
             raise DesignError("No candidate run stays finite on all vehicles. Make them gentler.")
