@@ -118,8 +118,9 @@ def test_zigzags_that_look_ahead_keep_a_corridor_on_more_vehicles() -> None:
     narrow = replace(LIMITS, signals={"psi": (-0.35, 0.35)})
     vehicles = draw_models(ship(), 0.3, 12, None, np.random.default_rng(5))
     runs = candidate_runs(ship(), PATTERN, limits=narrow, rng=np.random.default_rng(0),
-                          kinds=("zigzag",), vehicles=vehicles)  # fmt: skip
-    ahead = [run for run in runs if run.experiment.excitation.lead]  # type: ignore[union-attr]
+                          kinds=("zigzag", "zigzag ahead"), vehicles=vehicles)  # fmt: skip
+    ahead = [run for run in runs if run.kind == "zigzag ahead"]
+    assert all(run.experiment.excitation.lead > 0 for run in ahead)  # type: ignore[union-attr]
     rest = [run for run in runs if run not in ahead]
     assert ahead
     assert all(run.experiment.excitation.keep_gain == 0 for run in ahead)  # type: ignore[union-attr]

@@ -39,7 +39,9 @@ from oed_sysid.manoeuvres import ZigZag, schroeder_phases
 from oed_sysid.model import Model
 from oed_sysid.simulation import simulate, simulate_inputs
 
-KINDS = ("straight", "zigzag", "3-2-1-1", "multisine", "levels", "circle", "spiral")
+KINDS = (
+    "straight", "zigzag", "zigzag ahead", "3-2-1-1", "multisine", "levels", "circle", "spiral",
+)  # fmt: skip
 # Amplitudes tried, as shares of the range, until the limits hold; the largest and a gentler one
 # are kept.
 SHARES = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
@@ -214,6 +216,7 @@ class _Stand:
                 continue
             elif kind == "zigzag":
                 yield from self.zigzags()
+            elif kind == "zigzag ahead":
                 yield from self.leading()
             else:
                 for variant, wave in self.waves(kind, rng):
@@ -350,7 +353,7 @@ class _Stand:
                 held = self.keeps(run)
                 if held is None:
                     continue
-                yield run, "zigzag", held
+                yield run, "zigzag ahead", held
                 found += 1
                 if found == 2:
                     break
