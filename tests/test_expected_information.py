@@ -13,7 +13,7 @@ from oed_sysid.design import accuracy_range
 from oed_sysid.errors import DesignError
 from oed_sysid.manoeuvres import Doublet
 from oed_sysid.model import Model
-from oed_sysid.sensitivity import information_of, sea_noise, sea_words
+from oed_sysid.sensitivity import information_of, information_of_each, sea_noise, sea_words
 
 TEST = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=8.0), duration=40.0, sample_time=0.5)
 
@@ -79,6 +79,18 @@ def test_without_forces_it_is_the_white_bound() -> None:
     white = NoiseModel.white_only(np.array([5e-3, 2e-3]), model.output_names)
     found = information_of(model, TEST, noise=white).matrix
     np.testing.assert_allclose(found, information_of(model, TEST).matrix, rtol=1e-9)
+
+
+def test_information_of_each_is_that_of_one_after_the_other() -> None:
+    """Made ready once, the model tells the same; a run that diverges tells nothing."""
+    model = ship()
+    wild = replace(TEST, initial={"r": 1e200})
+    found = information_of_each(model, [TEST, wild, TEST], noise=sea(model), priors=None)
+    alone = information_of(model, TEST, noise=sea(model), priors=None)
+    assert found[1] is None
+    for one in (found[0], found[2]):
+        assert one is not None
+        np.testing.assert_array_equal(one.factor, alone.factor)
 
 
 def test_forces_cost_information_and_sensors_bring_it() -> None:

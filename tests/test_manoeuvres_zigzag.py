@@ -55,6 +55,52 @@ def test_zigzag_reverses_at_the_switch(gain, sign, first):
     np.testing.assert_allclose(np.abs(commands[times >= 3.0]), ten)
 
 
+def drift(test, *, duration=120.0, quick=1.0, climb=0.0):
+    """Pitch with little damping and a depth that follows it; pitch and depth, one row a sample."""
+    control = test.controller()
+    pitch, rate, depth, seen = 0.0, 0.0, 20.0, []
+    for time in np.arange(0, duration, STEP):
+        command = control.command(time, {"theta": pitch, "q": rate, "z": depth})
+        seen.append((pitch, depth))
+        pitch += STEP * rate
+        rate += STEP * quick * (command - 0.2 * rate - 0.1 * pitch + climb)
+        depth -= STEP * 1.5 * math.sin(pitch)
+    return np.array(seen)
+
+
+def test_a_zigzag_that_looks_ahead_swings_alike_on_slow_and_quick_vehicles():
+    """With a lead, a vehicle four times as quick swings no further; without, much further."""
+    angle = math.radians(10)
+    plain = ZigZag("fin", angle, angle, feedback=("theta",))
+    leading = ZigZag("fin", angle, 2 * angle, feedback=("theta", "q"), lead=1.5)
+    spread = {
+        test: [np.abs(drift(test, quick=quick)[:, 0]).max() for quick in (0.5, 2.0)]
+        for test in (plain, leading)
+    }
+    assert max(spread[leading]) <= 2 * angle
+    assert max(spread[plain]) > 1.2 * max(spread[leading])
+
+
+def test_a_zigzag_about_a_keeper_stays_at_its_depth():
+    """A vehicle that noses up drifts away, and stays near where the depth is kept."""
+    angle = math.radians(10)
+    free = ZigZag("fin", angle, angle, feedback=("theta",))
+    kept = ZigZag("fin", angle, angle, feedback=("theta", "z"), keep_gain=0.03)
+    gone = [np.abs(drift(test, climb=0.02)[:, 1] - 20.0).max() for test in (free, kept)]
+    assert gone[1] < 0.5 * gone[0]
+    assert type(kept).from_dict(kept.to_dict()) == kept
+
+
+def test_signals_of_a_zigzag_are_as_many_as_it_reacts_to():
+    """A lead without the rate, and a keeper without its signal, are named."""
+    with pytest.raises(ModelError, match="then its rate"):
+        ZigZag("fin", 0.1, 0.1, feedback=("theta",), lead=1.0)
+    with pytest.raises(ModelError, match="then its rate, then the signal kept"):
+        ZigZag("fin", 0.1, 0.1, feedback=("theta", "q"), lead=1.0, keep_gain=0.1)
+    with pytest.raises(ModelError, match="lead"):
+        ZigZag("fin", 0.1, 0.1, lead=-1.0)
+
+
 def test_zigzag_rate_limit_holds_in_closed_loop():
     """The rudder moves at 5 deg/s at most, reaches both sides and stays around neutral."""
     rate, neutral = math.radians(5), 0.02

@@ -113,6 +113,40 @@ def test_quick_zigzags_keep_a_corridor_that_equal_ones_leave_and_tell_more() -> 
         assert np.abs(simulate(ship(), run.experiment, noise=False).output("psi")).max() <= 0.21
 
 
+def test_zigzags_that_look_ahead_keep_a_corridor_on_more_vehicles() -> None:
+    """Full rudder within 20 degrees of heading: looking ahead keeps it where equal angles leave."""
+    narrow = replace(LIMITS, signals={"psi": (-0.35, 0.35)})
+    vehicles = draw_models(ship(), 0.3, 12, None, np.random.default_rng(5))
+    runs = candidate_runs(ship(), PATTERN, limits=narrow, rng=np.random.default_rng(0),
+                          kinds=("zigzag", "zigzag ahead"), vehicles=vehicles)  # fmt: skip
+    ahead = [run for run in runs if run.kind == "zigzag ahead"]
+    assert all(run.experiment.excitation.lead > 0 for run in ahead)  # type: ignore[union-attr]
+    rest = [run for run in runs if run not in ahead]
+    assert ahead
+    assert all(run.experiment.excitation.keep_gain == 0 for run in ahead)  # type: ignore[union-attr]
+    largest = max(run.experiment.excitation.amplitude for run in rest)  # type: ignore[union-attr]
+    assert max(run.experiment.excitation.amplitude for run in ahead) >= largest  # type: ignore[union-attr]
+    for run in ahead:
+        for vehicle in vehicles:
+            heading = simulate(vehicle, run.experiment, noise=False).output("psi")
+            assert np.abs(heading).max() <= 0.35
+
+
+def test_all_runs_together_keep_their_limits_on_as_many_vehicles_as_wanted() -> None:
+    """The share is of vehicles on which every run keeps them, so it is below that of any run."""
+    narrow = replace(LIMITS, signals={"psi": (-0.5, 0.5)})
+    found = design_programme(
+        ship(), PATTERN, limits=narrow, rng=np.random.default_rng(2), n_runs=3, noise=SEA,
+        spread=0.3, turnaround=300.0, n_draws=1, n_vehicles=4, n_rounds=0, certainty=0.9,
+    )  # fmt: skip
+    shares = [one.probability for one in found.assurances.values()]
+    masks = np.array([one.kept for one in found.assurances.values()])
+    assert found.limited
+    assert found.kept == masks.all(axis=0).mean()
+    assert 0.9 <= found.kept <= min(shares)
+    assert found.to_dict()["limits_kept"] == found.kept
+
+
 @pytest.fixture(name="programme", scope="module")
 def _programme() -> Programme:
     """A programme of half an hour and four runs at most, under random forces."""
@@ -160,12 +194,19 @@ def test_the_first_line_of_a_programme_is_the_answer(programme: Programme) -> No
     known = Information.from_matrix(joint.names, 100.0 * joint.matrix, programme.sizes)
     sharp = of_programme(replace(programme, information=known))
     assert f"{name}, ± {100 * half_width / 10.0:.2g} % (95 %)" in sharp
-    least = min(one.probability for one in programme.assurances.values())
-    assert f"keeps its limits on {least:.0%} of possible vehicles" in words
+    assert f"the limits on {programme.kept:.0%} of possible vehicles" in words
     name = programme.runs[0].name
-    risky = {**programme.assurances, name: replace(programme.assurances[name], n_kept=45)}
+    risky = {**programme.assurances, name: replace(programme.assurances[name], n_kept=75)}
     words = of_programme(replace(programme, assurances=risky))
     assert words.startswith(f"DANGER: {name!r} leaves its limits on 25% of possible vehicles; {n}")
+    few = {
+        name: replace(one, kept=np.roll(np.arange(100) > 3, 4 * index))
+        for index, (name, one) in enumerate(programme.assurances.items())
+    }
+    together = replace(programme, assurances=few)
+    assert not together.unsafe
+    assert together.kept == pytest.approx(1 - 0.04 * len(few))
+    assert together.is_unsafe_together == (len(few) > 1)
 
 
 def test_refined_commands_keep_the_rate_at_the_samples_of_the_run() -> None:

@@ -94,14 +94,19 @@ def test_closed_loop_record_is_reproduced_by_its_own_inputs() -> None:
 
 
 @pytest.mark.parametrize("interpolation", ["hold", "linear"])
-def test_looking_ahead_while_commands_are_held_changes_no_bit(
-    interpolation: str, monkeypatch
+@pytest.mark.parametrize("feedback", ["true", "measured"])
+@pytest.mark.parametrize("held", [False, True])
+def test_looking_ahead_changes_no_bit(
+    interpolation: str, feedback: str, held: bool, monkeypatch
 ) -> None:
     """Closed loops go many samples at once; the record is that of one sample at a time."""
     changed = tuple(replace(one, interpolation=interpolation) for one in AUV.inputs)
-    model, test = replace(AUV, inputs=changed), replace(DIVE, feedback="true")
+    model, test = replace(AUV, inputs=changed), replace(DIVE, feedback=feedback)
+    if held:  # only while a command stands still
+        monkeypatch.setattr("oed_sysid.simulation.closed_loop._foreseen", lambda *parts: None)
     ahead = simulate(model, test, noise=False)
-    monkeypatch.setattr("oed_sysid.simulation.run._MOST_AHEAD", 1)
+    monkeypatch.setattr("oed_sysid.simulation.closed_loop._foreseen", lambda *parts: None)
+    monkeypatch.setattr("oed_sysid.simulation.closed_loop._MOST_HELD", 1)
     stepwise = simulate(model, test, noise=False)
     assert len(np.unique(ahead.inputs)) > 10
     np.testing.assert_array_equal(ahead.inputs, stepwise.inputs)

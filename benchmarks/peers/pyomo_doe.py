@@ -1,4 +1,4 @@
-"""Pyomo.DoE: held levels of the fin for the largest determinant of the information.
+"""Pyomo.DoE: held levels of the fin for the largest determinant of the information, or trace.
 
 Its equations are discretised by the trapezoidal rule, one step per sample, for
 every parameter a little too large and a little too small; their differences, the
@@ -99,7 +99,7 @@ def main() -> None:
     began, clock = used(), time.perf_counter()
     study = DesignOfExperiments(
         _Dive(given),
-        objective_option="determinant",
+        objective_option=str(given["objective"]),
         scale_nominal_param_value=True,
         scale_constant_value=float(given["scale"]),
         step=float(given["step"]),

@@ -134,6 +134,11 @@ def of_programme(programme: Programme) -> str:
             f"DANGER: {worst!r} leaves its limits on {1 - kept[worst]:.0%} of possible vehicles; "
             + words
         )
+    elif programme.is_unsafe_together:
+        words = (
+            f"DANGER: on {1 - programme.kept:.0%} of possible vehicles one run or another leaves "
+            f"its limits; {words}"
+        )
     words += f": {_bought(programme)}"
     if programme.standard is not None:
         ratio = programme.standard.ratio
@@ -145,9 +150,8 @@ def of_programme(programme: Programme) -> str:
     if not kept:
         words += "; no limit on the motion was given"
     elif not programme.unsafe:
-        least = min(kept.values())
-        words += f"; each run keeps its limits on {least:.0%} of possible vehicles"
-        words += " or more" if len(kept) > 1 and least < 1 else ""
+        together = "all runs keep" if len(kept) > 1 else "the run keeps"
+        words += f"; {together} the limits on {programme.kept:.0%} of possible vehicles"
     return f"{words}."
 
 

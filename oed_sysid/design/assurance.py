@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import betaincinv
@@ -75,7 +75,7 @@ class AbortRule:
         }  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Assurance:
     """On how many vehicles with other coefficients an experiment keeps its limits.
 
@@ -99,6 +99,8 @@ class Assurance:
         Where the crew stops, and how often it would.
     any_fires : float
         Share of the vehicles on which one rule or more fires.
+    kept : ndarray of bool (n_checked,)
+        On which of the vehicles all limits were kept, in the order they were given or drawn.
     """
 
     n_kept: int
@@ -111,6 +113,7 @@ class Assurance:
     waves: str = ""
     rules: tuple[AbortRule, ...] = ()
     any_fires: float = 0.0
+    kept: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool), repr=False)
 
     @property
     def is_safe(self) -> bool:
@@ -189,6 +192,7 @@ def assess_limits(
     wanted: float | None = None,
     sea: NoiseModel | None = None,
     others: Sequence[Model] = (),
+    vehicles: Sequence[Model] | None = None,
 ) -> Assurance:
     """Simulate an experiment on vehicles whose coefficients are not those believed.
 
@@ -214,21 +218,28 @@ def assess_limits(
         Random forces: every vehicle meets waves of its own.
     others : sequence of Model
         Other structures that remain possible; the vehicles are drawn from all in turn.
+    vehicles : sequence of Model, optional
+        Simulate these, drawn before; several runs are then judged on the same vehicles.
 
     Returns
     -------
     Assurance
     """
+    n_vehicles = n_vehicles if vehicles is None else len(vehicles)
     if n_vehicles < 20:
         raise DesignError(f"{n_vehicles} vehicles tell no probability. Give 20 or more.")
-    fresh = draw_structures(model, others, spread, n_vehicles, prior, rng)
+    fresh = (
+        draw_structures(model, others, spread, n_vehicles, prior, rng)
+        if vehicles is None
+        else tuple(vehicles)
+    )
     corridor = Corridor.of(model, limits or experiment.limits, {}, kernel(model).n_full)
     own = np.array([experiment.initial.get(n, 0.0) for n in model.state_names])
     guards = Guards(fresh, experiment.times, np.array([0]), own, corridor)
     free = replace(experiment, limits=Limits())
     names = tuple(dict.fromkeys((*model.state_names, *model.output_names)))
     extremes: list[np.ndarray] = []
-    kept, left = 0, Counter[str]()
+    kept, left = np.zeros(n_vehicles, dtype=bool), Counter[str]()
     in_waves = sea is not None and sea.has_forces
     for index, vehicle in enumerate(fresh):
         try:
@@ -248,7 +259,7 @@ def assess_limits(
             first = _first_left(corridor, run)
         else:
             first = guards.first_left(guards.run(index, commands))
-        kept += first is None
+        kept[index] = first is None
         if first is not None:
             left[first] += 1
     ranges: dict[str, tuple[float, float]] = {}
@@ -261,8 +272,8 @@ def assess_limits(
         ranges = {n: (float(a), float(b)) for n, a, b in zip(names, low, high, strict=True)}
         rules, stopped = _rules(experiment, corridor, names, ranges, ends, n_vehicles)
     return Assurance(
-        kept, n_vehicles, wanted, spread, dict(left), ranges, bool(corridor.names),
-        sea_words(sea) if sea is not None and in_waves else "", rules, stopped,
+        int(kept.sum()), n_vehicles, wanted, spread, dict(left), ranges, bool(corridor.names),
+        sea_words(sea) if sea is not None and in_waves else "", rules, stopped, kept,
     )  # fmt: skip
 
 

@@ -32,13 +32,13 @@ from oed_sysid.design.library import Candidate, kept_on
 from oed_sysid.design.plan import believed_noise, knowledge
 from oed_sysid.design.quantities import percent, quantity, units_of
 from oed_sysid.design.robust import draw_models
-from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import Information
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.bound import information_of
+from oed_sysid.sensitivity.bound import information_of_each
 from oed_sysid.sensitivity.noise import Levels
 from oed_sysid.sensitivity.response import plays, respond
 
@@ -46,6 +46,8 @@ from oed_sysid.sensitivity.response import plays, respond
 WORTH = 0.01
 _MOST_AHEAD = 40
 _VEHICLES = 20
+# Smallest pivot of an equilibrated information at which its inverse has ten digits.
+_REGULAR = 1e-3
 
 
 @runtime_checkable
@@ -340,12 +342,12 @@ def decide(
     rows = [goal.rows(model, names) * scales for goal in goals]
     wanted = np.array([goal.tolerance for goal in goals])
     told, runs = [], []
-    for run in candidates:
-        try:
-            found = information_of(
-                model, run.experiment, noise=sigma if sea is None else sea, priors=None
-            )
-        except OedSysidError:
+    each = information_of_each(
+        model, [run.experiment for run in candidates], noise=sigma if sea is None else sea,
+        priors=None,
+    )  # fmt: skip
+    for run, found in zip(candidates, each, strict=True):
+        if found is None:
             continue  # it diverges on what is believed now
         told.append(found.matrix * scales[:, None] * scales)
         runs.append(run)
@@ -399,9 +401,23 @@ def decide(
 
 def _deviations(matrix: np.ndarray, rows: Sequence[np.ndarray]) -> np.ndarray:
     """Largest standard deviation of each goal, for matrices ``(..., n, n)``: ``(..., n_goals)``."""
-    bound = inverse(matrix)
+    bound = _inverse(matrix)
     parts = [np.sqrt(((row @ bound) * row).sum(axis=-1).max(axis=-1)) for row in rows]
     return np.stack(parts, axis=-1)
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse, the quick way where nothing is near singular: hundreds are taken on board."""
+    sizes = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
+    if sizes.min() > 0:
+        outer = sizes[..., :, None] * sizes[..., None, :]
+        try:
+            roots = np.linalg.cholesky(matrix / outer)
+        except np.linalg.LinAlgError:
+            return inverse(matrix)
+        if np.diagonal(roots, axis1=-2, axis2=-1).min() > _REGULAR:
+            return np.asarray(np.linalg.inv(matrix / outer) / outer)
+    return inverse(matrix)
 
 
 def _gains(

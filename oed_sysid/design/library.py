@@ -8,13 +8,23 @@ input,
 
 .. math:: \delta(t) = \delta_0 + s\,\bar\delta\, g(t), \qquad s \in \{1, 0.6, 0.35, 0.2, 0.1, 0.05\}
 
-with ``g`` between -1 and 1; zigzags are closed over the vehicle's attitude instead.
+with ``g`` between -1 and 1; zigzags are closed over the vehicle's attitude instead. Where the
+attitude has a corridor of half-width :math:`b`, zigzags that look ahead reverse on
+
+.. math:: \theta + T q - k\,(z - z_0) = \pm\theta_s, \qquad
+    k = \frac{\theta_s}{\min(z_+ - z_0,\; z_0 - z_-)}
+
+with a lead :math:`T` of the time in which full control turns the believed vehicle by :math:`b/2`,
+or half of it. Without a lead the swing goes on by as much as the vehicle is quick, several times
+more on the worst of those that are possible, and it is they who make all runs gentle. The keeper
+(gain :math:`k`, where the depth has limits) lets such a run be long.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from math import degrees, radians
 
 import numpy as np
@@ -29,7 +39,9 @@ from oed_sysid.manoeuvres import ZigZag, schroeder_phases
 from oed_sysid.model import Model
 from oed_sysid.simulation import simulate, simulate_inputs
 
-KINDS = ("straight", "zigzag", "3-2-1-1", "multisine", "levels", "circle", "spiral")
+KINDS = (
+    "straight", "zigzag", "zigzag ahead", "3-2-1-1", "multisine", "levels", "circle", "spiral",
+)  # fmt: skip
 # Amplitudes tried, as shares of the range, until the limits hold; the largest and a gentler one
 # are kept.
 SHARES = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
@@ -38,6 +50,11 @@ ZIGZAGS = (5.0, 10.0, 20.0)  # degrees, both of the control and of the attitude
 # Attitudes of quick zigzags, as shares of the control's angle: a large control within a narrow
 # corridor, on vehicles that answer it by more than is believed as well.
 _QUICK = (0.5, 0.25)
+# Zigzags that look ahead: control as a share of its range, switch as one of the corridor, lead as
+# one of the time that a half of the corridor takes.
+_CONTROLS, _SWITCHES, _LEADS = (1.0, 0.5), (1.1, 0.8, 0.6, 0.4, 0.25), (1.0, 0.5)
+_RATES = {"psi": "r", "theta": "q", "phi": "p"}
+_KEPT = {"theta": "z"}
 _PACES = (0.25, 0.6)  # of quick and slow variants, relative to a tenth of the run
 
 
@@ -199,6 +216,8 @@ class _Stand:
                 continue
             elif kind == "zigzag":
                 yield from self.zigzags()
+            elif kind == "zigzag ahead":
+                yield from self.leading()
             else:
                 for variant, wave in self.waves(kind, rng):
                     yield from self.sized(kind, variant, wave)
@@ -296,6 +315,67 @@ class _Stand:
                 seen.add((size, switch))
                 yield run, "zigzag", held
                 break
+
+    def leading(self) -> Iterable[tuple[Experiment, str, float]]:
+        """Zigzags that look ahead within a corridor of the attitude, about a keeper of the depth.
+
+        Of each pair of control and lead the largest switch that keeps the limits, and the next.
+        """
+        known = (*self.model.output_names, *self.model.state_names)
+        attitude = next((a for a in ATTITUDES if a in known), "")
+        lower, upper = self.limits.signals.get(attitude, (-np.inf, np.inf))
+        grid, initial = self.grid, dict(self.pattern.initial)
+        begin = initial.get(attitude, 0.0)
+        wide = min(upper - begin, begin - lower)
+        if not (np.isfinite(wide) and wide > 0) or _RATES[attitude] not in known:
+            return
+        largest = float(min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0]))
+        time = self.turning_time(attitude, begin, largest, 0.5 * wide)
+        if time is None:
+            return
+        sign = _side(self.model, grid, attitude, self.held, initial)
+        rate = None if not np.isfinite(grid.rates[0]) else float(grid.rates[0])
+        kept, room = self.kept_depth(attitude, known)
+        for control, share in product(_CONTROLS, _LEADS):
+            size, lead = control * largest, float(f"{share * time:.2g}")
+            found = 0
+            for switch in (part * wide for part in _SWITCHES):
+                run = Experiment(
+                    f"zigzag {degrees(size):.3g}/{degrees(switch):.3g} {lead:g} s ahead",
+                    ZigZag(
+                        self.name, size, switch, feedback=(attitude, _RATES[attitude], *kept),
+                        rate=rate, sign=sign, neutral=float(grid.neutral[0]), lead=lead,
+                        keep_gain=switch / room if kept else 0.0,
+                    ),
+                    duration=float(grid.times[-1]), sample_time=grid.step, constants=self.held,
+                    initial=self.pattern.initial, feedback="true", limits=self.limits,
+                )  # fmt: skip
+                held = self.keeps(run)
+                if held is None:
+                    continue
+                yield run, "zigzag ahead", held
+                found += 1
+                if found == 2:
+                    break
+
+    def kept_depth(self, attitude: str, known: Sequence[str]) -> tuple[tuple[str, ...], float]:
+        """Signal that a zigzag on an attitude can keep, and the room to its nearer limit."""
+        name = _KEPT.get(attitude, "")
+        lower, upper = self.limits.signals.get(name, (-np.inf, np.inf))
+        begin = self.pattern.initial.get(name, 0.0)
+        room = min(upper - begin, begin - lower)
+        return ((name,), room) if name in known and np.isfinite(room) and room > 0 else ((), np.inf)
+
+    def turning_time(
+        self, attitude: str, begin: float, control: float, angle: float
+    ) -> float | None:
+        """Time in which a control turns the believed vehicle by an angle, s; None if never."""
+        inputs = self.held | {self.name: float(self.grid.neutral[0]) + control}
+        run = simulate_inputs(
+            self.model, self.grid.times, inputs=inputs, initial=self.pattern.initial, throw=False
+        )
+        gone = np.abs(np.nan_to_num(run.signal(attitude), nan=np.inf) - begin) >= angle
+        return float(self.grid.times[int(np.argmax(gone))]) if gone.any() else None
 
     def keeps(self, run: Experiment) -> float | None:
         """Share of the vehicles that keep the limits; None where it is too small."""

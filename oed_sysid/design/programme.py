@@ -44,7 +44,7 @@ from oed_sysid.design.reference import as_piecewise
 from oed_sysid.design.result import Design
 from oed_sysid.design.reveal import Chance, Reveal
 from oed_sysid.design.robust import draw_models
-from oed_sysid.design.schedule import Programme, Standard
+from oed_sysid.design.schedule import Programme, Standard, joint_share
 from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.fitting.fit import Fit
@@ -52,7 +52,7 @@ from oed_sysid.information import Information
 from oed_sysid.manoeuvres import Manoeuvre, Piecewise, ZigZag
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.bound import information_of
+from oed_sysid.sensitivity.bound import information_of, information_of_each
 from oed_sysid.sensitivity.noise import Levels as NoiseLevels
 from oed_sysid.sensitivity.noise import noise_of
 from oed_sysid.sensitivity.shifts import Shifts, joint_information
@@ -61,7 +61,7 @@ from oed_sysid.sensitivity.shifts import Shifts, joint_information
 _ROOM = (0.75, 0.5)
 _LEVELS = 20
 # Fresh vehicles that judge the runs chosen, and those that judge a refined command before.
-_CHECKED, _SCREENED = 60, 60
+_CHECKED, _SCREENED = 100, 60
 _SAMPLES = 150  # of a refined command while it is searched
 STANDARD = ("zigzag 10/10", "zigzag 20/20", "circle")
 
@@ -128,7 +128,7 @@ def design_programme(
     n_rounds : int
         Rounds of refined commands.
     certainty : float
-        Share of the vehicles on which the limits of a run have to hold.
+        Share of the vehicles on which all runs of the programme have to keep their limits.
     progress : callable, optional
         Called with what is being done, in words.
 
@@ -198,16 +198,25 @@ def design_programme(
         if gained < 1e-3:
             break
     safe: dict[str, Assurance] = {}
+    # All runs are judged on the same fresh vehicles, so that it can be said on how many of them
+    # every run keeps its limits.
+    judges = draw_models(believed, spread, _CHECKED, known, rng)
     while True:
         tell("checking limits on other vehicles")
-        for i in np.flatnonzero(chosen.counts):
-            run = runs[int(i)]
+        picked = [runs[int(i)] for i in np.flatnonzero(chosen.counts)]
+        for run in picked:
             if run.name not in safe:
-                safe[run.name] = assess_limits(
-                    believed, run.experiment, rng=rng, limits=limits, spread=spread, prior=known,
-                    n_vehicles=_CHECKED, wanted=certainty, sea=sea,
+                safe[run.name] = replace(
+                    assess_limits(
+                        believed, run.experiment, rng=rng, limits=limits, wanted=certainty, sea=sea,
+                        vehicles=judges,
+                    ),
+                    spread=spread,
                 )  # fmt: skip
-        kept = [run for run in runs if _is_safe(safe.get(run.name), certainty)]
+        leaves = {name for name, one in safe.items() if not _is_safe(one, certainty)}
+        if not leaves and joint_share([safe[run.name] for run in picked]) < certainty:
+            leaves = {_worst(picked, safe)}
+        kept = [run for run in runs if run.name not in leaves]
         if len(kept) == len(runs) or not kept:
             break
         library, shares, chosen = task.solve(kept, outputs, spent)
@@ -258,8 +267,16 @@ def design_programme(
     )  # fmt: skip
 
 
-def _is_safe(found: Assurance | None, certainty: float) -> bool:
-    return found is None or not found.limited or found.probability >= certainty
+def _is_safe(found: Assurance, certainty: float) -> bool:
+    return not found.limited or found.probability >= certainty
+
+
+def _worst(picked: Sequence[Candidate], safe: Mapping[str, Assurance]) -> str:
+    """Run without which the others keep their limits together on the most vehicles."""
+    return max(
+        (run.name for run in picked),
+        key=lambda name: joint_share([safe[run.name] for run in picked if run.name != name]),
+    )
 
 
 def _most(chosen: Selection) -> int:
@@ -325,26 +342,46 @@ class _Task:
                 )
         return tuple(n for n in self.model.output_names if n not in optional or n in subset)
 
-    def information(self, run: Candidate, outputs: tuple[str, ...]) -> np.ndarray | None:
-        """Relative information on every vehicle, ``(n_vehicles, n, n)``; None if one diverges."""
-        key = (id(run), outputs)
-        if key not in self._cache:
-            try:
-                told = [self._told(vehicle, run, outputs) for vehicle in self.vehicles]
-                self._cache[key] = np.stack(told) * self.units[:, None] * self.units
-            except OedSysidError:
-                self._cache[key] = None
-        return self._cache[key]
+    def information(
+        self, runs: Sequence[Candidate], outputs: tuple[str, ...]
+    ) -> list[np.ndarray | None]:
+        """Relative information of runs on every vehicle, ``(n_vehicles, n, n)`` each.
 
-    def _told(self, vehicle: Model, run: Candidate, outputs: tuple[str, ...]) -> np.ndarray:
-        """Information of a run on one vehicle, SI units."""
+        None where one vehicle diverges.
+        """
+        missing = [run for run in runs if (id(run), outputs) not in self._cache]
+        told = [self._told(vehicle, missing, outputs) for vehicle in self.vehicles]
+        for run, parts in zip(missing, zip(*told, strict=True), strict=True):
+            found = [part for part in parts if part is not None]
+            whole = len(found) == len(parts)
+            self._cache[id(run), outputs] = (
+                np.stack(found) * self.units[:, None] * self.units if whole else None
+            )
+        return [self._cache[id(run), outputs] for run in runs]
+
+    def _told(
+        self, vehicle: Model, runs: Sequence[Candidate], outputs: tuple[str, ...]
+    ) -> list[np.ndarray | None]:
+        """Information of runs on one vehicle, SI units; None where it diverges."""
         if self.shifts is None:
-            return information_of(
-                vehicle, run.experiment, noise=self.noise, priors=None, outputs=outputs
-            ).matrix
+            each = information_of_each(
+                vehicle, [run.experiment for run in runs], noise=self.noise, priors=None,
+                outputs=outputs,
+            )  # fmt: skip
+            return [None if one is None else one.matrix for one in each]
         assert isinstance(self.criterion, ByShifts)
         shifts = self.shifts if vehicle is self.model else self.criterion.shifts(vehicle)
-        return joint_information(vehicle, run.experiment, shifts, noise=self.noise, outputs=outputs)
+        found: list[np.ndarray | None] = []
+        for run in runs:
+            try:
+                found.append(
+                    joint_information(
+                        vehicle, run.experiment, shifts, noise=self.noise, outputs=outputs
+                    )
+                )
+            except OedSysidError:
+                found.append(None)
+        return found
 
     def misfits(self, total: np.ndarray) -> dict[tuple[str, str], float]:
         """For discrimination: expected gain of every rival over every other."""
@@ -366,8 +403,8 @@ class _Task:
         begin: np.ndarray | None = None,
     ) -> tuple[Library, Weights, Selection]:
         """Weights and whole runs; ``kept`` then holds the runs in the library's order."""
-        found = [(run, self.information(run, outputs)) for run in runs]
-        there = [(run, matrix) for run, matrix in found if matrix is not None]
+        told = self.information(runs, outputs)
+        there = [(run, m) for run, m in zip(runs, told, strict=True) if m is not None]
         self.kept = [run for run, _ in there]
         if not there:
             raise DesignError("No candidate run stays finite on all vehicles. Make them gentler.")
@@ -479,14 +516,29 @@ def _tightened(
 
 def _is_equal(shape: object) -> bool:
     """Whether a zigzag turns at the angle of its control."""
-    return isinstance(shape, ZigZag) and shape.amplitude == shape.switch
+    return isinstance(shape, ZigZag) and shape.amplitude == shape.switch and not shape.lead
+
+
+def _angle(run: Candidate) -> float:
+    """Angle of a zigzag's control, rad; nothing for other runs."""
+    shape = run.experiment.excitation
+    return shape.amplitude if isinstance(shape, ZigZag) else 0.0
 
 
 def _standard(
     task: _Task, runs: Sequence[Candidate], library: Library, chosen: Selection
 ) -> Standard | None:
-    """The standard programme within the same limits, and how long it would take."""
-    picked = []
+    """The standard programme within the same limits, and how long it would take.
+
+    Of each trial the one at the speed at which it tells most; of a zigzag that keeps the limits
+    nowhere, the one of the largest angle that does.
+    """
+
+    def alone(i: int) -> float:
+        """Worth of one run alone, repeated."""
+        return library.value(100.0 * np.eye(len(runs))[i])
+
+    picked: list[int] = []
     for word in STANDARD:
         kind = word.partition(" ")[0]
         same = [i for i, run in enumerate(runs) if run.kind == kind]
@@ -494,9 +546,9 @@ def _standard(
             shapes = {i: runs[i].experiment.excitation for i in same}
             same = [i for i in same if _is_equal(shapes[i])]
         exact = [i for i in same if runs[i].name.startswith(word)]
-        found = exact or same
-        if found and found[-1] not in picked:
-            picked.append(found[-1])
+        found = [i for i in exact or same if i not in picked]
+        if found:
+            picked.append(max(found, key=lambda i: (_angle(runs[i]), alone(i))))
     if not picked:
         return None
     counts = np.zeros(len(runs))

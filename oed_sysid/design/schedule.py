@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import wrap
@@ -24,6 +24,12 @@ from oed_sysid.sensitivity.sea import sea_words
 from oed_sysid.simulation import simulate
 
 _WIDTH = 92
+
+
+def joint_share(found: Sequence[Assurance]) -> float:
+    """Share of the vehicles on which all of several runs, judged on the same ones, keep limits."""
+    masks = [one.kept for one in found if one.limited]
+    return float(np.logical_and.reduce(masks).mean()) if masks else 1.0
 
 
 @dataclass(frozen=True)
@@ -160,6 +166,16 @@ class Programme:
         return self.information.std_errors / self.sizes
 
     @property
+    def limited(self) -> bool:
+        """Whether there is any limit on the motion."""
+        return any(one.limited for one in self.assurances.values())
+
+    @property
+    def kept(self) -> float:
+        """Share of the simulated vehicles on which all runs keep their limits."""
+        return joint_share(list(self.assurances.values()))
+
+    @property
     def unsafe(self) -> tuple[str, ...]:
         """Runs that leave their limits on more vehicles than wanted."""
         return tuple(
@@ -168,9 +184,20 @@ class Programme:
             if one.limited and one.wanted is not None and one.probability < one.wanted
         )
 
+    @property
+    def is_unsafe_together(self) -> bool:
+        """Whether one run or another leaves its limits on more vehicles than wanted."""
+        wanted = [one.wanted for one in self.assurances.values() if one.limited and one.wanted]
+        return bool(wanted) and self.kept < max(wanted)
+
     def report(self) -> str:
         """Return the programme as text; danger in the first line."""
         lines = []
+        if self.is_unsafe_together and not self.unsafe:
+            lines += wrap(
+                f"DANGER: on {1 - self.kept:.0%} of the vehicles that are possible one run or "
+                "another leaves its limits. Stand by to stop.", _WIDTH
+            )  # fmt: skip
         if self.unsafe:
             worst = min(self.unsafe, key=lambda name: self.assurances[name].probability)
             lines += wrap(
@@ -192,6 +219,9 @@ class Programme:
             share = "-" if kept is None or not kept.limited else f"{kept.probability:.0%}"
             length = f"{float(run.experiment.duration or 0.0):g} s"
             lines.append(f"  {number:>3} {run.name:<44} {length:>7} {share:>12}")
+        if self.limited:
+            checked = max(one.n_checked for one in self.assurances.values())
+            lines.append(f"      all together keep them on {self.kept:.0%} of {checked} vehicles")
         lines += ["", *self.accuracy_table(), ""]
         lines += wrap(
             f"  Of what the best programme of these {len(self.candidates)} runs could tell, this "
@@ -254,6 +284,7 @@ class Programme:
                 }
                 for run in self.runs
             ],
+            "limits_kept": self.kept if self.limited else None,
             "criterion": self.criterion,
             "value": self.value,
             "relaxed": self.relaxed,

@@ -15,7 +15,6 @@ from functools import partial
 
 import numpy as np
 from scipy.optimize import linprog
-from scipy.sparse import csr_matrix, hstack
 
 from oed_sysid.batch.journal import Journal
 from oed_sysid.design.objective import Objective, Score, Slope
@@ -202,10 +201,10 @@ def _program(
         step = np.where(slope.criterion > 0, upper, lower)
         return step, float(slope.criterion @ step)
     # One elastic variable, the largest excess, keeps the program solvable.
-    elastic = csr_matrix(-np.ones((len(right), 1)))
+    elastic = -np.ones((len(right), 1))
     solved = linprog(
         np.append(-slope.criterion, _PRICE),
-        A_ub=hstack([csr_matrix(matrix), elastic], format="csr"),
+        A_ub=np.hstack([matrix, elastic]),
         b_ub=right,
         bounds=[*zip(lower, upper, strict=True), (0.0, None)],
         method="highs",

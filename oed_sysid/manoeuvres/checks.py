@@ -90,12 +90,14 @@ def choice(owner: str, name: str, value: str, options: tuple[str, ...]) -> str:
     return value
 
 
-def feedback(owner: str, signals: Sequence[str]) -> tuple[str]:
-    """Return the one measured signal that a manoeuvre reacts to, as a tuple."""
+def feedback(owner: str, signals: Sequence[str], more: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the measured signals that a manoeuvre reacts to: one, and what ``more`` says."""
     names = (signals,) if isinstance(signals, str) else tuple(signals)
-    if len(names) != 1 or not names[0]:
+    if len(names) != 1 + len(more) or not all(names):
+        words = "".join(f", then {one}" for one in more)
+        wanted = "exactly one measured signal" if not more else f"the attitude{words}"
         raise ModelError(
-            f"{owner} has feedback {names!r}; it reacts to exactly one measured signal, "
-            "for instance 'psi'."
+            f"{owner} has feedback {names!r}; it reacts to {wanted}, for instance "
+            f"{('psi', 'r', 'y')[: 1 + len(more)] if more else 'psi'!r}."
         )
-    return (names[0],)
+    return names

@@ -118,3 +118,26 @@ class SlopeLimit:
             self._command += min(max(self._order - self._command, -reach), reach)
         self._order, self._time = order, time
         return self._command
+
+    def foreseen(self, order: float, times: FloatArray) -> FloatArray:
+        """Commands ``(n_times,)`` at later times [s] while one order stands; nothing is kept."""
+        found = np.full(len(times), float(order))
+        if self._rate is None:
+            return found
+        command, standing, time = self._command, self._order, self._time
+        for index, now in enumerate(times.tolist()):
+            # By the same steps as follow(), so that the same numbers come out.
+            if time is not None:
+                reach = self._rate * (now - time)
+                command += min(max(standing - command, -reach), reach)
+            standing, time = order, now
+            found[index] = command
+            if command == order:
+                break
+        return found
+
+    def skip(self, order: float, times: FloatArray) -> None:
+        """Go on past later times [s] at which one order stood."""
+        if len(times):
+            self._command = float(self.foreseen(order, times)[-1])
+            self._order, self._time = order, float(times[-1])

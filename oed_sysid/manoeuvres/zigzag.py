@@ -5,18 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
 
 from oed_sysid.errors import ModelError
 from oed_sysid.manoeuvres import checks
 from oed_sysid.manoeuvres.base import Controller, Stepwise
-from oed_sysid.manoeuvres.checks import Numbers
+from oed_sysid.manoeuvres.checks import FloatArray, Numbers
 from oed_sysid.manoeuvres.waveforms import SlopeLimit
 
 
 @dataclass(frozen=True)
 class ZigZag(Stepwise):
-    """Zigzag test, for instance 10/10 of the IMO standards.
+    r"""Zigzag test, for instance 10/10 of the IMO standards.
 
     After a straight approach the rudder is put over to ``amplitude``; when the
     heading has changed by ``switch`` from its value at that moment the rudder
@@ -45,12 +47,25 @@ class ZigZag(Stepwise):
     reference : float or None
         Value from which the feedback's deviation is counted; None takes the
         first measured value at or after ``start``.
+    lead : float
+        Time by which the reversal looks ahead [s], with the rate of the feedback, which has to be
+        the second of the signals. The swing then ends near ``switch`` on slow and on quick
+        vehicles.
+    keep_gain : float
+        Shift of the reference for each unit by which a further signal, the last of those in
+        ``feedback``, is off its first value, at most half a switch: swings about a depth keeper
+        neither dive nor surface.
 
     Notes
     -----
-    The decision is taken on samples, so that the reversal comes up to one
-    sample after the crossing. A measured NaN means no new measurement: the
-    order is kept.
+    With the feedback :math:`\psi`, its rate :math:`r` and the kept signal :math:`z`, the command
+    reverses where
+
+    .. math:: \pm\left(\psi + T r - \psi_0 - k\,(z - z_0)\right) \ge \psi_s
+
+    with ``lead`` :math:`T`, ``keep_gain`` :math:`k` and ``switch`` :math:`\psi_s`. The decision is
+    taken on samples, so that the reversal comes up to one sample after the crossing. A measured
+    NaN means no new measurement: the order is kept.
 
     References
     ----------
@@ -76,10 +91,19 @@ class ZigZag(Stepwise):
     sign: int = 1
     neutral: float = 0.0
     reference: float | None = None
+    lead: float = 0.0
+    keep_gain: float = 0.0
 
     def _validate(self) -> None:
         owner = self._owner
-        _validate_swings(self)
+        self._set(
+            lead=checks.finite(owner, "lead", self.lead),
+            keep_gain=checks.finite(owner, "keep_gain", self.keep_gain),
+        )
+        if self.lead < 0:
+            raise ModelError(f"{owner} has lead {self.lead:g} s. Give zero or more.")
+        more = ("its rate", *("the signal kept",) * (self.keep_gain != 0))
+        _validate_swings(self, more if self.lead else more[1:])
         self._set(
             amplitude=checks.positive(owner, "amplitude", self.amplitude, _OTHER_SIDE),
             switch=checks.positive(owner, "switch", self.switch, _SWITCH),
@@ -92,13 +116,17 @@ class ZigZag(Stepwise):
 
     def controller(self) -> Controller:
         """Return a fresh controller."""
-        return _Swings(self, (self.amplitude,), (self.switch,))
+        return _Swings(
+            self, (self.amplitude,), (self.switch,), lead=self.lead, keep_gain=self.keep_gain
+        )
 
     def describe(self) -> str:
         """Return one line in words."""
+        lead = f" {self.lead:.3g} s ahead" if self.lead else ""
+        kept = f" about a keeper of {self.feedback[-1]}" if self.keep_gain else ""
         return (
             f"zigzag {math.degrees(self.amplitude):.3g}/{math.degrees(self.switch):.3g} deg of "
-            f"{self.input}, reversed on {self.feedback[0]}, {_ending(self)}"
+            f"{self.input}, reversed on {self.feedback[0]}{lead}{kept}, {_ending(self)}"
         )
 
 
@@ -195,6 +223,9 @@ class _Swings(Controller):
         settings: ZigZag | ZigZagLike,
         amplitudes: tuple[float, ...],
         switches: tuple[float, ...],
+        *,
+        lead: float = 0.0,
+        keep_gain: float = 0.0,
     ) -> None:
         self._settings = settings
         self._signal = settings.feedback[0]
@@ -203,20 +234,62 @@ class _Swings(Controller):
         self._limit = SlopeLimit(settings.rate, initial=settings.neutral)
         self._reference = settings.reference
         self._reversals = 0
+        self._lead, self._keep_gain = lead, keep_gain
+        self._kept: float | None = None
 
     def command(self, time: float, signals: Mapping[str, float]) -> float:
         if time < self._settings.start:
             return self._limit.follow(self._settings.neutral, time)
-        measured = measured_signal(self._settings.input, self._signal, signals)
+        seen = {
+            name: measured_signal(self._settings.input, name, signals)
+            for name in self._settings.feedback
+        }
+        measured = seen[self._signal]
         if self._reference is None and math.isfinite(measured):
             self._reference = measured
-        side = self._side
-        if self._reference is not None:
-            swing = self._settings.sign * side * (measured - self._reference)
-            if swing >= _item(self._switches, self._reversals):
-                self._reversals += 1
-        order = self._settings.neutral + self._side * _item(self._amplitudes, self._reversals)
-        return self._limit.follow(order, time)
+        if self._keep_gain and self._kept is None:
+            kept = seen[self._settings.feedback[-1]]
+            self._kept = kept if math.isfinite(kept) else None
+        if self._reference is not None and self._swing(seen) >= self._switch:
+            self._reversals += 1
+        return self._limit.follow(self._order, time)
+
+    def foreseen(self, times: FloatArray) -> FloatArray | None:
+        before = len(times) and times[0] < self._settings.start
+        return self._limit.foreseen(self._settings.neutral if before else self._order, times)
+
+    def undisturbed(self, times: FloatArray, signals: Mapping[str, FloatArray]) -> int:
+        early = int(np.searchsorted(times, self._settings.start))
+        if early:
+            return early
+        if self._reference is None or (self._keep_gain and self._kept is None):
+            return 0
+        reached = self._swing(signals) >= self._switch
+        return int(np.argmax(reached)) if reached.any() else len(times)
+
+    def skip(self, times: FloatArray) -> None:
+        before = len(times) and times[0] < self._settings.start
+        self._limit.skip(self._settings.neutral if before else self._order, times)
+
+    def _swing(self, seen: Mapping[str, Any]) -> Any:
+        """How far the feedback has gone to the side of the order, rad; a number or an array."""
+        deviation = seen[self._signal] - self._reference
+        names = self._settings.feedback
+        if self._lead:
+            deviation = deviation + self._lead * seen[names[1]]
+        if self._keep_gain and self._kept is not None:
+            most = 0.5 * self._switch
+            shift = self._keep_gain * (seen[names[-1]] - self._kept)
+            deviation = deviation - np.clip(shift, -most, most)
+        return self._settings.sign * self._side * deviation
+
+    @property
+    def _switch(self) -> float:
+        return _item(self._switches, self._reversals)
+
+    @property
+    def _order(self) -> float:
+        return self._settings.neutral + self._side * _item(self._amplitudes, self._reversals)
 
     @property
     def _side(self) -> int:
@@ -233,11 +306,11 @@ def measured_signal(owner: str, name: str, signals: Mapping[str, float]) -> floa
     return float(signals[name])
 
 
-def _validate_swings(manoeuvre: ZigZag | ZigZagLike) -> None:
-    """Check and normalise the settings that both zigzags have."""
+def _validate_swings(manoeuvre: ZigZag | ZigZagLike, more: Sequence[str] = ()) -> None:
+    """Check and normalise the settings that both zigzags have; ``more`` are further signals."""
     owner, reference = manoeuvre._owner, manoeuvre.reference
     manoeuvre._set(
-        feedback=checks.feedback(owner, manoeuvre.feedback),
+        feedback=checks.feedback(owner, manoeuvre.feedback, more),
         rate=checks.slope(owner, manoeuvre.rate),
         first=checks.side(owner, "first", manoeuvre.first),
         start=checks.finite(owner, "start", manoeuvre.start),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 from oed_sysid.display import as_html
 from oed_sysid.effects import Effect
@@ -260,6 +261,10 @@ class Model(Structure):
 
     def structure_key(self) -> str:
         """Digest of everything that shapes the compiled code; values excluded."""
+        return self._structure
+
+    @cached_property
+    def _structure(self) -> str:
         parts = (
             tuple(s.name for s in self.states),
             tuple((i.name, i.interpolation) for i in self.inputs),

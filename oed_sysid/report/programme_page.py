@@ -28,12 +28,21 @@ def programme_page(programme: Programme, *, title: str = "") -> Page:
         "the vehicles that are possible."
         for name in programme.unsafe
     ]
+    if programme.is_unsafe_together and not danger:
+        danger = [
+            f"DANGER: on {1 - programme.kept:.0%} of the vehicles that are possible one run or "
+            "another leaves its limits."
+        ]
     verdict = [
         *danger,
         f"{len(programme.runs)} runs in {programme.hours:.3g} h tell "
         f"{100 * programme.share:.3g} % of what the best programme of "
         f"{len(programme.candidates)} candidate runs could.",
     ]
+    if programme.limited:
+        verdict.append(
+            f"All runs together keep their limits on {programme.kept:.0%} of the vehicles."
+        )
     if programme.standard is not None:
         verdict.append(
             f"Standard trials ({', '.join(programme.standard.names)}) need "

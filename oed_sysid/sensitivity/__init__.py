@@ -1,6 +1,6 @@
 """What a manoeuvre can tell, before any data exist."""
 
-from oed_sysid.sensitivity.bound import information_of
+from oed_sysid.sensitivity.bound import information_of, information_of_each
 from oed_sysid.sensitivity.confirmation import Confirmation, confirm_bound
 from oed_sysid.sensitivity.identifiability import (
     Subset,
@@ -26,6 +26,7 @@ from oed_sysid.sensitivity.structure import Structure, structural_identifiabilit
 
 __all__ = [
     "information_of",
+    "information_of_each",
     "sea_noise",
     "sea_words",
     "SEAS",

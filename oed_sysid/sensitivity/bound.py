@@ -8,14 +8,14 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import DesignError
+from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import Information
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.innovations import innovation_rows
+from oed_sysid.sensitivity.innovations import Innovations
 from oed_sysid.sensitivity.noise import Colour, Levels, Noise, noise_of
-from oed_sysid.sensitivity.response import Response, Run, plays, respond
+from oed_sysid.sensitivity.response import Play, Response, Run, plays, respond
 
 # Squared conditioning up to which normal equations keep ten digits of the factor.
 _SAFE_SQUARED_CONDITION = 1e5
@@ -92,32 +92,89 @@ def information_of(
     >>> print(known.names, known.std_errors.round(5))
     ('K', 'T') [0.00056 0.08128]
     """
-    disturbed = disturbed_noise(noise)
-    for name in outputs or ():
-        if name not in model.output_names:
-            raise DesignError(
-                f"There is no output {name!r} in model {model.name!r}; it has "
-                f"{', '.join(model.output_names)}."
-            )
-    if isinstance(noise, Fit):
-        noise = noise.sigma
-    factors = []
-    for play in plays(model, runs, initial_states=initial_states):
-        if disturbed is not None:
-            rows, _ = innovation_rows(model, play, disturbed, outputs=outputs)
-            factors.append(eliminated(model, rows, start))
-            continue
+    listed = plays(model, runs, initial_states=initial_states)
+    told = _Told(model, noise, coloured, start, outputs)
+    return told.joint([told.factor(play) for play in listed], priors)
+
+
+def information_of_each(
+    model: Model,
+    runs: Iterable[Run],
+    *,
+    noise: Levels | NoiseModel | Fit = None,
+    priors: str | Mapping[str, float] | Information | None = "model",
+    start: str | Mapping[str, float] = "unknown",
+    outputs: Sequence[str] | None = None,
+) -> tuple[Information | None, ...]:
+    """Information of each of many runs alone, the model made ready once.
+
+    Parameters
+    ----------
+    model, runs, noise, priors, start, outputs
+        See :func:`information_of`.
+
+    Returns
+    -------
+    tuple of Information or None
+        One for each run; None where it diverges.
+    """
+    told = _Told(model, noise, None, start, outputs)
+    found: list[Information | None] = []
+    for run in runs:
+        try:
+            (play,) = plays(model, run)
+            found.append(told.joint([told.factor(play)], priors))
+        except OedSysidError:
+            found.append(None)
+    return tuple(found)
+
+
+class _Told:
+    """What is the same for all runs whose information is taken."""
+
+    def __init__(
+        self,
+        model: Model,
+        noise: Levels | NoiseModel | Fit,
+        coloured: Colour,
+        start: str | Mapping[str, float],
+        outputs: Sequence[str] | None,
+    ) -> None:
+        disturbed = disturbed_noise(noise)
+        for name in outputs or ():
+            if name not in model.output_names:
+                raise DesignError(
+                    f"There is no output {name!r} in model {model.name!r}; it has "
+                    f"{', '.join(model.output_names)}."
+                )
+        self._model, self._coloured, self._start, self._outputs = model, coloured, start, outputs
+        self._innovations = None if disturbed is None else Innovations.of(model, disturbed)
+        self._noise = noise.sigma if isinstance(noise, Fit) else noise
+
+    def factor(self, play: Play) -> np.ndarray:
+        """Factor of one run on the shared parameters, ``(n, n_shared)``."""
+        model = self._model
+        if self._innovations is not None:
+            rows, _ = self._innovations.rows(play, outputs=self._outputs)
+            return eliminated(model, rows, self._start)
         response = respond(model, play)
-        if outputs is not None:
-            left_out = [name not in outputs for name in model.output_names]
+        if self._outputs is not None:
+            left_out = [name not in self._outputs for name in model.output_names]
             response.present[:, left_out] = False
-        sigma = noise_of(model, noise, coloured, changed=play.noise)  # type: ignore[arg-type]
-        factors.append(run_factor(model, response, sigma, start))
-    shared = [p for p in model.free_parameters if not p.per_record]
-    names = tuple(p.name for p in shared)
-    rows = np.vstack([*factors, prior_factor(model, names, priors)])
-    scales = np.array([p.magnitude for p in shared])
-    return Information(names, triangle(rows) * scales, scales)
+        sigma = noise_of(model, self._noise, self._coloured, changed=play.noise)  # type: ignore[arg-type]
+        return run_factor(model, response, sigma, self._start)
+
+    def joint(
+        self,
+        factors: Sequence[np.ndarray],
+        priors: str | Mapping[str, float] | Information | None,
+    ) -> Information:
+        """Information of several runs and what is known besides."""
+        shared = [p for p in self._model.free_parameters if not p.per_record]
+        names = tuple(p.name for p in shared)
+        rows = np.vstack([*factors, prior_factor(self._model, names, priors)])
+        scales = np.array([p.magnitude for p in shared])
+        return Information(names, triangle(rows) * scales, scales)
 
 
 def run_factor(

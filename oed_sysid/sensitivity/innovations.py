@@ -25,6 +25,7 @@ counts as information that is not there.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -38,6 +39,112 @@ from oed_sysid.sensitivity.response import Play
 
 # Size of a change that is put through the filter, in noise units.
 _SMALL = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    """A model under random forces, made ready once for any number of runs.
+
+    Attributes
+    ----------
+    model : Model
+    noise : NoiseModel
+        Sensors in the order of the model's outputs.
+    wide : Model
+        The model with its disturbances.
+    disturbances : tuple of str
+        Their parameters in the wide model.
+    """
+
+    model: Model
+    noise: NoiseModel
+    wide: Model
+    disturbances: tuple[str, ...]
+
+    @classmethod
+    def of(cls, model: Model, noise: NoiseModel) -> Innovations:
+        """Return what is the same for all runs.
+
+        Raises
+        ------
+        DesignError
+            If the noise does not fit the model.
+        """
+        noise = checked_noise(model, noise)
+        acting = noise.force > 0
+        found = chosen_places(model, [p for p, a in zip(noise.places, acting, strict=True) if a])
+        names = tuple(disturbance(place).parameters[0].name for place in found)
+        return cls(model, noise, disturbed_model(model, names), names)
+
+    def rows(
+        self,
+        play: Play,
+        *,
+        outputs: Sequence[str] | None = None,
+        changes: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the innovations of one run; see :func:`innovation_rows`."""
+        model, noise, wide = self.model, self.noise, self.wide
+        acting = noise.force > 0
+        white = noise.white.copy()
+        for name, std in play.noise.items():
+            white[model.output_names.index(name)] = std
+        coloured = np.flatnonzero(noise.colour > 0)
+        random = Disturbed(
+            self.disturbances,
+            noise.force[acting] ** 2,
+            noise.force_time[acting],
+            white**2,
+            coloured,
+            noise.colour[coloured] ** 2,
+            noise.colour_time[coloured],
+        )
+        kernel = filter_kernel(wide)
+        free = tuple(name for name in model.free_names if name not in self.disturbances)
+        values = wide.value_vector
+        nominal, _, ok = kernel.simulate(play.times, play.inputs, values, play.initial)
+        if not ok:
+            raise DesignError(
+                f"Run {play.name!r} diverges under model {model.name!r}. Make it smaller or "
+                "shorter."
+            )
+        measured = np.where(play.present, nominal, np.nan)
+        if outputs is not None:
+            measured[:, [name not in outputs for name in model.output_names]] = np.nan
+        swept = kernel.filter(
+            play.times,
+            play.inputs,
+            values,
+            play.initial,
+            measured,
+            random,
+            names=free,
+            rows=True,
+            gains=changes is not None,
+        )
+        if not swept.ok or swept.rows is None:
+            raise DesignError(
+                f"The filter of run {play.name!r} leaves the numbers. Check levels and times of "
+                "the random forces, or shorten the run."
+            )
+        n_columns = len(model.states) + len(free)
+        seen = np.isfinite(measured)
+        rows = swept.rows[seen][:, :n_columns]
+        if changes is None or swept.gains is None:
+            return rows, nominal
+        roots = np.sqrt(swept.variances[seen])
+        moved = np.empty((len(rows), changes.shape[2]))
+        for position in range(changes.shape[2]):
+            change = changes[:, :, position]
+            # Small, so that the filter stays on the nominal trajectory, where it is linear.
+            share = _SMALL / max(float(np.abs(change / white).max()), 1.0)
+            innovations, _ = kernel.replay(
+                play.times, play.inputs, values, play.initial, measured + share * change, random,
+                swept.gains,
+            )  # fmt: skip
+            # A model that had the change would lower the innovations by it.
+            moved[:, position] = -innovations[seen] / share / roots
+        return np.hstack([rows, moved]), nominal
 
 
 def innovation_rows(
@@ -75,69 +182,7 @@ def innovation_rows(
     DesignError
         If the noise does not fit the model, or the run diverges.
     """
-    noise = checked_noise(model, noise)
-    acting = noise.force > 0
-    found = chosen_places(model, [p for p, a in zip(noise.places, acting, strict=True) if a])
-    names = tuple(disturbance(place).parameters[0].name for place in found)
-    white = noise.white.copy()
-    for name, std in play.noise.items():
-        white[model.output_names.index(name)] = std
-    coloured = np.flatnonzero(noise.colour > 0)
-    random = Disturbed(
-        names,
-        noise.force[acting] ** 2,
-        noise.force_time[acting],
-        white**2,
-        coloured,
-        noise.colour[coloured] ** 2,
-        noise.colour_time[coloured],
-    )
-    wide = disturbed_model(model, names)
-    kernel = filter_kernel(wide)
-    free = tuple(name for name in model.free_names if name not in names)
-    values = wide.value_vector
-    nominal, _, ok = kernel.simulate(play.times, play.inputs, values, play.initial)
-    if not ok:
-        raise DesignError(
-            f"Run {play.name!r} diverges under model {model.name!r}. Make it smaller or shorter."
-        )
-    measured = np.where(play.present, nominal, np.nan)
-    if outputs is not None:
-        measured[:, [name not in outputs for name in model.output_names]] = np.nan
-    swept = kernel.filter(
-        play.times,
-        play.inputs,
-        values,
-        play.initial,
-        measured,
-        random,
-        names=free,
-        rows=True,
-        gains=changes is not None,
-    )
-    if not swept.ok or swept.rows is None:
-        raise DesignError(
-            f"The filter of run {play.name!r} leaves the numbers. Check levels and times of the "
-            "random forces, or shorten the run."
-        )
-    n_columns = len(model.states) + len(free)
-    seen = np.isfinite(measured)
-    rows = swept.rows[seen][:, :n_columns]
-    if changes is None or swept.gains is None:
-        return rows, nominal
-    roots = np.sqrt(swept.variances[seen])
-    moved = np.empty((len(rows), changes.shape[2]))
-    for position in range(changes.shape[2]):
-        change = changes[:, :, position]
-        # Small, so that the filter stays on the nominal trajectory, where it is linear.
-        share = _SMALL / max(float(np.abs(change / white).max()), 1.0)
-        innovations, _ = kernel.replay(
-            play.times, play.inputs, values, play.initial, measured + share * change, random,
-            swept.gains,
-        )  # fmt: skip
-        # A model that had the change would lower the innovations by it.
-        moved[:, position] = -innovations[seen] / share / roots
-    return np.hstack([rows, moved]), nominal
+    return Innovations.of(model, noise).rows(play, outputs=outputs, changes=changes)
 
 
 def checked_noise(model: Model, noise: NoiseModel) -> NoiseModel:

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from oed_sysid.compiled.kernels import Run, kernel
 from oed_sysid.data.dataset import Record
 from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiment import Experiment
-from oed_sysid.manoeuvres import Controller, command_all
 from oed_sysid.model import Model
-from oed_sysid.simulation.trajectory import simulate_inputs, start_array, state_names
-
-# Samples that are simulated at once while a manoeuvre that reacts holds its commands.
-_MOST_AHEAD = 64
+from oed_sysid.simulation.closed_loop import closed_loop
+from oed_sysid.simulation.trajectory import simulate_inputs
 
 
 def simulate(
@@ -78,7 +72,7 @@ def simulate(
     times = experiment.times
     noise_values = _draw_noise(model, experiment, len(times), rng) if noise else None
     if experiment.reacts:
-        inputs = _closed_loop(model, experiment, noise_values)
+        inputs = closed_loop(model, experiment, noise_values)
         _check_commands(model, experiment, inputs)
     else:
         inputs = experiment.commands(model.input_names)
@@ -124,84 +118,3 @@ def _check_commands(model: Model, experiment: Experiment, inputs: np.ndarray) ->
             f"Experiment {experiment.name!r} breaks its limits: {'; '.join(broken)}. Make the "
             "manoeuvre smaller or slower (Saturated, RateLimited), or widen the limit."
         )
-
-
-def _closed_loop(model: Model, experiment: Experiment, noise: np.ndarray | None) -> np.ndarray:
-    """Commands ``(n_times, n_inputs)`` of manoeuvres that react to signals."""
-    controllers = experiment.excitation.controllers() if experiment.excitation else {}
-    times, names = experiment.times, model.input_names
-    values, runner = model.value_vector, kernel(model)
-    own = start_array(model, experiment.initial)
-    signals = _Signals(model, experiment, noise)
-    constants = experiment.constants
-    linear = any(channel.interpolation == "linear" for channel in model.inputs)
-
-    # Before the first decision the commanded inputs are at rest.
-    before = np.array([constants.get(name, 0.0) for name in names])
-    z, _ = runner.start(own, before, values, times[0])
-    window = runner.run(times[:2], np.stack([before, before]), values, z)
-    inputs = np.empty((len(times), len(names)))
-    held = _decide(controllers, names, constants, times[0], signals.at(0, window, 0))
-    inputs[0] = held
-    z, _ = runner.start(own, inputs[0], values, times[0])
-    k, ahead = 1, 1
-    while k < len(times):
-        # Ahead with the commands held, as far as they are: most manoeuvres hold for seconds.
-        n = min(ahead, len(times) - k)
-        window = runner.run(times[k - 1 : k + n], inputs[[k - 1] * (n + 1)], values, z)
-        for row in range(1, n + 1):
-            if 0 <= window.failed_at <= row:
-                inputs[k:] = inputs[k - 1]
-                return inputs  # simulate_inputs will fail at the same place, with words
-            seen = signals.at(k, window, row)
-            before_this, held = held, _decide(controllers, names, constants, times[k], seen)
-            inputs[k] = held
-            changed = held != before_this
-            if linear and changed:
-                z = runner.run(
-                    times[k - 1 : k + 1], inputs[k - 1 : k + 1], values, window.states[row - 1]
-                ).states[1]
-            else:
-                z = window.states[row]
-            k += 1
-            if changed:
-                break
-        ahead = 1 if changed else min(2 * ahead, _MOST_AHEAD)
-    return inputs
-
-
-def _decide(
-    controllers: Mapping[str, Controller],
-    names: tuple[str, ...],
-    constants: Mapping[str, float],
-    time: float,
-    signals: Mapping[str, float],
-) -> list[float]:
-    """Commands of all inputs at one sample."""
-    commands = command_all(controllers, float(time), signals)
-    return [commands[name] if name in commands else constants[name] for name in names]
-
-
-class _Signals:
-    """What the manoeuvres see: the signals they react to, measured or true."""
-
-    def __init__(self, model: Model, experiment: Experiment, noise: np.ndarray | None) -> None:
-        states, outputs = state_names(model), model.output_names
-        wanted = experiment.excitation.feedback if experiment.excitation else ()
-        measured = experiment.feedback == "measured"
-        self._noise = noise if measured else None
-        self._outputs = {
-            name: outputs.index(name)
-            for name in wanted
-            if name in outputs and (measured or name not in states)
-        }
-        self._states = {name: states.index(name) for name in wanted if name not in self._outputs}
-
-    def at(self, sample: int, window: Run, row: int) -> dict[str, float]:
-        """Signals at one sample, found in one row of a short run."""
-        seen = {name: float(window.states[row, i]) for name, i in self._states.items()}
-        for name, index in self._outputs.items():
-            seen[name] = float(window.outputs[row, index])
-            if self._noise is not None:
-                seen[name] += self._noise[sample, index]
-        return seen
