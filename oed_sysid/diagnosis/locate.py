@@ -118,6 +118,11 @@ class Located:
         return cls(where, zero, dict(zero), (), (), {}, {}, {})
 
     @property
+    def evidence(self) -> dict[str, float]:
+        """Earlier name of ``gains``."""
+        return self.gains
+
+    @property
     def best(self) -> str | None:
         """Place with the largest gain; None where chance explains all of it."""
         name = self.places[0].name
