@@ -30,6 +30,7 @@ from oed_sysid.model import Model
 OURS = "multiple_shooting"
 OURS_DISTURBED = "multiple_shooting_disturbed"
 OURS_BELIEVING = "multiple_shooting_prior"
+OURS_DISTURBED_BELIEVING = "multiple_shooting_disturbed_prior"
 # Take start values as a prior by their nature.
 BELIEVERS = ("ekf", "ukf")
 # What a Kalman filter takes a start value's uncertainty to be, if it is not told.
@@ -77,6 +78,9 @@ CONTESTANTS: Mapping[str, Contestant] = {
     OURS: Contestant(MultipleShooting(disturbances="none")),
     OURS_DISTURBED: Contestant(MultipleShooting(disturbances="auto", loss="auto")),
     OURS_BELIEVING: Contestant(MultipleShooting(disturbances="none"), believes=True),
+    OURS_DISTURBED_BELIEVING: Contestant(
+        MultipleShooting(disturbances="auto", loss="auto"), believes=True
+    ),
     "output_error": Contestant(OutputError()),
     "equation_error": Contestant(EquationError()),
     "equation_error_simpson": Contestant(EquationError(rule="simpson")),
