@@ -15,8 +15,12 @@ from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.shooting import Point
 
 # Information by differences of whole filters over that at frozen gain beyond which it is rounding
-# that an unstable model amplifies.
-AMPLIFIED = 1.2
+# that an unstable model amplifies. Rounding falls with the square of the step, information does not:
+# where a standard deviation is smaller than at frozen gain by the second factor, and as much smaller
+# than with steps so many times longer, it is rounding as well.
+AMPLIFIED, SMALLER, LONGER = 1.2, 0.8, 3.0
+# Share of the largest eigenvalue below which nothing is known.
+NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,16 +90,29 @@ class Differentiated:
         """Gauss-Newton matrix and right-hand side, priors excluded."""
         if self._equations is None:
             unknowns = self.point.unknowns
-            base = self.problem.passes(unknowns, rows=True)
-            frozen, right = self.problem.gathered(unknowns, base)
-            size = np.diag(frozen) + self.problem.limits.prior_weight
-            scale = self.problem.limits.scale
+            problem = self.problem
+            base = problem.passes(unknowns, rows=True)
+            frozen, right = problem.gathered(unknowns, base)
+            size = np.diag(frozen) + problem.limits.prior_weight
+            scale = problem.limits.scale
             std = np.where(size > 0, 1.0 / np.sqrt(np.where(size > 0, size, 1.0)), scale)
-            whole = self.problem.differentiated(unknowns, base, np.minimum(std, scale))
-            known = np.arange(self.problem.layout.levels.start)
-            more = np.diag(whole[0])[known] > AMPLIFIED * np.diag(frozen)[known]
-            self._equations = (frozen, right) if more.any() else whole
+            step = np.minimum(std, scale)
+            whole = problem.differentiated(unknowns, base, step)
+            known = np.arange(problem.layout.levels.start)
+            more = bool((np.diag(whole[0])[known] > AMPLIFIED * np.diag(frozen)[known]).any())
+            if not more and (self._std(whole[0]) < SMALLER * self._std(frozen)).any():
+                farther = problem.differentiated(unknowns, base, LONGER * step)
+                more = bool((self._std(whole[0]) < SMALLER * self._std(farther[0])).any())
+            self._equations = (frozen, right) if more else whole
         return self._equations
+
+    def _std(self, matrix: np.ndarray) -> np.ndarray:
+        """Standard deviations of the shared parameters, everything else unknown."""
+        matrix = matrix + np.diag(self.problem.limits.prior_weight)
+        size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
+        inverse = np.linalg.pinv(matrix / size / size[:, None], rcond=NOTHING, hermitian=True)
+        shared = len(self.problem.layout.shared)
+        return np.asarray(np.sqrt(np.maximum(np.diag(inverse)[:shared], 0.0)) / size[:shared])
 
     def predicted(self, step: np.ndarray) -> float:
         """Cost of the quadratic model after a step."""
