@@ -15,9 +15,9 @@ from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.shooting import Point
 
 # Information by differences of whole filters over that at frozen gain beyond which it is rounding
-# that an unstable model amplifies. Rounding falls with the square of the step, information does not:
-# where a standard deviation is smaller than at frozen gain by the second factor, and as much smaller
-# than with steps so many times longer, it is rounding as well.
+# that an unstable model amplifies. Rounding falls with the square of the step, information does
+# not: where a standard deviation is smaller than at frozen gain by the second factor, and as much
+# smaller than with steps so many times longer, it is rounding as well.
 AMPLIFIED, SMALLER, LONGER = 1.2, 0.8, 3.0
 # Share of the largest eigenvalue below which nothing is known.
 NOTHING = 1e-12
