@@ -300,19 +300,21 @@ class MultipleShooting:
         if solution is not None and estimated.any():
             shooting, solution, more = self._estimate_noise(shooting, solution, estimated, minimise)
             iterations += more
-        described = partial(summarise, estimated=estimated, estimator=self.name, began=began)
-        coloured = "never" if wanted else self.coloured
-        fit = white = described(shooting, solution, iterations=iterations, coloured=coloured)
+        described = partial(
+            summarise, estimated=estimated, estimator=self.name, began=began, coloured=self.coloured
+        )
+        fit = white = described(shooting, solution, iterations=iterations, weighed=not wanted)
         excluded: dict[str, tuple[int, int]] = {}
         if self.loss == "auto" and fit.status.code != "interrupted":
             fit, excluded = self._without_spikes(fit, model)
         if wanted and fit.status.code != "interrupted":
             fit = self._disturbed(fit, model, fit.dataset, estimated, began, known_starts)
-        if wanted and fit.covariance is white.covariance:
-            if solution is not None and solution.reason == "enough":
+        early = solution is not None and solution.reason == "enough"
+        if wanted and fit.covariance is white.covariance and (early or fit.coloured):
+            if solution is not None and early:
                 solution = minimise(shooting, solution.point) or solution
                 iterations += solution.iterations
-            whole = described(shooting, solution, iterations=iterations, coloured=self.coloured)
+            whole = described(shooting, solution, iterations=iterations)
             fit = replace(whole, extras=fit.extras)
         fit = with_step_advice(fit, shooting, solution)
         told: dict[str, object] = {"excluded": excluded} if excluded else {}

@@ -43,6 +43,7 @@ def summarise(
     began: float,
     *,
     coloured: str = "auto",
+    weighed: bool = True,
 ) -> Fit:
     """Build the result of an estimation from its last iterate.
 
@@ -62,6 +63,9 @@ def summarise(
         ``time.perf_counter()`` at the start.
     coloured : str
         ``"auto"``, ``"never"`` or ``"always"``.
+    weighed : bool
+        Whether the covariance holds the colour of the residuals; otherwise it is only said
+        whether they have one.
     """
     model, layout = shooting.model, shooting.layout
     if solution is None:
@@ -71,7 +75,7 @@ def summarise(
     information = reduced.information
     covariance = information.covariance
     use = coloured == "always" or (coloured == "auto" and reduced.is_coloured)
-    if use or shooting.loss is not None:
+    if (use and weighed) or shooting.loss is not None:
         covariance = reduced.sandwich(covariance, coloured=use)
     predictions, states, residuals, initial, local = [], [], [], [], []
     for index, record in enumerate(shooting.records):
