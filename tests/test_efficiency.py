@@ -58,7 +58,7 @@ def test_estimates_are_efficient_and_intervals_hold(noise: str) -> None:
 @pytest.mark.parametrize(("memory", "least"), [(0.5, 0.92), (0.9, 0.87)])
 def test_sandwich_intervals_hold_in_coloured_noise(memory: float, least: float) -> None:
     """Slow noise: white intervals fail, the stated ones hold, with some loss if it is very slow."""
-    deviation, white, stated = repeat(memory, 300)
+    deviation, white, stated = repeat(memory, 300, disturbances="none")
     assert coverage(deviation, white) < 0.8
     assert least < coverage(deviation, stated) < 0.985
 
@@ -68,3 +68,10 @@ def test_robust_intervals_hold() -> None:
     """With Huber's loss on Gaussian noise the intervals cover as well."""
     deviation, _, stated = repeat(0.0, 300, loss="huber", coloured="never")
     assert 0.92 < coverage(deviation, stated) < 0.975
+
+
+@pytest.mark.slow
+def test_default_intervals_hold_in_coloured_noise() -> None:
+    """On its own the estimator finds the colour of the sensors, and states what it is worth."""
+    deviation, _, stated = repeat(0.5, 100)
+    assert 0.92 < coverage(deviation, stated) < 0.985
