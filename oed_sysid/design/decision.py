@@ -27,7 +27,7 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.corridor import Corridor
-from oed_sysid.design.elimination import inverse
+from oed_sysid.design.elimination import quick_inverse
 from oed_sysid.design.library import Candidate, kept_on
 from oed_sysid.design.plan import believed_noise, knowledge
 from oed_sysid.design.quantities import percent, quantity, units_of
@@ -46,8 +46,6 @@ from oed_sysid.sensitivity.response import plays, respond
 WORTH = 0.01
 _MOST_AHEAD = 40
 _VEHICLES = 20
-# Smallest pivot of an equilibrated information at which its inverse has ten digits.
-_REGULAR = 1e-3
 
 
 @runtime_checkable
@@ -401,23 +399,9 @@ def decide(
 
 def _deviations(matrix: np.ndarray, rows: Sequence[np.ndarray]) -> np.ndarray:
     """Largest standard deviation of each goal, for matrices ``(..., n, n)``: ``(..., n_goals)``."""
-    bound = _inverse(matrix)
+    bound = quick_inverse(matrix)
     parts = [np.sqrt(((row @ bound) * row).sum(axis=-1).max(axis=-1)) for row in rows]
     return np.stack(parts, axis=-1)
-
-
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Inverse, the quick way where nothing is near singular: hundreds are taken on board."""
-    sizes = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
-    if sizes.min() > 0:
-        outer = sizes[..., :, None] * sizes[..., None, :]
-        try:
-            roots = np.linalg.cholesky(matrix / outer)
-        except np.linalg.LinAlgError:
-            return inverse(matrix)
-        if np.diagonal(roots, axis1=-2, axis2=-1).min() > _REGULAR:
-            return np.asarray(np.linalg.inv(matrix / outer) / outer)
-    return inverse(matrix)
 
 
 def _gains(

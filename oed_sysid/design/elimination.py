@@ -17,6 +17,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 # Information that counts as none, in units of (relative error)**-2: a prior of 1e5 times the value.
 NOTHING = 1e-10
+# Smallest pivot of an equilibrated information at which its inverse has ten digits.
+REGULAR = 1e-3
 
 
 def eliminate(matrix: np.ndarray, n_drop: int) -> tuple[np.ndarray, np.ndarray]:
@@ -64,6 +66,20 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(regular / outer)
     inner = (vectors / np.maximum(values, 1e-15)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return inner / outer
+
+
+def quick_inverse(matrix: np.ndarray) -> np.ndarray:
+    """As :func:`inverse`, several times faster where nothing is near singular."""
+    sizes = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
+    if sizes.min() > 0:
+        outer = sizes[..., :, None] * sizes[..., None, :]
+        try:
+            roots = np.linalg.cholesky(matrix / outer)
+        except np.linalg.LinAlgError:
+            return inverse(matrix)
+        if np.diagonal(roots, axis1=-2, axis2=-1).min() > REGULAR:
+            return np.asarray(np.linalg.inv(matrix / outer) / outer)
+    return inverse(matrix)
 
 
 def log_determinant(matrix: np.ndarray) -> float:

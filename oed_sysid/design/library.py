@@ -288,10 +288,8 @@ class _Stand:
         attitude = next((a for a in ATTITUDES if a in known), None)
         if attitude is None:
             return
-        grid = self.grid
-        largest = float(min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0]))
-        sign = _side(self.model, grid, attitude, self.held, dict(self.pattern.initial))
-        rate = None if not np.isfinite(grid.rates[0]) else float(grid.rates[0])
+        largest = self.reach
+        sign = _side(self.model, self.grid, attitude, self.held, dict(self.pattern.initial))
         equal = [[(share * angle, share * angle) for share in SHARES[:4]] for angle in ZIGZAGS]
         quick = [[(angle, share * angle) for share in _QUICK] for angle in ZIGZAGS[1:]]
         seen: set[tuple[float, float]] = set()
@@ -300,15 +298,9 @@ class _Stand:
                 size, switch = round(control, 3), round(turn, 3)
                 if (size, switch) in seen or radians(size) > largest:
                     continue
-                run = Experiment(
-                    f"zigzag {size:g}/{switch:g}",
-                    ZigZag(
-                        self.name, radians(size), radians(switch), feedback=(attitude,), rate=rate,
-                        sign=sign, neutral=float(grid.neutral[0]),
-                    ),
-                    duration=float(grid.times[-1]), sample_time=grid.step, constants=self.held,
-                    initial=self.pattern.initial, feedback="true", limits=self.limits,
-                )  # fmt: skip
+                run = self.swings(
+                    f"zigzag {size:g}/{switch:g}", radians(size), radians(switch), sign, (attitude,)
+                )
                 held = self.keeps(run)
                 if held is None:
                     continue
@@ -324,31 +316,25 @@ class _Stand:
         known = (*self.model.output_names, *self.model.state_names)
         attitude = next((a for a in ATTITUDES if a in known), "")
         lower, upper = self.limits.signals.get(attitude, (-np.inf, np.inf))
-        grid, initial = self.grid, dict(self.pattern.initial)
+        initial = dict(self.pattern.initial)
         begin = initial.get(attitude, 0.0)
         wide = min(upper - begin, begin - lower)
         if not (np.isfinite(wide) and wide > 0) or _RATES[attitude] not in known:
             return
-        largest = float(min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0]))
+        largest = self.reach
         time = self.turning_time(attitude, begin, largest, 0.5 * wide)
         if time is None:
             return
-        sign = _side(self.model, grid, attitude, self.held, initial)
-        rate = None if not np.isfinite(grid.rates[0]) else float(grid.rates[0])
+        sign = _side(self.model, self.grid, attitude, self.held, initial)
         kept, room = self.kept_depth(attitude, known)
         for control, share in product(_CONTROLS, _LEADS):
             size, lead = control * largest, float(f"{share * time:.2g}")
             found = 0
             for switch in (part * wide for part in _SWITCHES):
-                run = Experiment(
+                run = self.swings(
                     f"zigzag {degrees(size):.3g}/{degrees(switch):.3g} {lead:g} s ahead",
-                    ZigZag(
-                        self.name, size, switch, feedback=(attitude, _RATES[attitude], *kept),
-                        rate=rate, sign=sign, neutral=float(grid.neutral[0]), lead=lead,
-                        keep_gain=switch / room if kept else 0.0,
-                    ),
-                    duration=float(grid.times[-1]), sample_time=grid.step, constants=self.held,
-                    initial=self.pattern.initial, feedback="true", limits=self.limits,
+                    size, switch, sign, (attitude, _RATES[attitude], *kept), lead=lead,
+                    keep_gain=switch / room if kept else 0.0,
                 )  # fmt: skip
                 held = self.keeps(run)
                 if held is None:
@@ -357,6 +343,35 @@ class _Stand:
                 found += 1
                 if found == 2:
                     break
+
+    @property
+    def reach(self) -> float:
+        """Largest command to either side of the neutral one."""
+        grid = self.grid
+        return float(min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0]))
+
+    def swings(
+        self,
+        name: str,
+        amplitude: float,
+        switch: float,
+        sign: int,
+        feedback: tuple[str, ...],
+        *,
+        lead: float = 0.0,
+        keep_gain: float = 0.0,
+    ) -> Experiment:
+        """One zigzag of the commanded input about what the vehicle does; angles in rad."""
+        grid = self.grid
+        rate = float(grid.rates[0]) if np.isfinite(grid.rates[0]) else None
+        shape = ZigZag(
+            self.name, amplitude, switch, feedback=feedback, rate=rate, sign=sign,
+            neutral=float(grid.neutral[0]), lead=lead, keep_gain=keep_gain,
+        )  # fmt: skip
+        return Experiment(
+            name, shape, duration=float(grid.times[-1]), sample_time=grid.step,
+            constants=self.held, initial=self.pattern.initial, feedback="true", limits=self.limits,
+        )  # fmt: skip
 
     def kept_depth(self, attitude: str, known: Sequence[str]) -> tuple[tuple[str, ...], float]:
         """Signal that a zigzag on an attitude can keep, and the room to its nearer limit."""

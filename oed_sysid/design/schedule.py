@@ -190,14 +190,21 @@ class Programme:
         wanted = [one.wanted for one in self.assurances.values() if one.limited and one.wanted]
         return bool(wanted) and self.kept < max(wanted)
 
+    @property
+    def danger_together(self) -> str:
+        """What is said where each run keeps its limits, and all of them together do not."""
+        if self.unsafe or not self.is_unsafe_together:
+            return ""
+        return (
+            f"DANGER: on {1 - self.kept:.0%} of the vehicles that are possible one run or another "
+            "leaves its limits."
+        )
+
     def report(self) -> str:
         """Return the programme as text; danger in the first line."""
         lines = []
-        if self.is_unsafe_together and not self.unsafe:
-            lines += wrap(
-                f"DANGER: on {1 - self.kept:.0%} of the vehicles that are possible one run or "
-                "another leaves its limits. Stand by to stop.", _WIDTH
-            )  # fmt: skip
+        if self.danger_together:
+            lines += wrap(f"{self.danger_together} Stand by to stop.", _WIDTH)
         if self.unsafe:
             worst = min(self.unsafe, key=lambda name: self.assurances[name].probability)
             lines += wrap(

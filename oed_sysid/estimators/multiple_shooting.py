@@ -63,6 +63,8 @@ BENT = 3.0
 # Iterations of a white fit after which such residuals end it where random forces are looked for,
 # and the share of the cost that has to be left.
 PATIENCE, ENOUGH = 8, 0.7
+# Ends of a white fit that are where it was going.
+ENDED = ("converged", "enough")
 # Of two ends the one that converged is taken unless its cost is higher by this factor; an end that
 # leaves this share of an output's motion is doubted.
 WORSE, HALF = 1.2, 0.5
@@ -480,7 +482,7 @@ class MultipleShooting:
             return first, first.iterations if first else 0
         # A local minimum is worth a second attempt only if the start was doubtful.
         trusted = begin < DOUBTFUL or (first is not None and misfit(shooting, first.point) < GOOD)
-        if first is not None and first.reason in ("converged", "enough") and trusted:
+        if first is not None and first.reason in ENDED and trusted:
             return first, first.iterations
         try:
             second = minimise(shooting, wide_start(shooting, point))
@@ -494,8 +496,7 @@ class MultipleShooting:
         if not found:
             return None, 0
         least = min(s.cost for s in found)
-        ended = ("converged", "enough")
-        best = min(found, key=lambda s: (s.cost > WORSE * least, s.reason not in ended, s.cost))
+        best = min(found, key=lambda s: (s.cost > WORSE * least, s.reason not in ENDED, s.cost))
         return best, sum(s.iterations for s in found)
 
 

@@ -18,7 +18,7 @@ from oed_sysid.fitting.shooting import Point
 # that an unstable model amplifies. Rounding falls with the square of the step, information does
 # not: where a standard deviation is smaller than at frozen gain by the second factor, and as much
 # smaller than with steps so many times longer, it is rounding as well.
-AMPLIFIED, SMALLER, LONGER = 1.2, 0.8, 3.0
+AMPLIFIED, SMALLER, FARTHER = 1.2, 0.8, 3.0
 # Share of the largest eigenvalue below which nothing is known.
 NOTHING = 1e-12
 
@@ -89,8 +89,7 @@ class Differentiated:
     def equations(self) -> tuple[np.ndarray, np.ndarray]:
         """Gauss-Newton matrix and right-hand side, priors excluded."""
         if self._equations is None:
-            unknowns = self.point.unknowns
-            problem = self.problem
+            problem, unknowns = self.problem, self.point.unknowns
             base = problem.passes(unknowns, rows=True)
             frozen, right = problem.gathered(unknowns, base)
             size = np.diag(frozen) + problem.limits.prior_weight
@@ -100,9 +99,10 @@ class Differentiated:
             whole = problem.differentiated(unknowns, base, step)
             known = np.arange(problem.layout.levels.start)
             more = bool((np.diag(whole[0])[known] > AMPLIFIED * np.diag(frozen)[known]).any())
-            if not more and (self._std(whole[0]) < SMALLER * self._std(frozen)).any():
-                farther = problem.differentiated(unknowns, base, LONGER * step)
-                more = bool((self._std(whole[0]) < SMALLER * self._std(farther[0])).any())
+            found = None if more else self._std(whole[0])
+            if found is not None and (found < SMALLER * self._std(frozen)).any():
+                farther, _ = problem.differentiated(unknowns, base, FARTHER * step)
+                more = bool((found < SMALLER * self._std(farther)).any())
             self._equations = (frozen, right) if more else whole
         return self._equations
 

@@ -28,11 +28,8 @@ def programme_page(programme: Programme, *, title: str = "") -> Page:
         "the vehicles that are possible."
         for name in programme.unsafe
     ]
-    if programme.is_unsafe_together and not danger:
-        danger = [
-            f"DANGER: on {1 - programme.kept:.0%} of the vehicles that are possible one run or "
-            "another leaves its limits."
-        ]
+    if programme.danger_together:
+        danger = [programme.danger_together]
     verdict = [
         *danger,
         f"{len(programme.runs)} runs in {programme.hours:.3g} h tell "
