@@ -239,12 +239,13 @@ def _evidence(
             inputs = np.column_stack(
                 [np.interp(record.times - lag, record.times, column) for column in inputs.T]
             )
-        nodes = np.array(
-            [
-                run.start(piece.states[k], inputs[k], model.value_vector, record.times[k])[0]
-                for k in piece.starts
-            ]
-        )
+        nodes = piece.states[piece.starts]
+        if run.n_full > run.n_own:  # states of effects begin where own states and inputs say
+            begun = (
+                run.start(own, inputs[k], model.value_vector, record.times[k])[0]
+                for k, own in zip(piece.starts, nodes, strict=True)
+            )
+            nodes = np.array(list(begun))
         first = piece.starts[0]
         done = run.run(
             record.times[first:],

@@ -7,7 +7,7 @@ command -> **actuator** -> **environment** (relative flow) -> **force** ->
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar, Self
 
@@ -15,7 +15,7 @@ from oed_sysid.channels import check_kinds, check_signal
 from oed_sysid.errors import ModelError
 from oed_sysid.language import callables, expressions
 from oed_sysid.language.callables import Function, Table, argument_names
-from oed_sysid.parameters import Parameter, check_unique
+from oed_sysid.parameters import Parameter, check_unique, with_parameters
 
 STAGES = ("actuator", "environment", "force", "inertia", "sensor")
 
@@ -283,11 +283,9 @@ class Effect:
         """Return the effect with some parameter values replaced."""
         if not any(parameter.name in values for parameter in self.parameters):
             return self
-        return replace(
+        return with_parameters(
             self,
-            parameters=tuple(
-                p.with_value(values[p.name]) if p.name in values else p for p in self.parameters
-            ),
+            tuple(p.with_value(values[p.name]) if p.name in values else p for p in self.parameters),
         )
 
     def structure(self) -> tuple[Hashable, ...]:

@@ -58,6 +58,8 @@ def kinematic_states(
         which the equations say nothing are left out.
     """
     names = model.state_names
+    if len(measured) == len(names):
+        return {}
     known = {names[position]: series for position, series in measured.items()}
     slopes = {name: slope(record.times, series) for name, series in known.items()}
     guesses: dict[int, Guess] = {}
@@ -93,7 +95,9 @@ def slope(times: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, float]:
     for window in WINDOWS:
         if window > n:
             break
-        trial = savgol_filter(series, window, 2, deriv=1) / step
+        # The ends of all but the first are replaced below: there any of the cheap ways will do.
+        ends = "interp" if before is None else "nearest"
+        trial = savgol_filter(series, window, 2, deriv=1, mode=ends) / step
         variance = float(12.0 * noise**2 / window**3 / np.median(step) ** 2)
         bias = 0.0
         if before is not None:

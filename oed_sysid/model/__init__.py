@@ -18,7 +18,7 @@ from oed_sysid.language import callables, expressions, notation
 from oed_sysid.model.parts import settle_parts
 from oed_sysid.model.structure import Structure
 from oed_sysid.model.validation import validate
-from oed_sysid.parameters import Parameter
+from oed_sysid.parameters import Parameter, with_parameters
 
 
 @dataclass(frozen=True)
@@ -132,15 +132,12 @@ class Model(Structure):
         self.parameter(parameter.name)
         return self._map(lambda p: parameter if p.name == parameter.name else p)
 
-    def _map(self, change) -> Model:  # type: ignore[no-untyped-def]
-        return replace(
-            self,
-            parameters=tuple(map(change, self.parameters)),
-            effects=tuple(
-                replace(effect, parameters=tuple(map(change, effect.parameters)))
-                for effect in self.effects
-            ),
+    def _map(self, change: Callable[[Parameter], Parameter]) -> Model:
+        effects = (
+            with_parameters(effect, tuple(map(change, effect.parameters)))
+            for effect in self.effects
         )
+        return with_parameters(self, tuple(map(change, self.parameters)), effects=tuple(effects))
 
     # -- words ---------------------------------------------------------------------
 
