@@ -79,6 +79,7 @@ _HOME = {
     "compare": "diagnosis.compare",
     "diagnose": "diagnosis.diagnose",
     "improve": "diagnosis.improve",
+    "usual_effects": "diagnosis.usual",
     "Discriminate": "design",
     "Robust": "design",
     "design_experiment": "design",
@@ -122,6 +123,7 @@ if TYPE_CHECKING:
     from oed_sysid.diagnosis.compare import compare
     from oed_sysid.diagnosis.diagnose import diagnose
     from oed_sysid.diagnosis.improve import improve
+    from oed_sysid.diagnosis.usual import usual_effects
     from oed_sysid.effects import (
         Actuator,
         Environment,

@@ -68,15 +68,24 @@ def test_improve_without_untouched_records_makes_no_claim_on_them(ship: Path, tm
     assert json.loads(stored.read_text())["final_error"]["test"] is None
 
 
-def test_improve_needs_candidates(ship: Path, tmp_path: Path, capsys) -> None:
-    """A problem that lists no candidate effects is told so."""
+def test_improve_without_listed_candidates(ship: Path, tmp_path: Path) -> None:
+    """A problem that lists no candidate effects gets usual ones, and what is hidden is found."""
     bare = tmp_path / "bare"
     bare.mkdir()
     text = (ship / "problem.py").read_text().replace("    effects=effects,\n", "")
     text = text.replace(', "E_yaw": 1.5', "")
     (bare / "problem.py").write_text(text)
-    assert main(["improve", str(bare), *split(ship)]) == BAD_INPUT
-    assert "candidate" in capsys.readouterr().err
+    stored = tmp_path / "found.json"
+    assert main(["improve", str(bare), *split(ship), "--json", str(stored)]) == DONE
+    found = json.loads(stored.read_text())
+    assert [step["added"] for step in found["steps"]] == ["quadratic_r_r"]
+    assert found["final_error"]["test"] < 1.2 < 100 < found["base_error"]["test"]
+    # The names are known to what comes next.
+    compared = tmp_path / "compare.json"
+    arguments = ["compare", str(bare), *split(ship), "--with", "quadratic_r_r", "--json"]
+    assert main([*arguments, str(compared)]) == DONE
+    models = {one["label"]: one for one in json.loads(compared.read_text())["models"]}
+    assert models["with quadratic_r_r"]["relative"] < 1.2 < models["nominal"]["relative"]
 
 
 def test_compare_judges_models_on_untouched_records(ship: Path, tmp_path: Path, capsys) -> None:

@@ -19,7 +19,7 @@ from oed_sysid.diagnosis.rank import rank, threshold
 from oed_sysid.diagnosis.score import scores
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects.actuators import backlash
-from oed_sysid.errors import DataError, OedSysidError
+from oed_sysid.errors import OedSysidError
 from oed_sysid.fitting.input_noise import sigma_filter
 
 AUV_DATA = Path(__file__).resolve().parent.parent / "problems" / "remus_diving_plane" / "data"
@@ -105,12 +105,6 @@ def test_correlation_time_of_sensor_noise_is_found() -> None:
     assert improved.verdict == "nothing_missing"
     assert improved.explained
     assert "correlated over about" in improved.report().splitlines()[-1]
-
-
-def test_no_candidates_is_said() -> None:
-    """Without candidates there is nothing to try, and the message says what to give."""
-    with pytest.raises(DataError, match="no candidate effect"):
-        improve(SHIP, dataset(0), candidates=())
 
 
 @pytest.fixture(scope="module")

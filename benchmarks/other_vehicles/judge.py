@@ -89,11 +89,12 @@ def _number(value: float) -> float | str:
     return float(value) if np.isfinite(value) else str(float(value))
 
 
-def judge(draw: Draw, *, limit: float = 600.0) -> dict[str, Any]:
+def judge(draw: Draw, *, limit: float = 600.0, prepared: bool = True) -> dict[str, Any]:
     """Draw a case, improve its nominal model, and compare with the truth.
 
     ``limit`` is the processor time that the improvement may take, s; beyond it the case
-    counts as aborted.
+    counts as aborted. Candidates are the vehicle's own, or none is named where they are not
+    ``prepared``.
     """
     case = draw_case(draw)
     model = nominal_model(case)
@@ -116,7 +117,7 @@ def judge(draw: Draw, *, limit: float = 600.0) -> dict[str, Any]:
                 model,
                 train,
                 validation,
-                candidates=nominal(draw.vehicle).effects(case.lacking),
+                candidates=nominal(draw.vehicle).effects(case.lacking) if prepared else None,
             )
         entry |= read(found)
     except Exception as error:  # a case that breaks is a result too

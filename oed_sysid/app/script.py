@@ -176,6 +176,12 @@ def whole(study: Study, parts: Iterable[str]) -> str:
         test=reading.format("test") if study.test is not None else "None",
         noise=study.noise,
     )
+    if study.is_equipped:
+        head += (
+            "# The problem names no candidate effects: usual ones, with sizes from the records.\n"
+            "from oed_sysid.diagnosis.usual import equipped\n\n"
+            "problem = equipped(problem, train)\n"
+        )
     return "\n".join([head, *dict.fromkeys(parts)])
 
 

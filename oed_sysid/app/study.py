@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.overlap import together
+from oed_sysid.diagnosis.usual import equipped
 from oed_sysid.errors import DataError
 from oed_sysid.problem import Problem
 
@@ -24,11 +25,13 @@ class Study:
     variant : str
         Which of its models is believed.
     problem : Problem
-        The problem, that model believed.
+        The problem, that model believed; usual candidates are added where it names none.
     train, test : Dataset or None
         Training records; validation records.
     known_noise : bool
         Whether the declared noise levels are trusted.
+    is_equipped : bool
+        Whether the candidates are usual ones, because the problem names none.
     """
 
     source: str
@@ -37,6 +40,12 @@ class Study:
     train: Dataset | None = None
     test: Dataset | None = None
     known_noise: bool = False
+    is_equipped: bool = field(init=False, default=False)
+
+    def __post_init__(self) -> None:
+        if self.train is not None and not self.problem.effects:
+            object.__setattr__(self, "problem", equipped(self.problem, self.train))
+            object.__setattr__(self, "is_equipped", True)
 
     @property
     def key(self) -> tuple[str, ...]:

@@ -80,6 +80,11 @@ def of_improvement(result: Improvement) -> str:
     on = {"train": "training", "test": "validation"}[kind]
     if result.remains.kind == "log suspect":
         return f"Log suspect: nothing about {result.base.name} can be claimed from it."
+    if result.verdict == "unexplained":
+        return (
+            f"{result.base.name} misses more than noise, and no candidate is confirmed: error on "
+            f"the {on} records {before[kind]:.3g} × noise."
+        )
     if not result.steps:
         return (
             f"Nothing is missing from {result.base.name} that these records could show: error on "

@@ -148,11 +148,12 @@ def compare(
     from oed_sysid.data.dataset import read_csv
     from oed_sysid.data.overlap import check_disjoint, together
     from oed_sysid.diagnosis.compare import compare as compare_models
+    from oed_sysid.diagnosis.usual import equipped
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     training, validation = (read_csv(given, chosen.channels) for given in (files, validate))
-    models, kept = _models(chosen, added or [])
+    models, kept = _models(equipped(chosen, training) if added else chosen, added or [])
     for used in (training, *(fit.dataset for fit in kept.values())):
         check_disjoint(used, validation)
     log = quick_check(together(training, validation), chosen.model).without("duplicate")

@@ -384,9 +384,12 @@ def _noise(problem: Problem, believed: Any, sea: str | None) -> Any:
 
 def _criterion(problem: Problem, name: str, rivals: list[str], hidden: list[str]) -> Any:
     from oed_sysid.design import AOptimal, Discriminate, DOptimal, EOptimal, Reveal
+    from oed_sysid.diagnosis.usual import equipped
 
     if rivals and hidden:
         raise DesignError("Give --discriminate or --reveal: one run has one aim.")
+    if rivals or hidden:
+        problem = equipped(problem)
     if rivals:
         return Discriminate([problem.effect(rival) for rival in rivals])
     if hidden == ["all"]:

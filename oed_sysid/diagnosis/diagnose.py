@@ -11,6 +11,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.rank import Ranking, rank
 from oed_sysid.diagnosis.study import Study
+from oed_sysid.diagnosis.usual import settled
 from oed_sysid.display import as_html
 from oed_sysid.effects import Effect
 from oed_sysid.model import Model
@@ -86,7 +87,7 @@ def diagnose(
     model: Model,
     dataset: Dataset,
     *,
-    candidates: Sequence[Effect],
+    candidates: Sequence[Effect] | None = None,
     known_noise: bool = False,
     disturbances: str | Sequence[str] = "auto",
 ) -> Diagnosis:
@@ -98,12 +99,14 @@ def diagnose(
         The nominal model.
     dataset : Dataset
         Measured records.
-    candidates : sequence of Effect
-        What may be missing.
+    candidates : sequence of Effect, optional
+        What may be missing; without any, what usually is
+        (:func:`~oed_sysid.diagnosis.usual.usual_effects`).
     known_noise : bool
     disturbances : str or sequence of str
         See :func:`oed_sysid.diagnosis.improve.improve`.
     """
+    candidates, _ = settled(model, dataset, candidates)
     study, fit = Study.begin(
         model, dataset, None, candidates, known_noise=known_noise, disturbances=disturbances
     )

@@ -214,9 +214,9 @@ def _kinds(model: Model) -> list[tuple[str, str, str]]:
     velocities = set(model.axes.values())
     through_water = {text: signal for signal, text in model.signals.items()}
     found = []
-    cyclic = _cyclic(model)
+    still = cyclic(model)
     for state in model.states:
-        if state.name in cyclic:
+        if state.name in still:
             continue
         name = through_water.get(state.name, state.name)
         if state.name in velocities or not model.axes:
@@ -232,7 +232,7 @@ def _kinds(model: Model) -> list[tuple[str, str, str]]:
     return found
 
 
-def _cyclic(model: Model) -> set[str]:
+def cyclic(model: Model) -> set[str]:
     """Coordinates that merely integrate a velocity, and on which no equation depends.
 
     Calm water is the same at every place and heading: a heading of a steering

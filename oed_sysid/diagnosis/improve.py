@@ -44,14 +44,22 @@ from oed_sysid.diagnosis.rank import (
 )
 from oed_sysid.diagnosis.remainder import Remains, remains
 from oed_sysid.diagnosis.study import Study, total_error
+from oed_sysid.diagnosis.usual import settled
 from oed_sysid.effects import Effect
-from oed_sysid.errors import DataError, OedSysidError
+from oed_sysid.errors import OedSysidError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import FilteredSolution
 from oed_sysid.fitting.noise_levels import credible_levels
+from oed_sysid.fitting.summary import eliminate
 from oed_sysid.language.expressions import names
 from oed_sysid.model import Model
 
+# An effect stays unasked where its information says that it is worth so many times what it needs.
+SURE = 4.0
+# Share of the largest gain below which an effect seen in thinned records is asked again.
+BESIDE = 0.1
+# Twice the log-likelihood within which two fits are the same.
+NEARBY = 1.0
 # A rival must be this much more likely to take an earlier effect's place.
 SWAP_MARGIN = 6.0
 # Gain in twice the log-likelihood on validation records that confirms a claim.
@@ -87,6 +95,7 @@ class _State:
     path: tuple[FilteredSolution, ...]
     replaced: tuple[str, ...] = ()
     dismissed: tuple[str, ...] = ()
+    dropped: tuple[str, ...] = ()
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -94,13 +103,23 @@ class _State:
 
     @property
     def left(self) -> list[Effect]:
-        present = {effect.name for effect in self.effects}
-        return [e for e in self.study.candidates if e.name not in present]
+        gone = {effect.name for effect in self.effects} | set(self.dropped)
+        return [e for e in self.study.candidates if e.name not in gone]
 
     @property
     def share(self) -> float:
         """Share of false claims allowed before validation records, if any, are asked."""
         return FALSE_CLAIMS if self.study.validation is None else FALSE_CLAIMS_BEFORE_TEST
+
+
+@dataclass(frozen=True, eq=False)
+class _Reached:
+    """Where a search ended, where it began, and what it saw on the way."""
+
+    state: _State
+    base: FilteredSolution
+    first: Ranking
+    rejected: tuple[str, ...]
 
 
 @single_threaded
@@ -109,7 +128,7 @@ def improve(
     train: Dataset,
     test: Dataset | None = None,
     *,
-    candidates: Sequence[Effect],
+    candidates: Sequence[Effect] | None = None,
     known_noise: bool = False,
     disturbances: str | Sequence[str] = "auto",
     max_effects: int = 4,
@@ -129,8 +148,9 @@ def improve(
         Training records, and validation records that nothing is chosen on. Of a single record
         without any the last part is kept for validation; very long logs are read more coarsely.
         Notes of the result say so (:mod:`oed_sysid.diagnosis.preparation`).
-    candidates : sequence of Effect
-        What may be missing.
+    candidates : sequence of Effect, optional
+        What may be missing; without any, what usually is
+        (:func:`~oed_sysid.diagnosis.usual.usual_effects`).
     known_noise : bool
         Whether the declared noise levels are right and sensors have no other
         noise; otherwise levels and colour are estimated.
@@ -147,46 +167,43 @@ def improve(
         Keeps every finished step; a later call with the same content goes on from them.
     """
     tell = progress or (lambda text: None)
-    if not candidates:
-        raise DataError(
-            "There is no candidate effect. Give problem.effects, or effects of your own."
-        )
     if test is not None:
         check_disjoint(train, test)
     # Overlaps of training and validation records were refused above.
     log = quick_check(train if test is None else together(train, test), model).without("duplicate")
     ready = prepared(train, test)
     train, test = ready.train, ready.validation
+    candidates, told = settled(model, train, candidates)
     settings = {
         "known_noise": known_noise,
         "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],
         "max_effects": max_effects,
     }
     keep = opened(journal, model, train, test, candidates, settings)
+    begin = partial(Study.begin, model, train, test, candidates, known_noise=known_noise)
     tell("fitting the nominal model")
-    study, base = keep.once(
-        "nominal model",
-        lambda: Study.begin(
-            model, train, test, candidates, known_noise=known_noise, disturbances=disturbances
-        ),
-    )
-    state = _State(study, (), base, (base,))
-    notes = list(ready.notes)
-    rejected: list[str] = []
-    first: Ranking | None = None
-    for reached, ranking, refused in _search(state, max_effects, tell, keep, notes):
-        state, first = reached, first or ranking
-        rejected += refused
-    first = first or rank(study, base, study.candidates, n_refits=0, share=state.share)
+    study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
+    notes = [*ready.notes, *told]
+    found = _searched(study, base, max_effects, tell, keep, notes)
+    if disturbances == "auto" and _astray(found.state.study, found.state.fit):
+        tell("searching without random forces")
+        calm = keep.once("without random forces", partial(begin, disturbances="none"))
+        found = _calmer(found, _searched(*calm, max_effects, tell, keep, notes), notes)
+    state, base, first = found.state, found.base, found.first
+    rejected = [*found.rejected]
+    if ready.whole is not None:
+        tell("asking all samples")
+        state, told = keep.once("all samples", partial(_on_all_samples, state, ready.whole))
+        notes += told
     tell("locating where the nominal model fails")
     location = _located(study, base, first, notes, keep)
     left = _kept(keep, "what remains", lambda: remains(state.study, state.fit), notes)
     proposals: Proposals | None = None
     if left is not None and not left.is_noise:
         tell("looking for a term that no known effect holds")
-        found = _kept(keep, "unknown term", lambda: _with_term(state, max_effects), notes)
-        if found is not None:
-            state, proposals, tied = found
+        beyond = _kept(keep, "unknown term", lambda: _with_term(state, max_effects), notes)
+        if beyond is not None:
+            state, proposals, tied = beyond
             again = _kept(keep, "what remains", lambda: remains(state.study, state.fit), notes)
             left = replace(again or left, tied=tied)
     if left is None:
@@ -199,20 +216,77 @@ def improve(
     )
 
 
-def _bought(study: Study, found: FilteredSolution) -> list[str]:
-    """Words where random forces still explain the records at the price of whole runs."""
-    alone = total_error(study.rms(found, study.train) / study.setting.white)
+def _searched(
+    study: Study,
+    base: FilteredSolution,
+    max_effects: int,
+    tell: Callable[[str], None],
+    keep: Journal,
+    notes: list[str],
+) -> _Reached:
+    """Search from the nominal model to the end."""
+    state, first, rejected = _State(study, (), base, (base,)), None, []
+    for reached, ranking, refused in _search(state, max_effects, tell, keep, notes):
+        state, first = reached, first or ranking
+        rejected += refused
+    first = first or rank(study, base, study.candidates, n_refits=0, share=state.share)
+    return _Reached(state, base, first, tuple(rejected))
+
+
+def _calmer(found: _Reached, calm: _Reached, notes: list[str]) -> _Reached:
+    """Of a search with random forces and one without, the one whose end is likelier with them.
+
+    A large missing effect makes forces grow until the records are likely and whole runs are not:
+    gains are then judged in a valley from which the right effect does not lead out.
+    """
+    study, present = found.state.study, found.state.fit
+    more = len(calm.state.added) - len(found.state.added)
+    if not calm.state.added:
+        return found
+    end = calm.state.fit
+    noise = study.quiet(study.loosened(present.noise))
+    fit = study.estimate(calm.state.effects, end.values, end, noise=noise, max_iterations=25)
+    needed = max(more, 1) * threshold(len(study.candidates), 1, found.state.share)
+    if fit is None or present.objective - fit.objective < needed:
+        return found
+    if study.validation is not None and (
+        not _difference(study.validate(present), study.validate(fit)) > CONFIRMED
+        or _rises(study, present, fit)
+    ):
+        return found
+    notes.append(
+        "Random forces had grown over what is missing: it was searched for without them, and is "
+        "likelier with them, too."
+    )
+    fit = study.settle(fit)
+    state = replace(calm.state, study=study, fit=fit, path=(*calm.state.path[:-1], fit))
+    return replace(calm, state=state)
+
+
+def _astray(study: Study, found: FilteredSolution) -> bool:
+    """Whether random forces explain the records at the price of whole runs."""
     acting = [
         place
         for place, level in zip(found.noise.places, found.noise.force, strict=True)
         if level > 0 and not place.startswith("actuator")
     ]
-    if not acting or not alone > BOUGHT * study.plain_error:
+    return bool(acting) and _alone(study, found) > BOUGHT * study.plain_error
+
+
+def _alone(study: Study, found: FilteredSolution) -> float:
+    """Error of the model on its own on the training records, in units of the noise."""
+    return total_error(study.rms(found, study.train) / study.setting.white)
+
+
+def _bought(study: Study, found: FilteredSolution) -> list[str]:
+    """Words where random forces still explain the records at the price of whole runs."""
+    if not _astray(study, found):
         return []
     return [
-        f"Random forces make the records likely, but a whole run is then {alone:.3g} x noise off, "
-        f"{study.plain_error:.3g} for the nominal model without them. Where the sea was calm, look "
-        "again with disturbances='none' (--disturbances none): what is missing shows more clearly."
+        f"Random forces make the records likely, but a whole run is then "
+        f"{_alone(study, found):.3g} x noise off, {study.plain_error:.3g} for the nominal model "
+        "without them. Where the sea was calm, look again with disturbances='none' "
+        "(--disturbances none): what is missing shows more clearly."
     ]
 
 
@@ -253,10 +327,9 @@ def _rounds(
         adding = partial(_with, state, chosen, ranking, validation_gain)
         state = keep.once(f"with {chosen.name}", adding)
         yield state, ranking, []
-        if len(state.added) > 1:
-            tell("reconsidering the effects added before")
-            state = keep.once("review", partial(_review, state))
-            yield state, ranking, []
+        tell("reconsidering the effects added")
+        state = keep.once("review", partial(_review, state))
+        yield state, ranking, []
 
 
 def _choose(state: _State, ranking: Ranking) -> tuple[Refit | None, float, list[str]]:
@@ -352,21 +425,46 @@ def _total(study: Study, fit: FilteredSolution) -> float:
 def _with(state: _State, chosen: Refit, ranking: Ranking, validation_gain: float) -> _State:
     """Add an effect, and estimate once more."""
     study = state.study
-    fit = study.settle(chosen.fit)
+    fit = _not_astray(study, study.settle(chosen.fit))
     if study.validation is not None and _rises(study, state.fit, fit):
         fit = chosen.fit  # a better likelihood elsewhere, which the validation records refuse
     effect = chosen.score.effect
     names = [refit.name for refit in ranking.group()]
     group = tuple(dict.fromkeys((effect.name, *names, *ranking.alike(effect.name))))
     one = _Added(effect, ranking, chosen.gain, ranking.needed(chosen), validation_gain, group)
-    return _State(state.study, (*state.added, one), fit, (*state.path, fit))
+    return replace(state, added=(*state.added, one), fit=fit, path=(*state.path, fit))
+
+
+def _not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
+    """The fit, or a likelier one from the nominal values, or from a fit without random forces.
+
+    Where a large effect was missing, forces have grown to explain it and parameters have followed
+    them. Once it is there, that may be a valley of its own.
+    """
+    if not (fit.noise.force > 0).any():
+        return fit
+    effects, quiet = study.effects_of(fit), study.quiet(fit.noise)
+    own = {p.name for effect in effects for p in effect.parameters}
+    values = study.base.values | {k: v for k, v in fit.values.items() if k in own}
+    best = study.estimate(effects, values, fit, noise=quiet, max_iterations=25)
+    if best is None or best.objective > fit.objective - NEARBY:
+        best = fit
+    start = study.without_forces(effects, best.values) if _alone(study, best) > BOUGHT else None
+    if start is not None:
+        again = study.estimate(effects, start.values, start, noise=quiet, max_iterations=25)
+        if again is not None and again.objective < best.objective - NEARBY:
+            best = again
+    return fit if best is fit else study.settle(best)
 
 
 def _review(state: _State) -> _State:
-    """Drop or replace earlier effects that the later ones have made doubtful."""
+    """Drop or replace effects that others, or a better fit, have made doubtful."""
     study = state.study
-    for position in range(len(state.added) - 1):
-        old = state.added[position]
+    for position, old in enumerate(state.added):
+        needed = threshold(len(state.left) + 1, len(old.effect.parameters), state.share)
+        is_last = position == len(state.added) - 1
+        if is_last and _cost(state.fit, old.effect) > SURE * needed:
+            continue
         others = tuple(one for i, one in enumerate(state.added) if i != position)
         values = dict(state.fit.values) | dict.fromkeys(old.effect.amplitude_names, 0.0)
         without = study.estimate(
@@ -378,9 +476,12 @@ def _review(state: _State) -> _State:
         )
         if without is None:
             continue
-        needed = threshold(len(state.left) + 1, len(old.effect.parameters), state.share)
         if without.objective - state.fit.objective < needed:
-            return _rebuilt(replace(state, added=others, fit=study.settle(without)))
+            gone = (*state.dropped, old.effect.name)
+            fewer = replace(state, added=others, fit=study.settle(without), dropped=gone)
+            return _rebuilt(fewer)
+        if is_last:  # it was the best of a ranking just now
+            continue
         reduced = replace(state, added=others, fit=without)
         ranking = rank(
             study,
@@ -416,6 +517,50 @@ def _review(state: _State) -> _State:
         )
         state = _rebuilt(replace(state, added=(*others, new), fit=study.settle(chosen.fit)))
     return state
+
+
+def _on_all_samples(state: _State, whole: Dataset) -> tuple[_State, list[str]]:
+    """Drop what only the thinned records show: means of a command between samples are not it.
+
+    Asked are effects that remember a command or a signal, and those beside a much larger one.
+    """
+    study, largest = state.study, max((one.gain for one in state.added), default=0.0)
+    full = replace(study, train=whole)
+    notes: list[str] = []
+    for one in reversed(state.added):
+        if not one.effect.memory and one.gain > BESIDE * largest:
+            continue
+        others = tuple(o for o in state.added if o is not one)
+        values = dict(state.fit.values)
+        absent = values | dict.fromkeys(one.effect.amplitude_names, 0.0)
+        effects = [o.effect for o in others]
+        less = full.estimate(effects, absent, state.fit, max_iterations=12)
+        more = full.estimate([*effects, one.effect], values, state.fit, max_iterations=12)
+        needed = threshold(len(state.left) + 1, len(one.effect.parameters), state.share)
+        if less is None or more is None or less.objective - more.objective >= needed:
+            continue
+        without = study.estimate(effects, less.values, state.fit, max_iterations=25)
+        if without is None:
+            continue
+        gone = (*state.dropped, one.effect.name)
+        state = _rebuilt(replace(state, added=others, fit=study.settle(without), dropped=gone))
+        notes.append(
+            f"{one.effect.name} was seen in the thinned records and is not in all samples: it is "
+            "no claim."
+        )
+    return state, notes
+
+
+def _cost(fit: FilteredSolution, effect: Effect) -> float:
+    """What leaving an effect out would cost in twice the log-likelihood, by its information."""
+    known = {name: i for i, name in enumerate(fit.problem.layout.shared)}
+    own = np.array([known[name] for name in effect.amplitude_names if name in known], dtype=int)
+    if len(own) < len(effect.amplitude_names):  # one for each record: not told so quickly
+        return 0.0
+    matrix = fit.matrix + np.diag(fit.problem.limits.prior_weight)
+    size = fit.point.unknowns[own]
+    rest = np.setdiff1d(np.arange(len(matrix)), own)
+    return float(size @ eliminate(matrix, own, rest) @ size)
 
 
 def _rebuilt(state: _State) -> _State:

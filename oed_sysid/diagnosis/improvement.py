@@ -261,8 +261,11 @@ class Improvement:
 
     @property
     def verdict(self) -> str:
-        """``"missing"`` or ``"nothing_missing"``."""
-        return "missing" if self.steps else "nothing_missing"
+        """``missing``, ``unexplained`` (more than noise, no claim) or ``nothing_missing``."""
+        if self.steps:
+            return "missing"
+        kinds = ("structure missing", "log suspect")
+        return "unexplained" if self.remains.kind in kinds else "nothing_missing"
 
     @property
     def located(self) -> dict[str, float]:
@@ -378,8 +381,10 @@ class Improvement:
     def _story(self) -> list[str]:
         if not self.steps:
             lines = ["Nothing is missing that these records could show."]
+            if self.verdict == "unexplained":
+                lines = ["The misfit is more than noise, and no candidate is confirmed."]
             best = self.ranking.refits[0] if self.ranking.refits else None
-            if best is not None and best.evidence > HINT:
+            if best is not None and best.evidence > HINT and best.name not in self.rejected:
                 lines.append(
                     f"A hint, no more: {best.name} would gain {best.gain:.1f}, where "
                     f"{self.ranking.needed(best):.1f} are needed. A manoeuvre that excites it "

@@ -21,6 +21,7 @@ with the level :math:`\sigma` of the fastest wiggles and the spread :math:`s_y` 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,11 +48,14 @@ class Prepared:
     validation : Dataset or None
     notes : tuple of str
         What was done to the records, in sentences.
+    whole : Dataset or None
+        Training records with all samples, where some were left out.
     """
 
     train: Dataset
     validation: Dataset | None
     notes: tuple[str, ...] = ()
+    whole: Dataset | None = None
 
 
 def prepared(train: Dataset, validation: Dataset | None, *, enough: int = ENOUGH) -> Prepared:
@@ -78,18 +82,22 @@ def prepared(train: Dataset, validation: Dataset | None, *, enough: int = ENOUGH
     if validation is None and len(train) == 1 and train[0].n_samples >= 2.5 * LEAST:
         train, validation, words = _kept_apart(train[0])
         notes.append(words)
-    every = _stride(train, validation, enough)
-    if every > 1:
-        before = train[0].sample_time
-        train = Dataset(tuple(coarser(record, every) for record in train))
-        if validation is not None:
-            validation = Dataset(tuple(coarser(record, every) for record in validation))
+    strides, whole = _strides(train, validation, enough), None
+    if max(strides) > 1:
+        parts = [*train, *(validation or ())]
+        gap = max(n * part.sample_time for n, part in zip(strides, parts, strict=True) if n > 1)
+        few = min(strides) == 1
+        which = "Quickly sampled records were" if few else f"One sample in {max(strides)} was"
         notes.append(
-            f"One sample in {every} was searched ({every * before:.3g} s apart instead of "
-            f"{before:.3g} s), with the mean of the inputs between them. Fit the improved "
-            "model to all samples for its final numbers."
+            f"{which} searched {gap:.3g} s apart instead of {min(p.sample_time for p in parts):.3g}"
+            " s, with the mean of the inputs between samples. Fit the improved model to all "
+            "samples for its final numbers."
         )
-    return Prepared(train, validation, tuple(notes))
+        whole = train
+        thinned = [coarser(part, n) for n, part in zip(strides, parts, strict=True)]
+        train = Dataset(tuple(thinned[: len(train)]))
+        validation = None if validation is None else Dataset(tuple(thinned[len(train) :]))
+    return Prepared(train, validation, tuple(notes), whole)
 
 
 def _kept_apart(record: Record) -> tuple[Dataset, Dataset, str]:
@@ -141,29 +149,43 @@ def coarser(record: Record, every: int) -> Record:
     return record.thin(every).with_inputs(inputs)
 
 
-def _stride(train: Dataset, validation: Dataset | None, enough: int) -> int:
-    """Largest stride that is needed and that no signal forbids."""
+def _strides(train: Dataset, validation: Dataset | None, enough: int) -> list[int]:
+    """Largest strides that are needed and that no signal forbids, one for each record.
+
+    All leave about the same time between samples: what was logged slowly is read as it is.
+    """
     parts = [*train, *(validation or ())]
-    wanted = int(np.ceil(sum(record.n_samples for record in parts) / enough))
+    whole = [1] * len(parts)
+    least = min(record.sample_time for record in parts)
+
+    def strides(count: int) -> list[int]:
+        return [max(int(count * least / part.sample_time + 1e-9), 1) for part in parts]
+
+    def read(count: int) -> int:
+        return sum(-(-part.n_samples // n) for n, part in zip(strides(count), parts, strict=True))
+
+    most = max(part.n_samples for part in parts)
+    wanted = next((n for n in range(1, most) if read(n) <= enough), most)
     if wanted < 2:
-        return 1
+        return whole
     noise, _ = credible_levels(train)
     allowed = np.maximum(BEND * noise, BEND_SPREAD * signal_spread(train))
-    for every in range(wanted, 1, -1):
-        if np.all(_bend(train, every) <= allowed):
-            return every
-    return 1
+    for count in range(wanted, 1, -1):
+        found = strides(count)
+        if np.all(_bend(train, found) <= allowed):
+            return found
+    return whole
 
 
-def _bend(dataset: Dataset, every: int) -> np.ndarray:
-    """Rms of what straight lines through ``every + 1`` neighbours leave, ``(n_outputs,)``."""
+def _bend(dataset: Dataset, strides: Sequence[int]) -> np.ndarray:
+    """Rms of what straight lines through ``stride + 1`` neighbours leave, ``(n_outputs,)``."""
     squares = np.zeros(len(dataset.channels.outputs))
     count = np.zeros(len(squares))
-    width = every + 1
-    place = np.linspace(-1.0, 1.0, width)
-    for record in dataset:
+    for record, every in zip(dataset, strides, strict=False):
+        width = every + 1
+        place = np.linspace(-1.0, 1.0, width)
         rows = record.n_samples // width
-        if not rows:
+        if every == 1 or not rows:
             continue
         groups = record.outputs[: rows * width].reshape(rows, width, -1)
         groups = groups - groups.mean(axis=1, keepdims=True)

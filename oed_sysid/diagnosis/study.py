@@ -55,6 +55,9 @@ from oed_sysid.noise.model import NoiseModel
 # Below this share of a typical magnitude's inverse square, training records say nothing.
 VAGUE = 1e-8
 
+# A fit to white noise, on the way to one with random forces.
+PLAIN = MultipleShooting(max_iterations=15, coloured="never", disturbances="none")
+
 
 @dataclass(frozen=True, eq=False)
 class Study:
@@ -154,8 +157,7 @@ class Study:
         effects, skipped = fitting_candidates(model, candidates)
         wide = disturbed_model(model + effects, setting.disturbances)
         kernel = filter_kernel(wide)
-        found = MultipleShooting(max_iterations=15, coloured="never", disturbances="none")
-        plain = found.fit(model, train)
+        plain = PLAIN.fit(model, train)
         starts = [_nominal_start(model, train, white)]
         if np.isfinite(plain.cost):
             starts.append(Start(plain.model.values, plain.initial_states, plain.local_values))
@@ -235,7 +237,7 @@ class Study:
         self,
         effects: Sequence[Effect],
         values: Mapping[str, float],
-        start: FilteredSolution,
+        start: FilteredSolution | Start,
         *,
         update_noise: bool = True,
         noise: NoiseModel | None = None,
@@ -249,12 +251,12 @@ class Study:
         effects : sequence of Effect
         values : mapping
             Start values of parameters.
-        start : FilteredSolution
+        start : FilteredSolution or Start
             Gives start states, values of each record, and the noise to begin with.
         update_noise : bool
             Whether levels and times are estimated too.
         noise : NoiseModel, optional
-            In place of the start's.
+            In place of the start's; needed where that has none.
         max_iterations, tolerance
             See :func:`~oed_sysid.fitting.gauss_newton.solve_filtered`.
 
@@ -263,7 +265,9 @@ class Study:
         FilteredSolution or None
             None where the filter leaves the numbers at the start.
         """
-        noise = start.noise if noise is None else noise
+        if noise is None:
+            assert isinstance(start, FilteredSolution)
+            noise = start.noise
         levels = self.levels(noise, self.train)
         problem = self.problem(
             effects, values, levels if update_noise else levels.held(), self.train
@@ -272,6 +276,18 @@ class Study:
         return solve_filtered(
             problem, point, max_iterations=max_iterations, tolerance=tolerance, polish=0
         )
+
+    def without_forces(
+        self, effects: Sequence[Effect], values: Mapping[str, float]
+    ) -> Start | None:
+        """Where a fit of the nominal model with some effects to white noise ends."""
+        model = self.base + effects
+        known = set(model.parameter_names)
+        model = model.with_values({k: v for k, v in values.items() if k in known})
+        fit = PLAIN.fit(model, self.train)
+        if not np.isfinite(fit.cost):
+            return None
+        return Start(fit.model.values, fit.initial_states, fit.local_values)
 
     def settle(self, found: FilteredSolution) -> FilteredSolution:
         """Estimate once more, colours of sensors and own times of disturbances admitted."""
@@ -287,6 +303,12 @@ class Study:
             [0.0 if name in self.setting.known else known.get(name, 0.0) for name in noise.places]
         )
         return replace(noise, force=np.maximum(noise.force, 0.5 * least))
+
+    def quiet(self, noise: NoiseModel) -> NoiseModel:
+        """The same noise with forces no larger than the records begin to tell."""
+        known = dict(zip(self.unit.places, self.unit.force, strict=True))
+        least = np.array([known.get(name, 0.0) for name in noise.places])
+        return replace(noise, force=np.minimum(noise.force, least))
 
     def polished(self, found: FilteredSolution) -> FilteredSolution:
         """A fit at the optimum of the filter as it is, with errors of that."""
@@ -395,7 +417,7 @@ class Study:
             with np.errstate(over="ignore", invalid="ignore"):
                 squares += (np.where(seen, residual, 0.0) ** 2).sum(axis=0)
             if not ok:
-                squares += np.where(seen.any(axis=0), np.inf, 0.0)
+                squares[seen.any(axis=0)] = np.inf
         with np.errstate(invalid="ignore"):
             return np.where(count > 0, np.sqrt(squares / np.maximum(count, 1)), np.nan)
 

@@ -149,8 +149,9 @@ def rate_limit(
 
     See :func:`maximum_rate` for the rate itself.
     """
+    per = f"s/({unit})" if "/" in unit else f"s/{unit or 1}"
     size = amplitude(
-        name, f"s/{unit}", scale=scale, value=value, positive=True, description="1 / maximum rate"
+        name, per, scale=scale, value=value, positive=True, description="1 / maximum rate"
     )
     reach = f"h/max({size.name}, {_GUARD})"
     terms: dict[str, str] = {}

@@ -1,0 +1,195 @@
+"""Candidates where nobody named any: what usually goes wrong, written for the model at hand.
+
+Actuators, sensors, currents, inertia and low powers of every motion, with typical sizes from the
+records: a force that would make a fifth of the accelerations seen, a lag of two samples, a play
+of a tenth of the command's swing. Sizes scale the unknowns; they are no priors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.diagnosis.dictionary import HORIZONTAL
+from oed_sysid.diagnosis.sizes import Sizes, sizes_of
+from oed_sysid.diagnosis.usual_forces import commanded, usual_forces
+from oed_sysid.effects import (
+    Effect,
+    Force,
+    actuators,
+    environment,
+    inertia,
+    propulsion,
+    sensors,
+)
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.model import Model
+from oed_sysid.parameters import Parameter
+from oed_sysid.problem import Problem
+from oed_sysid.simulation import simulate
+
+# Share of a signal's swing, of an inertia and of a thrust that an effect makes.
+OF_SWING, OF_INERTIA, OF_THRUST = 0.1, 0.2, 0.2
+# A lag in samples, the longest delay in samples, and the most steps that its register may hold.
+LAG, DELAY, LONGEST = 2.0, 4.0, 12
+# An input in this unit or with such a name is no command but a measured flow.
+FLOW_UNIT, FLOWS = "m/s", ("wind", "wave", "current")
+
+
+def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
+    """Candidate effects made from a model's own signals and the records' sizes.
+
+    Parameters
+    ----------
+    model : Model
+        The nominal model.
+    dataset : Dataset
+        Records that it is to be compared with.
+
+    Returns
+    -------
+    tuple of Effect
+        Absent, each with a name of its own; terms whose derivative is free in the model already
+        are left out.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> problem = load_problem("remus_diving_plane")
+    >>> [e.name for e in usual_effects(problem.model, problem.data())][:3]
+    ['constant_X', 'linear_X_u_r', 'quadratic_X_u_r']
+    """
+    sizes = sizes_of(model, dataset)
+    found: dict[str, Effect] = {}
+    for effect in (
+        *usual_forces(model, sizes),
+        *_flows(model, sizes),
+        *_inertias(model, sizes),
+        *_commands(model, sizes),
+        *_sensors(model, sizes),
+    ):
+        if effect.name in model.effect_names or effect.name in found:
+            continue
+        try:
+            model + effect
+        except ModelError:  # a signal that this model writes in its own way
+            continue
+        found[effect.name] = effect
+    return tuple(found.values())
+
+
+def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Currents: in the flow where the model has one, else as a drift of its positions."""
+    states = {text: signal for signal, text in model.signals.items() if text in model.state_names}
+    angles = set(model.state_names)
+    speed = sizes.level.get("u", 1.0)
+    if {"u", "v"} <= set(states) and "psi" in angles:
+        flow = (states["u"], states["v"])
+        yield environment.current_horizontal_plane(flow=flow, scale=OF_SWING * speed)
+    if {"u", "w"} <= set(states) and "theta" in angles and "v" not in states:
+        flow = (states["u"], states["w"])
+        yield environment.current_forward(flow=flow, scale=OF_SWING * speed)
+        yield environment.current_down(flow=flow, scale=0.5 * OF_SWING * speed)
+    if "u" in states or not model.axes:
+        return
+    for state in model.states:
+        if state.name in (*HORIZONTAL, "z", "zeta") and state.name in model.kinematics:
+            name = f"drift_{state.name}"
+            size = Parameter(f"E_{name}", 0.0, f"{state.unit}/s", scale=OF_SWING * speed)
+            yield Force(
+                name,
+                {state.name: size.name},
+                (size,),
+                description=f"current that carries the vehicle along {state.name}",
+                source=environment.CURRENT,
+                needs=f"{state.name} and velocities through the water",
+            )
+
+
+def _inertias(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    for axis, state in model.axes.items():
+        mass = 1.0 / sizes.mobility[axis]
+        yield inertia.added_mass_error(
+            f"inertia_{axis}_{state}", axis, state, scale=OF_INERTIA * mass, bound=0.5 * mass
+        )
+
+
+def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    lag = LAG * sizes.sample
+    for signal, unit in commanded(model).items():
+        swing = sizes.swing.get(signal, 0.0)
+        if swing <= 0 or unit == FLOW_UNIT or signal.startswith(FLOWS):
+            continue
+        share = OF_SWING * swing
+        yield actuators.actuator_offset(f"{signal}_offset", signal, unit, scale=share)
+        yield actuators.actuator_lag(f"{signal}_lag", signal, scale=lag)
+        if DELAY * sizes.sample <= LONGEST * sizes.step:
+            yield actuators.actuator_delay(
+                f"{signal}_delay", signal, max_delay=DELAY * sizes.sample, step=sizes.step,
+                scale=0.5 * lag,
+            )  # fmt: skip
+        yield actuators.rate_limit(f"{signal}_rate_limit", signal, unit, scale=lag / swing)
+        yield actuators.deadband(f"{signal}_deadband", signal, unit, scale=share)
+        yield actuators.backlash(f"{signal}_backlash", signal, unit, scale=share)
+        if unit == "rad":
+            yield actuators.stall(f"{signal}_stall", signal, scale=OF_THRUST / swing**2)
+        if unit == "N" and "u" in model.axes.values():
+            yield propulsion.thrust_speed_loss(
+                f"{signal}_speed_loss", thrust=signal, scale=OF_THRUST / sizes.level["u"]
+            )
+
+
+def _sensors(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    measured = {output.name: output for output in model.outputs}
+    for name, output in measured.items():
+        swing = sizes.swing.get(name, 0.0)
+        if swing <= 0:
+            continue
+        if not (name == "psi" or (name in HORIZONTAL and output.unit == "m")):
+            yield sensors.sensor_bias(f"bias_{name}", name, output.unit, scale=OF_SWING * swing)
+            yield sensors.sensor_scale(f"scale_{name}", name)
+        yield sensors.sensor_lag(f"lag_{name}", name, scale=LAG * sizes.sample)
+    for across, rate in (("v", "r"), ("w", "q")):
+        if {"u", across} <= set(measured):
+            yield sensors.sensor_misalignment(f"misalignment_u_{across}", "u", across)
+        if {across, rate} <= set(measured):
+            arm = OF_SWING * sizes.swing[across] / max(sizes.swing[rate], 1e-300)
+            yield sensors.sensor_lever_arm(f"lever_arm_{across}", across, rate, scale=arm)
+
+
+def equipped(problem: Problem, dataset: Dataset | None = None) -> Problem:
+    """Return the problem, with usual candidates where it names none.
+
+    Parameters
+    ----------
+    problem : Problem
+    dataset : Dataset, optional
+        Records that give the sizes; by default what its experiments would give.
+    """
+    if problem.effects:
+        return problem
+    if dataset is None:
+        runs = [simulate(problem.model, run, noise=False) for run in problem.experiments.values()]
+        if not runs:
+            return problem
+        dataset = Dataset(tuple(runs))
+    return replace(problem, effects=usual_effects(problem.model, dataset))
+
+
+def settled(
+    model: Model, dataset: Dataset, candidates: Sequence[Effect] | None
+) -> tuple[tuple[Effect, ...], list[str]]:
+    """The candidates that were named, or usual ones and a note that says so."""
+    if candidates:
+        return tuple(candidates), []
+    usual = usual_effects(model, dataset)
+    if not usual:
+        raise DataError(
+            "There is no candidate effect, and none can be made: the signals of these records do "
+            "not move. Give records of a manoeuvre, or effects of your own."
+        )
+    return usual, [
+        f"No candidates were named: {len(usual)} usual ones were made from the model's signals and "
+        "the records' sizes. Where you know the vehicle's own physics, name it: that tells more."
+    ]

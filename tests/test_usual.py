@@ -1,0 +1,162 @@
+"""Candidates that are made from a model's own signals: right units and sizes, and they find."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from turning_ship import SHIP, dataset
+
+from oed_sysid import Dataset, Problem, improve, load_problem, simulate, usual_effects
+from oed_sysid.diagnosis.sizes import sizes_of
+from oed_sysid.diagnosis.usual import equipped
+from oed_sysid.errors import OedSysidError
+from oed_sysid.testing import check_effect
+
+
+def records(name: str, *, hidden=None, copies: int = 1, seed: int = 0) -> Dataset:  # type: ignore[no-untyped-def]
+    """Records of a published problem's experiments, from its truth."""
+    problem = load_problem(name)
+    model = problem.true_model() if hidden is None else problem.true_model() + hidden
+    rng = np.random.default_rng(seed)
+    return Dataset(
+        tuple(
+            simulate(model, run, rng=rng, name=f"{run.name}, {copy}")
+            for copy in range(copies)
+            for run in problem.experiments.values()
+        )
+    )
+
+
+def test_sizes_are_those_of_the_records() -> None:
+    """A unit force accelerates by one over the inertia; swings are those of the signals."""
+    problem = load_problem("remus_diving_plane")
+    data = problem.data()
+    found = sizes_of(problem.model, data)
+    values = problem.model.values
+    inertia = values["m"] - values["X_udot"]
+    assert 1.0 / found.mobility["X"] == pytest.approx(inertia, rel=5e-3)
+    u = np.concatenate([record.outputs[:, 0] for record in data])
+    assert found.swing["u"] == pytest.approx(np.std(u), rel=0.05)
+    assert found.level["u"] == pytest.approx(np.sqrt(np.mean(u**2)), rel=0.01)
+    fin = np.concatenate([record.inputs[:, 0] for record in data])
+    assert found.swing["ds"] == pytest.approx(np.std(fin))
+
+
+@pytest.mark.parametrize("name", ["kvlcc2", "remus_diving_plane", "roll_decay", "cascaded_tanks"])
+def test_each_keeps_the_contract_of_effects(name: str) -> None:
+    """Units, zeros and derivatives of every candidate are right; each is described and cited."""
+    problem = load_problem(name)
+    rng = np.random.default_rng(3)
+    start = {state.name: 0.3 * state.scale for state in problem.model.states}
+    if "u" in start:
+        start["u"] = 1.5
+    data = problem.data()
+    moved = np.concatenate([record.inputs for record in data])
+    ranges = {
+        name: (float(column.min()), float(column.max()))
+        for name, column in zip(problem.model.input_names, moved.T, strict=True)
+    }
+    for effect in usual_effects(problem.model, data):
+        sign = -1 if effect.stage == "force" else 1  # what damps does not run away
+        check_effect(
+            effect, problem.model, rng=rng, initial=start, inputs=ranges, n_points=1,
+            amplitude_sign=sign,
+        )  # fmt: skip
+
+
+def test_free_derivatives_are_not_repeated() -> None:
+    """What the model estimates already is no candidate."""
+    problem = load_problem("remus_diving_plane")
+    found = usual_effects(problem.model, problem.data())
+    terms = {text.split("*", 1)[-1] for e in found if "Z" in e.terms for text in e.terms.values()}
+    assert "Z_uw" in problem.model.free_names
+    assert "u_r*w_r" not in terms
+    assert "abs(w_r)*w_r" in terms
+
+
+def test_hidden_drag_is_found_as_by_the_prepared_vocabulary() -> None:
+    """Nobody names a candidate: the same term is found, with the same gain."""
+    problem = load_problem("remus_diving_plane")
+    data = problem.data()
+    train = Dataset(tuple(r for r in data if r.name.startswith("train")))
+    test = Dataset(tuple(r for r in data if r.name.startswith("test")))
+    own = improve(problem.model, train, test, candidates=[problem.effect("heave_crossflow_drag")])
+    made = improve(problem.model, train, test)
+    assert [step.added for step in made.steps] == ["quadratic_Z_w_r"]
+    assert made.steps[0].gain == pytest.approx(own.steps[0].gain, rel=0.01)
+    assert made.final_error["test"] == pytest.approx(own.final_error["test"], rel=0.01)
+
+
+def test_an_equation_without_axes_gets_its_powers() -> None:
+    """A heading model whose cubic damping is hidden: found among powers made from its signals."""
+    found = improve(SHIP, dataset(11, -15.0), dataset(12, -15.0))
+    assert "cubic" in found.steps[0].added
+    assert len(found.steps) == 1
+    assert found.final_error["test"] == pytest.approx(1.0, abs=0.06)
+
+
+def test_nothing_hidden_nothing_claimed() -> None:
+    """Among twenty candidates that nobody chose none is claimed where nothing is missing."""
+    assert not improve(SHIP, dataset(21), dataset(22)).steps
+
+
+def test_a_published_problem_without_candidates_is_equipped() -> None:
+    """Sizes come from its experiments where there are no records; named candidates stay."""
+    torpedo = equipped(load_problem("torpedo"))
+    assert {"delta_lag", "quadratic_Z_w", "drift_z", "inertia_X_u"} <= {
+        e.name for e in torpedo.effects
+    }
+    named = load_problem("remus_diving_plane")
+    assert equipped(named) is named
+    bare = Problem("bare", named.model)
+    assert equipped(bare) is bare
+
+
+def test_a_drift_is_not_taken_for_two_effects() -> None:
+    """A large effect led forces and parameters astray: with it, the search goes back and finds.
+
+    Beside the drift a lag of zero used to be claimed, because its refit happened to leave the
+    valley in which the fit with the drift had stayed.
+    """
+    problem = load_problem("auv_diving_plane")
+    made = {e.name: e for e in usual_effects(problem.model, records("auv_diving_plane"))}
+    hidden = made["drift_z"].with_values({"E_drift_z": 0.131})
+    data = records("auv_diving_plane", hidden=hidden, copies=3, seed=101)
+    rng = np.random.default_rng(101)
+    values = {
+        p.name: float(np.clip(p.value * (1 + 0.1 * rng.standard_normal()), p.lower, p.upper))
+        for p in problem.model.free_parameters
+    }
+    names = ("drift_z", "scale_w", "scale_z", "bias_w", "delta_s_lag", "delta_s_delay")
+    few = [made[name] for name in (*names, "delta_s_rate_limit", "misalignment_u_w")]
+    train, test = Dataset((data[0], data[1])), Dataset((data[2],))
+    found = improve(problem.model.with_values(values), train, test, candidates=few)
+    assert [step.added for step in found.steps] == ["drift_z"]
+    assert found.fit.values["E_drift_z"] == pytest.approx(0.131, abs=3 * 7e-5)
+    assert found.final_error["test"] == pytest.approx(1.0, abs=0.05)
+
+
+def test_what_only_thinned_records_show_is_no_claim(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rate limit in a log that is thinned: the lag that the means of commands make is dropped."""
+    problem = load_problem("torpedo")
+    made = {e.name: e for e in usual_effects(problem.model, records("torpedo"))}
+    hidden = made["delta_rate_limit"].with_values({"E_delta_rate_limit": 0.2635})
+    rng, run = np.random.default_rng(103), problem.experiment("pitching")
+    model = problem.true_model() + hidden
+    runs = [simulate(model, run, rng=rng, name=f"run {k}") for k in range(3)]
+    monkeypatch.setattr("oed_sysid.diagnosis.preparation._strides", lambda *_: [3, 3, 3])
+    few = [made[name] for name in ("delta_rate_limit", "delta_lag")]
+    train, test = Dataset((runs[0], runs[1])), Dataset((runs[2],))
+    found = improve(problem.model, train, test, candidates=few)
+    assert [step.added for step in found.steps] == ["delta_rate_limit"]
+    assert any("delta_lag was seen in the thinned records" in note for note in found.notes)
+
+
+def test_a_constant_log_is_refused_in_words() -> None:
+    """Signals that never move give no candidate a size."""
+    still = dataset(1)
+    flat = Dataset(tuple(replace(r, inputs=0 * r.inputs, outputs=0 * r.outputs) for r in still))
+    with pytest.raises(OedSysidError, match="do not move"):
+        improve(SHIP, flat)
