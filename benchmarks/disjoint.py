@@ -42,6 +42,7 @@ PAGE = Path(__file__).resolve().parent.parent / "docs" / "extrapolation.md"
 BEGIN, END = "<!-- disjoint: begin -->", "<!-- disjoint: end -->"
 Purpose = Callable[[Fit], Mapping[str, float]]
 Subset = tuple[int, ...]
+WHITE = MultipleShooting(disturbances="none")
 # Differences by a parameter, as a share of its standard error.
 NUDGE = 0.1
 KINDS = ("stated by the fit", "between records", "refits without each")
@@ -233,9 +234,8 @@ def cases() -> list[Case]:
     motion, heading = load_problem("kvlcc2", variant="mmg").data(), load_problem("kvlcc2")
     full = REGRESSION.fit(MAVMM.with_values(wake()), motion).model
     mmg = load_problem("kvlcc2", variant="mmg").model
-    white = MultipleShooting(disturbances="none")
     found = [
-        Case("Nomoto, white: K, T", Structure("", heading.model, white), heading.data()),
+        Case("Nomoto, white: K, T", Structure("", heading.model, WHITE), heading.data()),
         Case(
             "Nomoto, default: K, T",
             Structure("", heading.model, MultipleShooting()),
@@ -245,7 +245,7 @@ def cases() -> list[Case]:
     for name, model, estimator in (
         ("MAVMM, one step", full, REGRESSION),
         ("MAVMM, 10 s ahead", full, ahead(10.0)),
-        ("MMG, white", mmg, white),
+        ("MMG, white", mmg, WHITE),
         ("MMG, default", mmg, MultipleShooting()),
     ):
         one = Case(f"{name}: derivatives", Structure("", model, estimator), motion)
@@ -275,6 +275,35 @@ def _cell(scores: Scores | None) -> str:
     if scores is None:
         return "-"
     return f"{scores.rms:.2f}, {scores.median:.2f}, {100 * scores.coverage:.0f} %"
+
+
+def whole_table() -> list[str]:
+    """All records fitted together: how far the scatter between them exceeds stated errors."""
+    heading, motion = load_problem("kvlcc2"), load_problem("kvlcc2", variant="mmg")
+    esso = load_problem("esso_osaka")
+    zigzags = Dataset(tuple(r for r in esso.data() if r.name.startswith("zigzag")))
+    lines = [
+        "| all records together | records | parameters | told | most | median of all |",
+        "|---|---|---|---|---|---|",
+    ]
+    for ship, model, data in (
+        ("KVLCC2, Nomoto", heading.model, heading.data()),
+        ("KVLCC2, MMG", motion.model, motion.data()),
+        ("Esso Osaka zigzags, MMG with wind", esso.models["wind"], zigzags),
+    ):
+        for name, estimator in (("white", WHITE), ("default", MultipleShooting())):
+            fit = estimator.fit(model, data)
+            assert fit.record_scatter is not None
+            factor, clear = fit.record_scatter.exceeds(
+                np.diag(fit.covariance), np.diag(fit.information.covariance)
+            )
+            most = f"{fit.names[int(np.argmax(factor))]} {factor.max():.1f} times"
+            lines.append(
+                f"| {ship}, {name} | {len(data)} | {len(factor)} | {int(clear.sum())} | "
+                f"{most} | {np.median(factor):.1f} times |"
+            )
+            print(lines[-1], flush=True)
+    return lines
 
 
 # -- a truth that is known ---------------------------------------------------------
@@ -335,7 +364,6 @@ def simulated(
     )
     model = replace(model, outputs=outputs)
     true = np.array([model.values[name] for name in names])
-    estimator = MultipleShooting(disturbances="none")
     errors, stated, between, told = [], [], [], 0
     for repeat in range(repeats):
         rng = np.random.default_rng((seed, repeat))
@@ -346,7 +374,7 @@ def simulated(
             run = simulate_inputs(at, log.times, inputs=log.inputs, initial={})
             noisy = run.outputs + levels * rng.standard_normal(run.outputs.shape)
             runs.append(Record(log.name, log.times, log.inputs, noisy, model.channels))
-        fit = estimator.fit(model, Dataset(tuple(runs)))
+        fit = WHITE.fit(model, Dataset(tuple(runs)))
         errors.append(fit.estimates - true)
         stated.append([fit.std_errors[name] for name in names])
         between.append([fit.record_errors[name] for name in names])
@@ -389,6 +417,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     chosen = [case for case in cases() if given.only in case.name]
     lines = table(chosen, given.partitions)
+    if not given.only:
+        lines += ["", *whole_table()]
     if given.repeats:
         lines += ["", *truth_table(given.repeats)]
     if given.write:

@@ -83,7 +83,7 @@ def test_intervals_hold_and_are_not_smaller_than_honest(variation: float) -> Non
     """Noise alone, or parameters that vary from record to record: 95 % intervals hold."""
     rng = np.random.default_rng(3)
     errors, squares, held, stated = [], [], [], []
-    for _ in range(800):
+    for _ in range(500):
         matrices, scores, error, inverse = sums(rng, variation)
         scatter = record_scatter(matrices, scores, np.zeros((2, 2)))
         assert scatter is not None
@@ -105,13 +105,13 @@ def test_differences_that_noise_explains_are_seldom_told() -> None:
     told = {}
     for variation in (0.0, 2.0):
         count = 0
-        for _ in range(800):
+        for _ in range(500):
             matrices, scores, _, inverse = sums(rng, variation)
             scatter = record_scatter(matrices, scores, np.zeros((2, 2)))
             assert scatter is not None
             white = np.diag(inverse)
             count += bool(scatter.exceeds(white, white)[1].any())
-        told[variation] = count / 800
+        told[variation] = count / 500
     assert told[0.0] < 0.025
     assert told[2.0] > 0.9
 
@@ -130,6 +130,19 @@ def test_a_parameter_of_one_record_has_no_scatter() -> None:
     factor, clear = scatter.exceeds(np.full(2, 1e-9), np.full(2, 0.05))
     assert factor[0] > 100.0
     assert clear.tolist() == [True, False]
+
+
+def test_what_a_prior_decides_keeps_its_error() -> None:
+    """Records that tell nothing neither shrink the error of a prior nor differ."""
+    rng = np.random.default_rng(6)
+    matrices, scores, _, _ = sums(rng, 2.0)
+    weak = [1e-4 * matrix for matrix in matrices]
+    scatter = record_scatter(weak, [1e-4 * score for score in scores], np.eye(2))
+    assert scatter is not None
+    assert np.diag(scatter.covariance) == pytest.approx(np.ones(2), rel=0.1)
+    factor, clear = scatter.exceeds(np.ones(2), np.diag(np.linalg.inv(np.eye(2) + sum(weak))))
+    assert factor == pytest.approx(np.ones(2), rel=0.1)
+    assert not clear.any()
 
 
 def test_a_fit_says_that_records_differ(fit: Fit) -> None:

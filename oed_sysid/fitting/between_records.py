@@ -12,8 +12,10 @@ eliminated, the estimate without this record is to first order
 and the delete-one jackknife over *n* records is
 
 .. math::
-    C_r = \frac{n-1}{n} \sum_i (\hat p_{(i)} - \bar p)(\hat p_{(i)} - \bar p)', \qquad
-    \bar p = \frac1n \sum_i \hat p_{(i)}.
+    C_r = \frac{n-1}{n} \sum_i (\hat p_{(i)} - \bar p)(\hat p_{(i)} - \bar p)'
+        + H^{-1} \Lambda H^{-1}, \qquad \bar p = \frac1n \sum_i \hat p_{(i)},
+
+priors of information :math:`\Lambda` being as uncertain as they say.
 
 It is the covariance that is robust to correlation within clusters, CR3, with records as clusters.
 It asks of records only that they are independent of one another: colour, forces and missing
@@ -22,7 +24,7 @@ degrees of freedom. What all records share, such as the scale of the one sensor,
 
 If noise alone acted, and as the information says, its expectation would be
 
-.. math:: E_r = \frac{n-1}{n} \sum_i (H - H_i)^{-1} H_i H^{-1},
+.. math:: E_r = \frac{n-1}{n} \sum_i (H - H_i)^{-1} H_i H^{-1} + H^{-1} \Lambda H^{-1},
 
 which is :math:`H^{-1}` for records that tell the same and more for unequal ones. Records differ by
 more than the stated errors say where the diagonal of :math:`C_r` exceeds that of :math:`E_r`, this
@@ -167,14 +169,15 @@ def record_scatter(
         moved[index] = without @ (score - matrix @ step)
         shares[index] = np.diag(without @ matrix @ inverse)
     moved -= moved.mean(axis=0)
-    covariance = (n - 1) / n * moved.T @ moved
+    assumed = inverse @ prior @ inverse
+    covariance = (n - 1) / n * moved.T @ moved + assumed
     covariance[alone, :] = covariance[:, alone] = 0.0
     covariance[alone, alone] = np.inf
     shares = np.maximum(shares, 0.0)
     total = shares.sum(axis=0)
     squares = np.where(total > 0, (shares**2).sum(axis=0), 1.0)
     freedom = np.clip(total**2 / squares - 1.0, 1.0, n - 1.0)
-    return RecordScatter(covariance, (n - 1) / n * total, freedom, n)
+    return RecordScatter(covariance, (n - 1) / n * total + np.diag(assumed), freedom, n)
 
 
 def eliminate_own(

@@ -8,8 +8,9 @@ With the estimates (or predictions) :math:`q_{(i)}` from all records but the *i*
 
 and an interval is :math:`q \pm t_{n-1} \sqrt{\operatorname{var} q}` with Student's quantile. What
 differs from record to record and no parameter says, missing structure among it, is in it; an error
-that all records share is not. Every fit of four records or more has the same to first order at no
-cost (:mod:`oed_sysid.fitting.between_records`); refits hold what is nonlinear as well.
+that all records share, or that of a prior, is not. Every fit of four records or more has the same
+to first order at no cost (:mod:`oed_sysid.fitting.between_records`); refits hold what is nonlinear
+as well.
 
 References
 ----------
