@@ -325,6 +325,7 @@ class Fit(Estimate):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain data for JSON."""
+        between = {n: e if np.isfinite(e) else None for n, e in self.record_errors.items()}
         return {
             "model": self.model.name,
             "estimator": self.estimator,
@@ -339,6 +340,8 @@ class Fit(Estimate):
                     "name": name,
                     "value": value,
                     "std_error": self.std_errors[name],
+                    # Null where nothing tells: three records or fewer, another estimator.
+                    "record_error": between.get(name),
                     "unit": self.model.parameter(name).unit,
                 }
                 for name, value in self.values.items()
