@@ -65,6 +65,7 @@ _HOME = {
     "list_problems": "problem",
     "load_problem": "problem",
     "new_problem": "problem",
+    "jackknife": "predictions.jackknife",
     "turning_circle": "predictions.turning_circle",
     "speed_polar": "predictions.speed_polar",
     "AOptimal": "design",
@@ -164,6 +165,7 @@ if TYPE_CHECKING:
     from oed_sysid.model import Model
     from oed_sysid.noise.model import NoiseModel
     from oed_sysid.parameters import Parameter
+    from oed_sysid.predictions.jackknife import jackknife
     from oed_sysid.predictions.speed_polar import speed_polar
     from oed_sysid.predictions.turning_circle import turning_circle
     from oed_sysid.problem import Problem, list_problems, load_problem, new_problem

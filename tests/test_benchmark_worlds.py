@@ -108,3 +108,17 @@ def test_names_of_runs_without_a_world_are_what_they_were() -> None:
     assert plain != world
     with pytest.raises(ProblemError, match="no world"):
         run_cell(Cell(PROBLEM, "multiple_shooting", 1.0, world="spike"))
+
+
+def test_models_with_actuators_are_pushed_too() -> None:
+    """A force sees the actuators, and the push comes beside them."""
+    scenario = load_scenario("remus_diving_plane")
+    model = scenario.with_noise(scenario.noise(1.0))
+    assert model.actuators
+    still, pushed = (
+        WORLDS[name].record(model, scenario.train[0], rng=np.random.default_rng(0), noise=False)
+        for name in ("ideal", "forces_5")
+    )
+    moved = np.std(pushed.outputs - still.outputs, axis=0) / np.std(still.outputs, axis=0)
+    assert (moved > 0.003).all()
+    assert (moved < 1.0).all()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.scoreboard import __main__ as board
-from benchmarks.scoreboard import boehm, esso_osaka, roll_decay, silverbox, tanks
+from benchmarks.scoreboard import boehm, esso_osaka, roll_decay, silverbox, tanks, turns
 from oed_sysid import Record, load_problem
 from oed_sysid.data.third_party import data_folder
 from oed_sysid.simulation import simulate_inputs
@@ -169,3 +169,17 @@ def test_petab_files_become_a_model_that_fits(
         for k in np.linspace(0.04, 0.06, 201)
     )
     assert row.ours == pytest.approx(best, abs=0.01)
+
+
+def test_turns_are_summed_up_by_quantity() -> None:
+    """Rms over turns of the advance, then of the tactical diameter; the transfer is not scored."""
+    measured = {
+        f"{name} turn_{side}": 2.0
+        for side in ("port", "starboard")
+        for name in ("advance", "transfer", "tactical_diameter")
+    }
+    found = dict(measured)
+    found["advance turn_port"], found["advance turn_starboard"] = 2.06, 1.92  # 3 and -4 per cent
+    found["tactical_diameter turn_port"] = 2.2
+    found["transfer turn_port"] = 9.0
+    assert turns._reached(found, measured) == "4 / 7"

@@ -4,6 +4,8 @@ Families, variants, settings and the score are those of ``problems/kvlcc2/struct
 what this ship's records have: wind, no measured thrust, no captive tests. A turn is replayed
 with its measured rudder, revolutions and wind from the state at the execute; nothing after that
 is used. Indices are of the track that u, v and heading integrate to, measured and predicted alike.
+
+python -m benchmarks.scoreboard.turns says what the same structures reach when turns are fitted too.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from benchmarks.scoreboard.row import Row
-from oed_sysid import Dataset, Fit, Record, load_problem
+from oed_sysid import Dataset, Fit, MultipleShooting, Record, load_problem
 from oed_sysid.errors import DataError, SimulationError
 from oed_sysid.manoeuvres.indices import turning_indices
 from oed_sysid.predictions.structures import (
@@ -28,7 +30,7 @@ from problems.esso_osaka.mavmm import MAVMM
 from problems.esso_osaka.missing import WIND
 from problems.esso_osaka.particulars import LENGTH
 from problems.esso_osaka.records import VALIDATION
-from problems.kvlcc2.structures import HORIZON, SCORED, variants
+from problems.kvlcc2.structures import HORIZON, HORIZONS, REGRESSION, SCORED, ahead, variants
 
 QUANTITIES = ("advance", "transfer", "tactical_diameter")
 SETTLED = 30.0  # s for which an order must stand to be the turn's
@@ -144,3 +146,59 @@ def _rows(what: str, found: tuple[StructureAverage, Mapping[str, float]]) -> Seq
         title = f"Esso Osaka, {run}, {quantity.replace('_', ' ')} from {what}, error"
         rows.append(Row(title, error, "-", "%", note))
     return rows
+
+
+def reach() -> list[str]:
+    """Errors of the four turns by what was fitted: zigzags, these and the turns, the turns alone.
+
+    What a structure errs in turns that it was fitted to is no prediction: it is what these records
+    and this structure leave, and no transfer from zigzags can be expected to do better.
+    """
+    data = load_problem("esso_osaka").data()
+    runs = {kind: [r for r in data if r.name.startswith(kind)] for kind in ("zigzag", "turn")}
+    purpose, measured = turns(Dataset(tuple(runs["turn"])))
+    whole = MultipleShooting(disturbances="none")
+    sets = {
+        "zigzags": runs["zigzag"],
+        "zigzags and turns": [*runs["zigzag"], *runs["turn"]],
+        "turns": runs["turn"],
+    }
+    lines = [
+        "| structure | " + " | ".join(sets) + " |",
+        "|" + "---|" * (len(sets) + 1),
+    ]
+    families = (
+        ("MAVMM, one step", MAVMM, REGRESSION),
+        ("MAVMM, 10 s ahead", MAVMM, ahead(HORIZONS[0])),
+        ("MAVMM, 40 s ahead", MAVMM, ahead(HORIZONS[1])),
+        ("MAVMM, whole runs", MAVMM, whole),
+        ("MMG, 10 s ahead", MMG + WIND, ahead(HORIZONS[0])),
+        ("MMG, whole runs", MMG + WIND, whole),
+    )
+    for name, model, estimator in families:
+        cells = []
+        for chosen in sets.values():
+            fitted = Dataset(tuple(chosen))
+            # Searches of the polynomial begin where its regression ended.
+            start = REGRESSION.fit(model, fitted).model if model is MAVMM else model
+            cells.append(_reached(purpose(estimator.fit(start, fitted)), measured))
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+        print(lines[-1], flush=True)
+    return lines
+
+
+def _reached(found: Mapping[str, float], measured: Mapping[str, float]) -> str:
+    """Rms error over the turns of the advance and of the tactical diameter, per cent."""
+    cells = []
+    for quantity in SCORED:
+        errors = [
+            100 * (found[name] / value - 1)
+            for name, value in measured.items()
+            if name.split()[0] == quantity
+        ]
+        cells.append(f"{np.sqrt(np.mean(np.square(errors))):.0f}")
+    return " / ".join(cells)
+
+
+if __name__ == "__main__":
+    reach()

@@ -122,8 +122,11 @@ class World:
         run = simulate_inputs(probe, clean.times, inputs=clean.inputs, initial=start)
         levels = self.forces * np.abs(run.outputs).max(axis=0)
         pushes = [f"push_{i}" for i in range(len(places))]
+        # Forces of a model with actuators see these, not its inputs.
+        through = {name: name for name in pushes} if model.actuators else {}
         pushed = replace(
             model,
+            actuators={**model.actuators, **through},
             inputs=(*model.inputs, *(Input(name, "1", interpolation="linear") for name in pushes)),
             effects=(
                 *model.effects,

@@ -26,6 +26,7 @@ module                          subject
 ``filtered``, ``random_forces`` random forces and coloured sensors: filter, levels, tests
 ``gauss_newton``                the search
 ``covariance``, ``summary``     what the end says about errors, as a :class:`~.fit.Fit`
+``between_records``             errors from what records say apart from one another
 ``prediction``                  other records, with bands
 ``archive``                     fits as files
 =============================== ===========================================================

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from oed_sysid.fitting.between_records import FEWEST_RECORDS, RecordScatter, record_scatter
 from oed_sysid.fitting.fit import COLOUR_LIMIT
 from oed_sysid.fitting.shooting import Linearisation, Loss, Shooting
 from oed_sysid.information import (
@@ -86,6 +87,21 @@ class ReducedProblem:
         stacked = [rows.reshape(rows.shape[0] * rows.shape[1], n_shared) for rows in self.rows]
         jacobian = np.vstack([*stacked, *self.prior_rows])
         return Information.from_jacobian(self.shooting.layout.shared_names, jacobian, scales)
+
+    @property
+    def between_records(self) -> RecordScatter | None:
+        """Scatter of the shared parameters between records; None for fewer than four."""
+        if len(self.rows) < FEWEST_RECORDS or not len(self.shooting.layout.shared):
+            return None
+        matrices, scores = [], []
+        for rows, residual in zip(self.rows, self.scores, strict=True):
+            flat = rows.reshape(-1, rows.shape[2])
+            matrices.append(flat.T @ flat)
+            # Residuals count once with the slope of a robust loss, not twice.
+            own = (rows / np.sqrt(self.gain)[:, None]).reshape(-1, rows.shape[2])
+            scores.append(own.T @ np.nan_to_num(residual).ravel())
+        prior = sum((rows.T @ rows for rows in self.prior_rows), np.zeros_like(matrices[0]))
+        return record_scatter(matrices, scores, prior)
 
     @property
     def is_coloured(self) -> bool:

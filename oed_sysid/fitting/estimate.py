@@ -11,6 +11,8 @@ from scipy.special import ndtri
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.frames import frame
+from oed_sysid.errors import DataError
+from oed_sysid.fitting.between_records import FEWEST_RECORDS, RecordScatter
 from oed_sysid.information import Information, Whiteness, whiteness
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
@@ -68,6 +70,7 @@ class Estimate:
     innovations: tuple[np.ndarray, ...] | None = None
     innovation_std: tuple[np.ndarray, ...] | None = None
     start_states: tuple[Mapping[str, tuple[float, float]], ...] = ()
+    record_scatter: RecordScatter | None = None
 
     def __post_init__(self) -> None:
         if self.noise is None:
@@ -83,6 +86,17 @@ class Estimate:
     def std_errors(self) -> dict[str, float]:
         """Standard error by name."""
         errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return dict(zip(self.names, map(float, errors), strict=True))
+
+    @property
+    def record_errors(self) -> dict[str, float]:
+        """Standard error by name from the scatter between records; empty for fewer than four.
+
+        To first order; see :mod:`oed_sysid.fitting.between_records`.
+        """
+        if self.record_scatter is None:
+            return {}
+        errors = np.sqrt(np.diag(self.record_scatter.covariance))
         return dict(zip(self.names, map(float, errors), strict=True))
 
     @property
@@ -163,7 +177,24 @@ class Estimate:
 
         Normal; log-normal where the parameter was estimated as its logarithm.
         """
-        half = ndtri(0.5 + level / 2) * self.std_errors[name]
+        half = float(ndtri(0.5 + level / 2)) * self.std_errors[name]
+        return self._about(name, half)
+
+    def record_interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval of one parameter from the scatter between records.
+
+        Of Student's distribution with one degree of freedom less than there are records.
+
+        Raises
+        ------
+        DataError
+            If there are fewer than four records.
+        """
+        half = checked_scatter(self).half_width(level)[self.names.index(name)]
+        return self._about(name, float(half))
+
+    def _about(self, name: str, half: float) -> tuple[float, float]:
+        """Values at either side of an estimate."""
         if self.model.parameter(name).log:
             factor = np.exp(half / self.values[name])
             return float(self.values[name] / factor), float(self.values[name] * factor)
@@ -214,3 +245,20 @@ class Estimate:
             "unit": [self.model.parameter(name).unit for name in self.names],
         }
         return frame(columns).set_index("parameter")
+
+
+def checked_scatter(fit: Estimate) -> RecordScatter:
+    """Scatter between records of a fit that has one.
+
+    Raises
+    ------
+    DataError
+        If it has none.
+    """
+    if fit.record_scatter is None:
+        raise DataError(
+            f"This fit of {len(fit.dataset)} records does not tell how they scatter. Fit "
+            f"{FEWEST_RECORDS} records or more by MultipleShooting, or refit without each of them "
+            "by jackknife()."
+        )
+    return fit.record_scatter

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,8 @@ from oed_sysid.display import as_html
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.effects.base import RandomProcess
 from oed_sysid.fitting.archive import encode
-from oed_sysid.fitting.estimate import Estimate, Status
+from oed_sysid.fitting.between_records import RecordScatter
+from oed_sysid.fitting.estimate import Estimate, Status, checked_scatter
 from oed_sysid.fitting.explained import grave
 from oed_sysid.fitting.judgement import Concern, judge
 from oed_sysid.fitting.prediction import Initial, Prediction, predict
@@ -89,6 +90,10 @@ class Fit(Estimate):
     start_states : tuple of mapping
         Start states that were not free, per record: value and standard error, zero
         where the state was held. Empty where all were free.
+    record_scatter : RecordScatter, or None
+        How the estimates scatter between records, to first order; None for fewer than four, or
+        where the estimator does not tell. :attr:`record_errors` and :meth:`record_interval` are
+        of it.
     """
 
     @cached_property
@@ -119,6 +124,24 @@ class Fit(Estimate):
         columns = [self.names.index(shared[i]) for i in known]
         covariance[np.ix_(known, known)] = self.covariance[np.ix_(columns, columns)]
         return predict(self.model, dataset, covariance, self.noise, initial=initial)
+
+    def with_record_errors(self) -> Fit:
+        """Return the same fit, its covariance that of the scatter between records.
+
+        Standard errors, predictions and what is drawn from the fit (turning circles) then hold what
+        differs from record to record. Parameters that one record alone tells keep their own.
+
+        Raises
+        ------
+        DataError
+            If there are fewer than four records.
+        """
+        scatter = checked_scatter(self)
+        found = np.diag(scatter.covariance)
+        covariance = np.where(np.isfinite(scatter.covariance), scatter.covariance, 0.0)
+        alone = ~np.isfinite(found)
+        covariance[alone, alone] = np.diag(self.covariance)[alone]
+        return replace(self, covariance=covariance)
 
     def save(self, path: str | Path, **made: Any) -> None:
         """Write the fit, its model and its data to a JSON file; :meth:`load` reads it.
@@ -170,7 +193,11 @@ class Fit(Estimate):
     def _parameter_table(self) -> list[str]:
         if not self.names:
             return ["  no free parameter: initial states only"]
-        rows = [("parameter", "value", "std. error", "rel. %", "unit", "")]
+        # A column of its own where the stated errors do not hold what differs between records.
+        differ = any(concern.kind == "records_differ" for concern in self.concerns)
+        scattered = self.record_errors
+        head = ("std. error", "between records") if differ else ("std. error",)
+        rows = [("parameter", "value", *head, "rel. %", "unit", "")]
         errors = self.std_errors
         for name, value in self.values.items():
             parameter = self.model.parameter(name)
@@ -185,6 +212,7 @@ class Fit(Estimate):
                     name,
                     f"{value:.6g}",
                     f"{errors[name]:.2g}",
+                    *((f"{scattered[name]:.2g}",) if differ else ()),
                     f"{relative:.2g}",
                     parameter.unit,
                     note,
@@ -297,6 +325,7 @@ class Fit(Estimate):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain data for JSON."""
+        between = {n: e if np.isfinite(e) else None for n, e in self.record_errors.items()}
         return {
             "model": self.model.name,
             "estimator": self.estimator,
@@ -311,6 +340,8 @@ class Fit(Estimate):
                     "name": name,
                     "value": value,
                     "std_error": self.std_errors[name],
+                    # Null where nothing tells: three records or fewer, another estimator.
+                    "record_error": between.get(name),
                     "unit": self.model.parameter(name).unit,
                 }
                 for name, value in self.values.items()
@@ -341,7 +372,19 @@ def align(rows: Sequence[Sequence[str]]) -> list[str]:
 
 # Everything that a saved fit is made of.
 ARCHIVED: tuple[type, ...] = (
-    *(Fit, Status, Information, NoiseModel, Model, Function, Parameter, Dataset, Record, Channels),
+    *(
+        Fit,
+        Status,
+        Information,
+        NoiseModel,
+        RecordScatter,
+        Model,
+        Function,
+        Parameter,
+        Dataset,
+        Record,
+        Channels,
+    ),
     *(State, Input, Output, Actuator, Environment, Force, Inertia, Sensor, ExtraState, Memory),
     RandomProcess,
 )

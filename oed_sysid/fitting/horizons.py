@@ -30,6 +30,12 @@ import numpy as np
 
 from oed_sysid.compiled.normal_equations import gather
 from oed_sysid.errors import DataError
+from oed_sysid.fitting.between_records import (
+    FEWEST_RECORDS,
+    RecordScatter,
+    eliminate_own,
+    record_scatter,
+)
 from oed_sysid.fitting.fit import Fit, Status
 from oed_sysid.fitting.gauss_newton import Progress
 from oed_sysid.fitting.shooting import Shooting, replace_values
@@ -72,6 +78,7 @@ class _Evaluation:
     right: np.ndarray
     maps: tuple[np.ndarray, ...]
     scores: tuple[np.ndarray, ...]
+    own: tuple[np.ndarray, ...]
 
 
 class Horizons:
@@ -146,7 +153,7 @@ class Horizons:
         n_own, n = layout.n_own, len(self._kept)
         n_full = shooting.kernel.n_full
         matrix, right = np.zeros((n, n)), np.zeros(n)
-        cost, maps, scores = 0.0, [], []
+        cost, maps, scores, sums = 0.0, [], [], []
         weak = np.diag((VAGUE * shooting.state_scale[:n_own]) ** -2.0)
         for part, at in zip(self.windows, nodes, strict=True):
             record = shooting.records[part.record]
@@ -175,14 +182,17 @@ class Horizons:
             solved = np.linalg.solve(inner, outer)
             reduced = gram[:, n_full:, n_full:] - np.swapaxes(outer, 1, 2) @ solved
             columns = self._columns[part.record]
-            matrix[np.ix_(columns, columns)] += reduced[:, :-1, :-1].sum(axis=0)
+            part_sum = np.zeros((n, n))
+            part_sum[np.ix_(columns, columns)] = reduced[:, :-1, :-1].sum(axis=0)
+            matrix += part_sum
+            sums.append(part_sum)
             right[columns] += reduced[:, :-1, -1].sum(axis=0)
             own = np.zeros((len(gram), n))
             own[:, columns] = reduced[:, :-1, -1]
             maps.append(solved)
             scores.append(own)
         cost += shooting.prior_cost(self._without_states(unknowns))
-        return _Evaluation(cost, matrix, right, tuple(maps), tuple(scores))
+        return _Evaluation(cost, matrix, right, tuple(maps), tuple(scores), tuple(sums))
 
     def _without_states(self, unknowns: np.ndarray) -> np.ndarray:
         """Unknowns whose start states are at their priors, which do not count here."""
@@ -352,6 +362,7 @@ def fit_horizons(
         estimates=layout.shared_values(unknowns)[0],
         information=information,
         covariance=covariance,
+        record_scatter=_between_records(problem, unknowns, now),
         coloured=coloured != "never",
         sigma=shooting.sigma.copy(),
         sigma_estimated=np.asarray(estimated, dtype=bool),
@@ -366,6 +377,36 @@ def fit_horizons(
         seconds=time.perf_counter() - began,
         extras={"horizon": horizon, "windows": sum(int(p.counted.sum()) for p in problem.windows)},
     )
+
+
+def _between_records(
+    problem: Horizons, unknowns: np.ndarray, now: _Evaluation | None
+) -> RecordScatter | None:
+    """Scatter of the shared parameters between records; None for fewer than four."""
+    limits, layout = problem.shooting.limits, problem.shooting.layout
+    if now is None or layout.n_records < FEWEST_RECORDS:
+        return None
+    n_shared, n = len(layout.shared), len(problem._kept)
+    slopes = layout.shared_values(unknowns)[1]
+    weight = limits.prior_weight[problem._kept]
+    away = weight * (limits.prior_mean - unknowns)[problem._kept]
+    shared = np.arange(n_shared)
+    local = np.flatnonzero(~limits.held[problem._kept])
+    local = local[local >= n_shared]
+    matrices, scores = [], []
+    for index in range(layout.n_records):
+        matrix, right = np.zeros((n, n)), np.zeros(n)
+        for part, added, own in zip(problem.windows, now.own, now.scores, strict=True):
+            if part.record == index:
+                matrix += added
+                right += own.sum(axis=0)
+        others = np.intersect1d(local, problem._columns[index])
+        matrix[others, others] += weight[others]
+        right[others] += away[others]
+        information, score = eliminate_own(matrix, right, shared, others)
+        matrices.append(information / slopes[:, None] / slopes)
+        scores.append(score / slopes)
+    return record_scatter(matrices, scores, np.diag(weight[:n_shared] / slopes**2))
 
 
 def problem_freedom(problem: Horizons) -> float:

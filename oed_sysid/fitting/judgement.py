@@ -73,6 +73,8 @@ ABSORBED = 1.5
 FOLLOWS_CHANCE, FOLLOWS_RECORDS = 0.05, 4
 # Effect on the outputs of noise in a logged input, in noise levels.
 INPUT_EFFECT = 0.1
+# Parameters that are named where records differ.
+NAMED = 3
 # Kinds that make a fit not converged, worst first.
 FATAL = ("runaway", "integration", "degenerate")
 
@@ -85,8 +87,8 @@ class Concern:
     ----------
     kind : str
         ``noise_level``, ``colour``, ``spikes``, ``delay``, ``per_record_follows``,
-        ``input_noise``, ``absorbed``, ``integration``, ``runaway``, ``degenerate`` or
-        ``few_samples``.
+        ``records_differ``, ``input_noise``, ``absorbed``, ``integration``, ``runaway``,
+        ``degenerate`` or ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
     record : str
@@ -94,9 +96,9 @@ class Concern:
     size : float
         A factor of the level (``noise_level``, ``absorbed``), the share of independent samples
         (``colour``), a number of samples (``spikes``), seconds (``delay``), a correlation
-        (``per_record_follows``), noise levels (``integration``, ``input_noise``), multiples of
-        the scale (``runaway``) or of the signal (``degenerate``), samples per unknown
-        (``few_samples``).
+        (``per_record_follows``), a factor of the standard error (``records_differ``), noise
+        levels (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of the
+        signal (``degenerate``), samples per unknown (``few_samples``).
     text : str
         What was expected, what was found, what to do.
     """
@@ -152,6 +154,7 @@ def judge(fit: Estimate) -> tuple[Concern, ...]:
     return (
         *found,
         *_few_samples(fit),
+        *_records_differ(fit),
         *spikes,
         *delay_concerns(fit),
         *level_concerns(fit),
@@ -592,6 +595,34 @@ def _few_samples(fit: Estimate) -> tuple[Concern, ...]:
             f"{fit.n_observations} samples for {fit.n_unknowns} unknowns: residuals are small "
             f"whatever the model is (at least {FEW:g} samples per unknown expected). Measure "
             "longer, or fix what is known.",
+        ),
+    )
+
+
+def _records_differ(fit: Estimate) -> tuple[Concern, ...]:
+    """Estimates that scatter between records by more than their standard errors say."""
+    scatter = fit.record_scatter
+    if scatter is None:
+        return ()
+    with np.errstate(invalid="ignore"):
+        white = np.diag(fit.information.covariance)
+    factor, clear = scatter.exceeds(np.diag(fit.covariance), white)
+    if not clear.any():
+        return ()
+    order = [int(i) for i in np.argsort(-factor) if clear[i]]
+    worst = ", ".join(f"{fit.names[i]} {factor[i]:.2g} times" for i in order[:NAMED])
+    more = f" and {len(order) - NAMED} more" if len(order) > NAMED else ""
+    return (
+        Concern(
+            "records_differ",
+            fit.names[order[0]],
+            "",
+            float(factor[order[0]]),
+            f"Estimates scatter between the {scatter.n_records} records by more than their "
+            f"standard errors say: {worst}{more}. Something acts that no parameter says and that "
+            "differs from record to record. Use the errors between records (fit.record_errors, "
+            "fit.with_record_errors(); jackknife() refits), and look for what is missing with "
+            "improve().",
         ),
     )
 

@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 
+from oed_sysid.compiled.filtering import FilterPass
+from oed_sysid.fitting.between_records import (
+    FEWEST_RECORDS,
+    RecordScatter,
+    eliminate_own,
+    record_scatter,
+)
 from oed_sysid.fitting.covariance import ReducedProblem
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.fit import Fit, Status
@@ -97,6 +105,7 @@ def summarise(
         estimates=layout.shared_values(unknowns)[0],
         information=information,
         covariance=covariance,
+        record_scatter=reduced.between_records,
         coloured=use,
         sigma=shooting.sigma.copy(),
         sigma_estimated=np.asarray(estimated, dtype=bool),
@@ -150,7 +159,8 @@ def summarise_filtered(
     )
     noise = problem.noise(unknowns)
     measured = [np.isfinite(record.outputs) for record in problem.records]
-    passes = problem.passes(unknowns, columns=False)
+    # Derivatives serve the scatter between records alone.
+    passes = problem.passes(unknowns, columns=len(problem.records) >= FEWEST_RECORDS)
     predictions, states, residuals, initial, local = [], [], [], [], []
     free = np.array([layout.parameters(unknowns, i) for i in range(len(problem.records))])
     at = model.with_values(_means(model, layout.free_names, free))
@@ -171,6 +181,7 @@ def summarise_filtered(
         estimates=estimates,
         information=information,
         covariance=information.covariance,
+        record_scatter=_between_records(problem, unknowns, passes),
         coloured=False,
         sigma=noise.white.copy(),
         sigma_estimated=np.asarray(estimated, dtype=bool),
@@ -220,6 +231,44 @@ def eliminate(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.nd
     cross = matrix[np.ix_(kept, others[seen])] / size[seen]
     root = cross @ (vectors[:, clear] / np.sqrt(values[clear]))
     return matrix[np.ix_(kept, kept)] - root @ root.T
+
+
+def _between_records(
+    problem: Filtered, unknowns: np.ndarray, passes: Sequence[FilterPass]
+) -> RecordScatter | None:
+    """Scatter of the shared parameters between records.
+
+    Derivatives are those at frozen gain; levels of the noise are taken as they are, as mean and
+    variance of an innovation are estimated independently of one another.
+    """
+    if len(passes) < FEWEST_RECORDS:
+        return None
+    layout, limits = problem.layout, problem.limits
+    n_shared, n_own = len(layout.shared), layout.n_own
+    slopes = layout.shared_values(unknowns)[1]
+    away = limits.prior_mean - unknowns
+    matrices, scores = [], []
+    for index, part in enumerate(passes):
+        columns = layout.record_columns(index)
+        size = np.concatenate([np.ones(n_own), layout.slopes(unknowns[columns[n_own:]])])
+        width = len(columns)
+        matrix = part.gram[:width, :width] * size[:, None] * size
+        right = -part.gram[:width, -1] * size
+        shared = n_own + layout.shared
+        others = np.setdiff1d(np.arange(width), shared)
+        others = others[~limits.held[columns[others]]]
+        own = limits.prior_weight[columns[others]]
+        matrix[others, others] += own
+        right[others] += own * away[columns[others]]
+        information, score = eliminate_own(matrix, right, shared, others)
+        matrices.append(information / slopes[:, None] / slopes)
+        scores.append(score / slopes)
+    weight = limits.prior_weight[:n_shared]
+    prior = np.diag(weight / slopes**2)
+    if problem.knowledge is not None:
+        prior = prior + problem.knowledge.information / slopes[:, None] / slopes
+    gradient = np.sum(scores, axis=0) + weight * away[:n_shared] / slopes
+    return record_scatter(matrices, scores, prior, gradient=gradient)
 
 
 def _means(model: Model, names: tuple[str, ...], free: np.ndarray) -> dict[str, float]:

@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
@@ -38,21 +38,14 @@ from oed_sysid.fitting.captive import CaptiveTests
 from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.fitting.start_guess import measured_states
 from oed_sysid.model import Model
+from oed_sysid.predictions.jackknife import Estimator, Purpose, leave_out
 
-Purpose = Callable[[Fit], Mapping[str, float]]
 # Records whose strengths differ by less than this share are of one rung.
 SAME_STRENGTH = 0.05
 # Rungs of the ladder, the strongest records, which are only predicted, not counted.
 MOST_RUNGS = 3
 # Weights below this are not worth a jackknife.
 LEAST_WEIGHT = 0.05
-
-
-class Estimator(Protocol):
-    """What is asked of an estimator here."""
-
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -492,11 +485,9 @@ def _step_error(
 
 
 def record_errors(structure: Structure, dataset: Dataset, purpose: Purpose) -> dict[str, float]:
-    r"""Standard deviations of wanted quantities from what records say apart from one another.
+    """Standard errors of wanted quantities from what records say apart from one another.
 
-    The delete-one jackknife over records,
-    :math:`\sqrt{(n-1)/n \sum_i (q_{(i)} - \bar q)^2}`: what differs from record to record and no
-    parameter says, missing structure among it, is in it; an error that all records share is not.
+    Those of :func:`oed_sysid.predictions.jackknife.jackknife`, which has intervals as well.
 
     Parameters
     ----------
@@ -510,24 +501,5 @@ def record_errors(structure: Structure, dataset: Dataset, purpose: Purpose) -> d
     -------
     dict of str to float
         Infinite where fewer than two of the fits succeed.
-
-    References
-    ----------
-    Efron & Stein (1981), The jackknife estimate of variance, Ann. Statist. 9.
     """
-    names = tuple(purpose(structure.fit(dataset)))
-    found = []
-    for left in dataset.names:
-        rest = _chosen(dataset, [name for name in dataset.names if name != left])
-        try:
-            wanted = purpose(structure.fit(rest))
-        except OedSysidError:
-            continue  # one record fewer in the variance, which the factor below counts
-        found.append([wanted[name] for name in names])
-    table = np.array(found)
-    table = table[np.isfinite(table).all(axis=1)] if table.size else np.empty((0, len(names)))
-    n = len(table)
-    if n < 2:
-        return dict.fromkeys(names, math.inf)
-    variance = (n - 1) / n * np.sum((table - table.mean(axis=0)) ** 2, axis=0)
-    return dict(zip(names, map(float, np.sqrt(variance)), strict=True))
+    return leave_out(structure.fit, dataset, purpose).std_errors
