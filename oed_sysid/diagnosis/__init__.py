@@ -15,6 +15,10 @@ module                          question
 ``score``, ``rank``             which effect would explain it
 ``propose``, ``dictionary``     which term would, if no known effect does
 ``improve``, ``improvement``    the loop, and its result
+``standing``, ``reconsider``    where the loop stands, and its second thoughts
+``smoothers``                   which effects only smooth the noise of a logged input
+``unknown_term``                when a term is taken that is in no vocabulary
+``usual``, ``sizes``            candidates where nobody named any
 ``remainder``                   what is left
 =============================== ===========================================================
 """

@@ -1,0 +1,79 @@
+"""Where a search stands: what it has added, the fits on the way, and how these are judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.diagnosis.improvement import RISE
+from oed_sysid.diagnosis.rank import FALSE_CLAIMS, FALSE_CLAIMS_BEFORE_TEST, Ranking
+from oed_sysid.diagnosis.study import Study, total_error
+from oed_sysid.effects import Effect
+from oed_sysid.fitting.gauss_newton import FilteredSolution
+
+# Error of whole runs, over that of a fit without random forces, that they should not cost.
+BOUGHT = 2.0
+# Gain in twice the log-likelihood on validation records that confirms a claim.
+CONFIRMED = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Added:
+    """One effect that was added, why, and the fit with it."""
+
+    effect: Effect
+    ranking: Ranking | None
+    gain: float
+    needed: float
+    validation_gain: float
+    group: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """Where the loop stands: what was added, the fit with it, and all fits on the way."""
+
+    study: Study
+    added: tuple[Added, ...]
+    fit: FilteredSolution
+    path: tuple[FilteredSolution, ...]
+    replaced: tuple[str, ...] = ()
+    dismissed: tuple[str, ...] = ()
+    dropped: tuple[str, ...] = ()
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects that were added, in their order."""
+        return tuple(one.effect for one in self.added)
+
+    @property
+    def left(self) -> list[Effect]:
+        """Candidates that may still be added."""
+        gone = {effect.name for effect in self.effects} | set(self.dropped)
+        return [e for e in self.study.candidates if e.name not in gone]
+
+    @property
+    def share(self) -> float:
+        """Share of false claims allowed before validation records, if any, are asked."""
+        return FALSE_CLAIMS if self.study.validation is None else FALSE_CLAIMS_BEFORE_TEST
+
+
+def difference(before: float, after: float) -> float:
+    """Gain of a model over another, either of which may not run at all."""
+    if not np.isfinite(after):
+        return -np.inf
+    return before - after if np.isfinite(before) else np.inf
+
+
+def rises(study: Study, before: FilteredSolution, after: FilteredSolution) -> bool:
+    """Whether the error of the model on its own on validation records rises or is infinite."""
+    assert study.validation is not None
+    old, new = (own_error(study, fit, study.validation) for fit in (before, after))
+    return not np.isfinite(new) or new > RISE * old
+
+
+def own_error(study: Study, found: FilteredSolution, dataset: Dataset) -> float:
+    """Error over all outputs of the model on its own on records, in units of the noise."""
+    return total_error(study.rms(found, dataset) / study.setting.white)
