@@ -6,9 +6,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from turning_ship import SHIP, dataset
 
-from oed_sysid import Dataset, Problem, improve, load_problem, simulate, usual_effects
+from oed_sysid import (
+    Dataset,
+    Force,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    Problem,
+    Record,
+    State,
+    improve,
+    load_problem,
+    simulate,
+    usual_effects,
+)
 from oed_sysid.diagnosis.sizes import sizes_of
 from oed_sysid.diagnosis.usual import equipped
 from oed_sysid.errors import OedSysidError
@@ -160,3 +175,71 @@ def test_a_constant_log_is_refused_in_words() -> None:
     flat = Dataset(tuple(replace(r, inputs=0 * r.inputs, outputs=0 * r.outputs) for r in still))
     with pytest.raises(OedSysidError, match="do not move"):
         improve(SHIP, flat)
+
+
+HOVERCRAFT = Model(
+    name="hovercraft",
+    states=(State("u", "m/s"), State("v", "m/s"), State("r", "rad/s"), State("psi", "rad"),
+            State("x", "m"), State("y", "m")),
+    inputs=(Input("fan", "N"), Input("vane", "rad")),
+    outputs=(Output("x", "m", noise_std=0.05), Output("y", "m", noise_std=0.05),
+             Output("psi", "rad", noise_std=0.005)),
+    axes={"X": "u", "Y": "v", "N": "r"},
+    inertia={("X", "u"): "m", ("Y", "v"): "m", ("N", "r"): "I"},
+    kinematics={"psi": "r", "x": "u*cos(psi) - v*sin(psi)", "y": "u*sin(psi) + v*cos(psi)"},
+    parameters=(Parameter("m", 500.0, "kg", fixed=True),
+                Parameter("I", 400.0, "kg m^2", fixed=True)),
+    effects=(
+        Force("rigid_body", {"X": "m*v*r", "Y": "-m*u*r"}),
+        Force("skirt", {"X": "-X_u*u", "Y": "-Y_v*v", "N": "-N_r*r"},
+              (Parameter("X_u", 60.0, "kg/s"), Parameter("Y_v", 80.0, "kg/s"),
+               Parameter("N_r", 300.0, "kg m^2/s"))),
+        Force("fan", {"X": "fan*cos(vane)", "Y": "-k*fan*sin(vane)", "N": "a*fan*sin(vane)"},
+              (Parameter("k", 1.0, "1"), Parameter("a", 1.2, "m"))),
+    ),
+)  # fmt: skip
+
+
+def hovercraft_run(hidden: str, seed: int, n_times: int = 300, dt: float = 0.2) -> Record:
+    """A run over ground that SciPy integrates, sharing nothing with the package."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(n_times) * dt
+    fan = np.repeat(rng.uniform(150, 350, n_times // 30 + 1), 30)[:n_times]
+    vane = np.repeat(rng.uniform(-0.4, 0.4, n_times // 20 + 1), 20)[:n_times]
+    state, seen = np.array([1.5, 0.0, 0.0, 0.3, 0.0, 0.0]), []
+
+    def rate(_: float, z: np.ndarray, thrust: float, angle: float) -> list[float]:
+        u, v, r, psi = z[:4]
+        forces = np.array([
+            500 * v * r - 66 * u + thrust * np.cos(angle),
+            -500 * u * r - 75 * v - 1.05 * thrust * np.sin(angle),
+            -280 * r + 1.15 * thrust * np.sin(angle),
+        ])  # fmt: skip
+        if hidden == "quadratic_N_r":
+            forces[2] -= 600 * abs(r) * r
+        if hidden == "wind":
+            forces[:2] += 25 * np.cos(1.0 - psi), 25 * np.sin(1.0 - psi)
+        over_ground = (u * np.cos(psi) - v * np.sin(psi), u * np.sin(psi) + v * np.cos(psi))
+        return [*(forces / (500, 500, 400)), r, *over_ground]
+
+    for thrust, angle in zip(fan, vane, strict=True):
+        seen.append(state[[4, 5, 3]])
+        if hidden == "vane_deadband":
+            angle = np.sign(angle) * max(abs(angle) - 0.06, 0.0)
+        done = solve_ivp(rate, (0, dt), state, args=(thrust, angle), rtol=1e-8, atol=1e-9)
+        state = done.y[:, -1]
+    outputs = np.array(seen) + rng.standard_normal((n_times, 3)) * [0.05, 0.05, 0.005]
+    inputs = np.column_stack([fan, vane])
+    return Record(f"run {seed}", times, inputs, outputs, HOVERCRAFT.channels)
+
+
+@pytest.mark.parametrize("hidden", ["", "quadratic_N_r", "vane_deadband", "wind"])
+def test_a_vehicle_that_nobody_prepared(hidden: str) -> None:
+    """A hovercraft measured by position and compass: what its log hides is found, and no more."""
+    runs = [hovercraft_run(hidden, seed) for seed in range(1, 5)]
+    found = improve(HOVERCRAFT, Dataset(runs[:3]), Dataset(runs[3:]))
+    assert [step.added for step in found.steps] == ([hidden] if hidden else [])
+    assert found.final_error["test"] == pytest.approx(1.0, abs=0.05)
+    assert found.remains.kind == "adequate"
+    if hidden:
+        assert found.base_error["test"] > 20

@@ -29,7 +29,7 @@ from oed_sysid.parameters import Parameter
 from oed_sysid.problem import Problem
 from oed_sysid.simulation import simulate
 
-# Share of a signal's swing, of an inertia and of a thrust that an effect makes.
+# Share of a signal's swing, of an inertia and of a thrust or load that an effect makes.
 OF_SWING, OF_INERTIA, OF_THRUST = 0.1, 0.2, 0.2
 # A lag in samples, the longest delay in samples, and the most steps that its register may hold.
 LAG, DELAY, LONGEST = 2.0, 4.0, 12
@@ -65,6 +65,7 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
     for effect in (
         *usual_forces(model, sizes),
         *_flows(model, sizes),
+        *_winds(model, sizes),
         *_inertias(model, sizes),
         *_commands(model, sizes),
         *_sensors(model, sizes),
@@ -105,6 +106,16 @@ def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
                 source=environment.CURRENT,
                 needs=f"{state.name} and velocities through the water",
             )
+
+
+def _winds(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """A steady wind, where the heading is a state."""
+    axes = tuple(axis for axis in ("X", "Y", "N") if axis in model.axes)
+    if not {"X", "Y"} <= set(axes) or "psi" not in model.state_names:
+        return
+    across = sizes.force("Y", model.axes["Y"])
+    arm = sizes.force("N", model.axes["N"]) / across if "N" in axes and across > 0 else 1.0
+    yield environment.steady_wind(axes=axes, force=OF_THRUST * across or 1.0, arm=arm or 1.0)
 
 
 def _inertias(model: Model, sizes: Sizes) -> Iterator[Effect]:
