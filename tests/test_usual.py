@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 from turning_ship import SHIP, dataset
 
 from oed_sysid import (
@@ -27,6 +28,7 @@ from oed_sysid import (
 from oed_sysid.diagnosis.sizes import sizes_of
 from oed_sysid.diagnosis.usual import equipped
 from oed_sysid.errors import OedSysidError
+from oed_sysid.language.expressions import to_numpy
 from oed_sysid.testing import check_effect
 
 
@@ -79,6 +81,22 @@ def test_each_keeps_the_contract_of_effects(name: str) -> None:
             effect, problem.model, rng=rng, initial=start, inputs=ranges, n_points=1,
             amplitude_sign=sign,
         )  # fmt: skip
+
+
+def test_a_current_of_any_attitude_is_the_transposed_rotation() -> None:
+    """What the flow loses is the current in body axes, as SciPy rotates it; so is a weight."""
+    problem = load_problem("remus_6dof")
+    made = {effect.name: effect for effect in usual_effects(problem.model, problem.data())}
+    angles = {"psi": 0.7, "theta": -0.3, "phi": 0.2}
+    turn = Rotation.from_euler("ZYX", list(angles.values())).as_matrix().T
+    towards = {"E_current_north": 0.3, "E_current_east": -0.2, "E_current_down": 0.1}
+    flow = {"u_r": 1.0, "v_r": 2.0, "w_r": 3.0}
+    terms = made["current"].terms
+    found = [float(to_numpy(terms[name], {**angles, **towards, **flow})) for name in flow]
+    np.testing.assert_allclose(found, [1.0, 2.0, 3.0] - turn @ list(towards.values()))
+    terms = made["weight"].terms
+    pull = [float(to_numpy(terms[axis], {**angles, "E_weight": 5.0})) for axis in "XYZ"]
+    np.testing.assert_allclose(pull, turn @ [0.0, 0.0, 5.0])
 
 
 def test_free_derivatives_are_not_repeated() -> None:
