@@ -94,6 +94,18 @@ def test_forces_act_only_where_they_are_let_in() -> None:
     assert named["kinematics psi"] > 0
 
 
+def test_a_misfit_without_a_claim_is_not_nothing() -> None:
+    """A yaw rate of the other sign: nothing is claimed, and nothing is certified either."""
+    spoilt = [
+        Dataset([replace(r, outputs=r.outputs * [1.0, -1.0]) for r in dataset(seed)])
+        for seed in (11, 12)
+    ]
+    found = improve(SHIP, *spoilt, candidates=CANDIDATES)
+    assert found.steps == ()
+    assert found.final_error["test"] > 10
+    assert found.verdict == "unexplained"
+
+
 def test_correlation_time_of_sensor_noise_is_found() -> None:
     """Noise that remembers for two seconds is seen as such, and nothing is claimed from it."""
     found = [dataset(seed, colour=0.9) for seed in (30, 31)]

@@ -22,6 +22,7 @@ from oed_sysid.effects import (
     environment,
     inertia,
     propulsion,
+    restoring,
     sensors,
 )
 from oed_sysid.errors import DataError, ModelError
@@ -166,7 +167,7 @@ def _weights(model: Model, sizes: Sizes) -> Iterator[Effect]:
         {axis: text for axis, text in terms.items() if axis in model.axes and "*0" not in text},
         (size,),
         description="weight less buoyancy differs from its nominal value",
-        source=environment.CURRENT,
+        source=restoring.FOSSEN,
         needs="several pitch angles",
     )
 

@@ -20,6 +20,10 @@ DEFAULT = "default"
 _NAME = re.compile(r"[A-Za-z]\w*")
 
 
+# What a description says where no candidate effects are named.
+USUAL = "none named: usual ones are made from the records"
+
+
 @dataclass(frozen=True)
 class Problem:
     """One system to identify.
@@ -322,7 +326,7 @@ class Problem:
             f"inputs       {inputs or 'none'}",
             f"outputs      {outputs}",
             f"models       {', '.join(self.variants)}",
-            f"candidates   {', '.join(effect.name for effect in self.effects) or 'none'}",
+            f"candidates   {', '.join(effect.name for effect in self.effects) or USUAL}",
             f"experiments  {', '.join(self.experiments) or 'none'}",
             *(f"[{number}] {text}" for number, text in enumerate(self.references, start=1)),
         ]

@@ -90,6 +90,8 @@ def improvement_verdict(improvement: Improvement) -> tuple[str, ...]:
             says.append(f"It lacks {step.added}{meaning}.")
     if improvement.steps:
         says.append(f"Improved, its error is {after[which]:.3g} times the noise.")
+    elif improvement.verdict == "unexplained":
+        says.append("The misfit is more than noise, and no candidate is confirmed.")
     else:
         says.append("No candidate is missing that these records could show.")
     if which == "train":
