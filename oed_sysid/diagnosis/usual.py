@@ -14,20 +14,16 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.dictionary import HORIZONTAL
 from oed_sysid.diagnosis.sizes import Sizes, sizes_of
 from oed_sysid.diagnosis.usual_forces import commanded, usual_forces
+from oed_sysid.diagnosis.usual_surroundings import usual_surroundings
 from oed_sysid.effects import (
     Effect,
-    Environment,
-    Force,
     actuators,
-    environment,
     inertia,
     propulsion,
-    restoring,
     sensors,
 )
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.model import Model
-from oed_sysid.parameters import Parameter
 from oed_sysid.problem import Problem
 from oed_sysid.simulation import simulate
 
@@ -37,20 +33,6 @@ OF_SWING, OF_INERTIA, OF_THRUST = 0.1, 0.2, 0.2
 LAG, DELAY, LONGEST = 2.0, 4.0, 12
 # An input in this unit or with such a name is no command but a measured flow.
 FLOW_UNIT, FLOWS = "m/s", ("wind", "wave", "current")
-# Rows of the rotation from north, east and down into body axes (Fossen 2011, section 2.2.1).
-ROTATION = {
-    "u": ("cos(psi)*cos(theta)", "sin(psi)*cos(theta)", "-sin(theta)"),
-    "v": (
-        "cos(psi)*sin(theta)*sin(phi) - sin(psi)*cos(phi)",
-        "sin(psi)*sin(theta)*sin(phi) + cos(psi)*cos(phi)",
-        "cos(theta)*sin(phi)",
-    ),
-    "w": (
-        "cos(psi)*sin(theta)*cos(phi) + sin(psi)*sin(phi)",
-        "sin(psi)*sin(theta)*cos(phi) - cos(psi)*sin(phi)",
-        "cos(theta)*cos(phi)",
-    ),
-}
 
 
 def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
@@ -80,9 +62,7 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
     found: dict[str, Effect] = {}
     for effect in (
         *usual_forces(model, sizes),
-        *_flows(model, sizes),
-        *_winds(model, sizes),
-        *_weights(model, sizes),
+        *usual_surroundings(model, sizes),
         *_inertias(model, sizes),
         *_commands(model, sizes),
         *_sensors(model, sizes),
@@ -95,91 +75,6 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
             continue
         found[effect.name] = effect
     return tuple(found.values())
-
-
-def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """Currents: in the flow where the model has one, else as a drift of its positions."""
-    states = {text: signal for signal, text in model.signals.items() if text in model.state_names}
-    angles = set(model.state_names)
-    speed = sizes.level.get("u", 1.0)
-    if {"u", "v", "w"} <= set(states) and {"phi", "theta", "psi"} <= angles:
-        yield _current(states, OF_SWING * speed)
-    elif {"u", "v"} <= set(states) and "psi" in angles:
-        flow = (states["u"], states["v"])
-        yield environment.current_horizontal_plane(flow=flow, scale=OF_SWING * speed)
-    if {"u", "w"} <= set(states) and "theta" in angles and "v" not in states:
-        flow = (states["u"], states["w"])
-        yield environment.current_forward(flow=flow, scale=OF_SWING * speed)
-        yield environment.current_down(flow=flow, scale=0.5 * OF_SWING * speed)
-    if "u" in states or not model.axes:
-        return
-    for state in model.states:
-        if state.name in (*HORIZONTAL, "z", "zeta") and state.name in model.kinematics:
-            name = f"drift_{state.name}"
-            size = Parameter(f"E_{name}", 0.0, f"{state.unit}/s", scale=OF_SWING * speed)
-            yield Force(
-                name,
-                {state.name: size.name},
-                (size,),
-                description=f"current that carries the vehicle along {state.name}",
-                source=environment.CURRENT,
-                needs=f"{state.name} and velocities through the water",
-            )
-
-
-def _current(flow: dict[str, str], scale: float) -> Effect:
-    """A current towards north, east and down on a vehicle of any attitude."""
-    towards = [
-        Parameter(f"E_current_{way}", 0.0, "m/s", -20 * scale, 20 * scale, scale=scale)
-        for way in ("north", "east", "down")
-    ]
-    terms = {
-        flow[state]: flow[state]
-        + "".join(f" - {size.name}*({text})" for size, text in zip(towards, row, strict=True))
-        for state, row in ROTATION.items()
-    }
-    return Environment(
-        "current",
-        terms,
-        tuple(towards),
-        description="steady current",
-        source=environment.CURRENT,
-        needs="position or velocity over ground, on several headings",
-    )
-
-
-def _weights(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """Weight in water, where an angle turns it."""
-    flat = {"phi": ("sin(phi)", "cos(phi)"), "theta": ("sin(theta)", "cos(theta)")}
-    known = {name: words for name, words in flat.items() if name in model.state_names}
-    if "Z" not in model.axes or not known:
-        return
-    sine = {name: known[name][0] if name in known else "0" for name in flat}
-    cosine = {name: known[name][1] if name in known else "1" for name in flat}
-    size = Parameter("E_weight", 0.0, "N", scale=OF_THRUST * sizes.force("Z", model.axes["Z"]))
-    terms = {
-        "X": f"-{size.name}*{sine['theta']}",
-        "Y": f"{size.name}*{cosine['theta']}*{sine['phi']}",
-        "Z": f"{size.name}*{cosine['theta']}*{cosine['phi']}",
-    }
-    yield Force(
-        "weight",
-        {axis: text for axis, text in terms.items() if axis in model.axes and "*0" not in text},
-        (size,),
-        description="weight less buoyancy differs from its nominal value",
-        source=restoring.FOSSEN,
-        needs="several pitch angles",
-    )
-
-
-def _winds(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """A steady wind, where the heading is a state."""
-    axes = tuple(axis for axis in ("X", "Y", "N") if axis in model.axes)
-    if not {"X", "Y"} <= set(axes) or "psi" not in model.state_names:
-        return
-    across = sizes.force("Y", model.axes["Y"])
-    arm = sizes.force("N", model.axes["N"]) / across if "N" in axes and across > 0 else 1.0
-    yield environment.steady_wind(axes=axes, force=OF_THRUST * across or 1.0, arm=arm or 1.0)
 
 
 def _inertias(model: Model, sizes: Sizes) -> Iterator[Effect]:

@@ -1,0 +1,120 @@
+"""Water, air and weight, where nobody named a candidate: currents, winds and buoyancy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from oed_sysid.diagnosis.dictionary import HORIZONTAL
+from oed_sysid.diagnosis.sizes import Sizes
+from oed_sysid.effects import Effect, Environment, Force, environment, restoring
+from oed_sysid.model import Model
+from oed_sysid.parameters import Parameter
+
+# Share of the speed that a current has, and of the accelerations seen that a load makes.
+OF_SPEED, OF_LOAD = 0.1, 0.2
+# Rows of the rotation from north, east and down into body axes (Fossen 2011, section 2.2.1).
+ROTATION = {
+    "u": ("cos(psi)*cos(theta)", "sin(psi)*cos(theta)", "-sin(theta)"),
+    "v": (
+        "cos(psi)*sin(theta)*sin(phi) - sin(psi)*cos(phi)",
+        "sin(psi)*sin(theta)*sin(phi) + cos(psi)*cos(phi)",
+        "cos(theta)*sin(phi)",
+    ),
+    "w": (
+        "cos(psi)*sin(theta)*cos(phi) + sin(psi)*sin(phi)",
+        "sin(psi)*sin(theta)*cos(phi) - cos(psi)*sin(phi)",
+        "cos(theta)*cos(phi)",
+    ),
+}
+
+
+def usual_surroundings(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Currents, winds and weight that a model can take, absent."""
+    yield from _flows(model, sizes)
+    yield from _winds(model, sizes)
+    yield from _weights(model, sizes)
+
+
+def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Currents: in the flow where the model has one, else as a drift of its positions."""
+    states = {text: signal for signal, text in model.signals.items() if text in model.state_names}
+    angles = set(model.state_names)
+    speed = sizes.level.get("u", 1.0)
+    if {"u", "v", "w"} <= set(states) and {"phi", "theta", "psi"} <= angles:
+        yield _current(states, OF_SPEED * speed)
+    elif {"u", "v"} <= set(states) and "psi" in angles:
+        flow = (states["u"], states["v"])
+        yield environment.current_horizontal_plane(flow=flow, scale=OF_SPEED * speed)
+    if {"u", "w"} <= set(states) and "theta" in angles and "v" not in states:
+        flow = (states["u"], states["w"])
+        yield environment.current_forward(flow=flow, scale=OF_SPEED * speed)
+        yield environment.current_down(flow=flow, scale=0.5 * OF_SPEED * speed)
+    if "u" in states or not model.axes:
+        return
+    for state in model.states:
+        if state.name in (*HORIZONTAL, "z", "zeta") and state.name in model.kinematics:
+            name = f"drift_{state.name}"
+            size = Parameter(f"E_{name}", 0.0, f"{state.unit}/s", scale=OF_SPEED * speed)
+            yield Force(
+                name,
+                {state.name: size.name},
+                (size,),
+                description=f"current that carries the vehicle along {state.name}",
+                source=environment.CURRENT,
+                needs=f"{state.name} and velocities through the water",
+            )
+
+
+def _current(flow: dict[str, str], scale: float) -> Effect:
+    """A current towards north, east and down on a vehicle of any attitude."""
+    towards = [
+        Parameter(f"E_current_{way}", 0.0, "m/s", -20 * scale, 20 * scale, scale=scale)
+        for way in ("north", "east", "down")
+    ]
+    terms = {
+        flow[state]: flow[state]
+        + "".join(f" - {size.name}*({text})" for size, text in zip(towards, row, strict=True))
+        for state, row in ROTATION.items()
+    }
+    return Environment(
+        "current",
+        terms,
+        tuple(towards),
+        description="steady current",
+        source=environment.CURRENT,
+        needs="position or velocity over ground, on several headings",
+    )
+
+
+def _weights(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Weight in water, where an angle turns it."""
+    flat = {"phi": ("sin(phi)", "cos(phi)"), "theta": ("sin(theta)", "cos(theta)")}
+    known = {name: words for name, words in flat.items() if name in model.state_names}
+    if "Z" not in model.axes or not known:
+        return
+    sine = {name: known[name][0] if name in known else "0" for name in flat}
+    cosine = {name: known[name][1] if name in known else "1" for name in flat}
+    size = Parameter("E_weight", 0.0, "N", scale=OF_LOAD * sizes.force("Z", model.axes["Z"]))
+    terms = {
+        "X": f"-{size.name}*{sine['theta']}",
+        "Y": f"{size.name}*{cosine['theta']}*{sine['phi']}",
+        "Z": f"{size.name}*{cosine['theta']}*{cosine['phi']}",
+    }
+    yield Force(
+        "weight",
+        {axis: text for axis, text in terms.items() if axis in model.axes and "*0" not in text},
+        (size,),
+        description="weight less buoyancy differs from its nominal value",
+        source=restoring.FOSSEN,
+        needs="several pitch angles",
+    )
+
+
+def _winds(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """A steady wind, where the heading is a state."""
+    axes = tuple(axis for axis in ("X", "Y", "N") if axis in model.axes)
+    if not {"X", "Y"} <= set(axes) or "psi" not in model.state_names:
+        return
+    across = sizes.force("Y", model.axes["Y"])
+    arm = sizes.force("N", model.axes["N"]) / across if "N" in axes and across > 0 else 1.0
+    yield environment.steady_wind(axes=axes, force=OF_LOAD * across or 1.0, arm=arm or 1.0)
