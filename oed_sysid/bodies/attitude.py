@@ -57,16 +57,12 @@ class Attitude:
     angles: dict[str, str]
 
 
-def euler(active: Collection[str]) -> Attitude:
-    """Euler angles of the rotations among ``active`` velocities; the others stay zero.
+def rotation(present: Collection[str]) -> tuple[tuple[str, ...], ...]:
+    """Rotation matrix from body axes to NED by the angles that are present; the others are zero.
 
-    >>> euler("uvr").rotation[0]
-    ('cos(psi)', '-sin(psi)', '0')
-    >>> euler("uvpr").states["psi"]
-    'r*cos(phi)'
+    >>> rotation(["theta"])[2]
+    ('-sin(theta)', '0', 'cos(theta)')
     """
-    p, q, r = (rate if rate in active else "0" for rate in "pqr")
-    present = [name for name, rate in (("phi", p), ("theta", q), ("psi", r)) if rate != "0"]
 
     def c(angle: str) -> str:
         return f"cos({angle})" if angle in present else "1"
@@ -74,15 +70,7 @@ def euler(active: Collection[str]) -> Attitude:
     def s(angle: str) -> str:
         return f"sin({angle})" if angle in present else "0"
 
-    across = plus(times(q, s("phi")), times(r, c("phi")))
-    tangent = "tan(theta)" if "theta" in present else "0"
-    yaw = across if "theta" not in present else f"({across})/cos(theta)"
-    rates = {
-        "phi": plus(p, times(across, tangent)),
-        "theta": plus(times(q, c("phi")), minus(times(r, s("phi")))),
-        "psi": yaw,
-    }
-    rows = (
+    return (
         (
             times(c("psi"), c("theta")),
             plus(times(c("psi"), s("theta"), s("phi")), minus(times(s("psi"), c("phi")))),
@@ -95,6 +83,29 @@ def euler(active: Collection[str]) -> Attitude:
         ),
         (minus(s("theta")), times(c("theta"), s("phi")), times(c("theta"), c("phi"))),
     )
+
+
+def euler(active: Collection[str]) -> Attitude:
+    """Euler angles of the rotations among ``active`` velocities; the others stay zero.
+
+    >>> euler("uvr").rotation[0]
+    ('cos(psi)', '-sin(psi)', '0')
+    >>> euler("uvpr").states["psi"]
+    'r*cos(phi)'
+    """
+    p, q, r = (rate if rate in active else "0" for rate in "pqr")
+    present = [name for name, rate in (("phi", p), ("theta", q), ("psi", r)) if rate != "0"]
+
+    sine, cosine = ("sin(phi)", "cos(phi)") if "phi" in present else ("0", "1")
+    across = plus(times(q, sine), times(r, cosine))
+    tangent = "tan(theta)" if "theta" in present else "0"
+    yaw = across if "theta" not in present else f"({across})/cos(theta)"
+    rates = {
+        "phi": plus(p, times(across, tangent)),
+        "theta": plus(times(q, cosine), minus(times(r, sine))),
+        "psi": yaw,
+    }
+    rows = rotation(present)
     states = {name: rates[name] for name in present}
     named, signals = _named(rows) if len(present) > 1 else (rows, {})
     return Attitude(states, signals, named, {name: name for name in present})

@@ -241,11 +241,12 @@ def _evidence(
             )
         nodes = piece.states[piece.starts]
         if run.n_full > run.n_own:  # states of effects begin where own states and inputs say
-            begun = (
-                run.start(own, inputs[k], model.value_vector, record.times[k])[0]
-                for k, own in zip(piece.starts, nodes, strict=True)
+            nodes = np.array(
+                [
+                    run.start(own, inputs[k], model.value_vector, record.times[k])[0]
+                    for k, own in zip(piece.starts, nodes, strict=True)
+                ]
             )
-            nodes = np.array(list(begun))
         first = piece.starts[0]
         done = run.run(
             record.times[first:],

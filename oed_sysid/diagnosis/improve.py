@@ -121,7 +121,6 @@ def improve(
         calm = keep.once("without random forces", partial(begin, disturbances="none"))
         found = _calmer(found, _searched(*calm, max_effects, tell, keep, notes), notes)
     state, base, first = found.state, found.base, found.first
-    rejected = [*found.rejected]
     if ready.whole is not None:
         tell("asking all samples")
         state, told = keep.once("all samples", partial(on_all_samples, state, ready.whole))
@@ -143,7 +142,7 @@ def improve(
     tell("fits and errors of every step")
     return keep.once(
         "every step",
-        lambda: _result(state, base, first, location, rejected, proposals, left, notes, log),
+        lambda: _result(state, base, first, location, found.rejected, proposals, left, notes, log),
     )
 
 
@@ -301,7 +300,7 @@ def _result(
     base: FilteredSolution,
     first: Ranking,
     location: Located,
-    rejected: list[str],
+    rejected: Sequence[str],
     proposals: Proposals | None,
     left: Remains,
     notes: list[str],

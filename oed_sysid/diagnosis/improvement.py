@@ -35,6 +35,10 @@ UNTOLD = 100.0
 Errors = Mapping[str, np.ndarray]
 
 
+# Said where nothing is claimed and the misfit is no noise.
+UNCONFIRMED = "The misfit is more than noise, and no candidate is confirmed."
+
+
 @dataclass(frozen=True, eq=False)
 class Yardstick:
     """What errors are compared with.
@@ -382,7 +386,7 @@ class Improvement:
         if not self.steps:
             lines = ["Nothing is missing that these records could show."]
             if self.verdict == "unexplained":
-                lines = ["The misfit is more than noise, and no candidate is confirmed."]
+                lines = [UNCONFIRMED]
             best = self.ranking.refits[0] if self.ranking.refits else None
             if best is not None and best.evidence > HINT and best.name not in self.rejected:
                 lines.append(

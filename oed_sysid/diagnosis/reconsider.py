@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.diagnosis.rank import Ranking, Refit, rank, threshold
-from oed_sysid.diagnosis.standing import BOUGHT, Added, Standing, own_error, rises
+from oed_sysid.diagnosis.rank import Ranking, Refit, rank
+from oed_sysid.diagnosis.standing import BOUGHT, Added, Standing, absent, own_error, rises
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.gauss_newton import FilteredSolution
@@ -69,15 +69,14 @@ def reviewed(state: Standing) -> Standing:
     """Drop or replace effects that others, or a better fit, have made doubtful."""
     study = state.study
     for position, old in enumerate(state.added):
-        needed = threshold(len(state.left) + 1, len(old.effect.parameters), state.share)
+        needed = state.needed(old.effect)
         is_last = position == len(state.added) - 1
         if is_last and _cost(state.fit, old.effect) > SURE * needed:
             continue
-        others = tuple(one for i, one in enumerate(state.added) if i != position)
-        values = dict(state.fit.values) | dict.fromkeys(old.effect.amplitude_names, 0.0)
+        others = state.others(old)
         without = study.estimate(
             [one.effect for one in others],
-            values,
+            absent(state.fit, old.effect),
             state.fit,
             noise=study.loosened(state.fit.noise),
             max_iterations=25,
@@ -85,9 +84,7 @@ def reviewed(state: Standing) -> Standing:
         if without is None:
             continue
         if without.objective - state.fit.objective < needed:
-            gone = (*state.dropped, old.effect.name)
-            fewer = replace(state, added=others, fit=study.settle(without), dropped=gone)
-            return rebuilt(fewer)
+            return rebuilt(state.dropping(old, study.settle(without)))
         if is_last:  # it was the best of a ranking just now
             continue
         reduced = replace(state, added=others, fit=without)
@@ -138,20 +135,17 @@ def on_all_samples(state: Standing, whole: Dataset) -> tuple[Standing, list[str]
     for one in reversed(state.added):
         if not one.effect.memory and one.gain > BESIDE * largest:
             continue
-        others = tuple(o for o in state.added if o is not one)
-        values = dict(state.fit.values)
-        absent = values | dict.fromkeys(one.effect.amplitude_names, 0.0)
-        effects = [o.effect for o in others]
-        less = full.estimate(effects, absent, state.fit, max_iterations=12)
-        more = full.estimate([*effects, one.effect], values, state.fit, max_iterations=12)
-        needed = threshold(len(state.left) + 1, len(one.effect.parameters), state.share)
-        if less is None or more is None or less.objective - more.objective >= needed:
+        effects, fit = [other.effect for other in state.others(one)], state.fit
+        less = full.estimate(effects, absent(fit, one.effect), fit, max_iterations=12)
+        more = full.estimate([*effects, one.effect], fit.values, fit, max_iterations=12)
+        if less is None or more is None:
             continue
-        without = study.estimate(effects, less.values, state.fit, max_iterations=25)
+        if less.objective - more.objective >= state.needed(one.effect):
+            continue
+        without = study.estimate(effects, less.values, fit, max_iterations=25)
         if without is None:
             continue
-        gone = (*state.dropped, one.effect.name)
-        state = rebuilt(replace(state, added=others, fit=study.settle(without), dropped=gone))
+        state = rebuilt(state.dropping(one, study.settle(without)))
         notes.append(
             f"{one.effect.name} was seen in the thinned records and is not in all samples: it is "
             "no claim."

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.improvement import RISE
-from oed_sysid.diagnosis.rank import FALSE_CLAIMS, FALSE_CLAIMS_BEFORE_TEST, Ranking
+from oed_sysid.diagnosis.rank import FALSE_CLAIMS, FALSE_CLAIMS_BEFORE_TEST, Ranking, threshold
 from oed_sysid.diagnosis.study import Study, total_error
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.gauss_newton import FilteredSolution
@@ -58,6 +58,24 @@ class Standing:
     def share(self) -> float:
         """Share of false claims allowed before validation records, if any, are asked."""
         return FALSE_CLAIMS if self.study.validation is None else FALSE_CLAIMS_BEFORE_TEST
+
+    def needed(self, effect: Effect) -> float:
+        """Gain that chance rarely gives, were the effect among the candidates left."""
+        return threshold(len(self.left) + 1, len(effect.parameters), self.share)
+
+    def others(self, one: Added) -> tuple[Added, ...]:
+        """What was added besides."""
+        return tuple(other for other in self.added if other is not one)
+
+    def dropping(self, one: Added, fit: FilteredSolution) -> Standing:
+        """The same without one effect, which does not come back."""
+        gone = (*self.dropped, one.effect.name)
+        return replace(self, added=self.others(one), fit=fit, dropped=gone)
+
+
+def absent(fit: FilteredSolution, effect: Effect) -> dict[str, float]:
+    """Values of a fit with one effect at nothing."""
+    return dict(fit.values) | dict.fromkeys(effect.amplitude_names, 0.0)
 
 
 def difference(before: float, after: float) -> float:

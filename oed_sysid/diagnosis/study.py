@@ -164,8 +164,8 @@ class Study:
         kernel = filter_kernel(wide)
         plain = PLAIN.fit(model, train)
         starts = [_nominal_start(model, train, white)]
-        if np.isfinite(plain.cost):
-            starts.append(Start(plain.model.values, plain.initial_states, plain.local_values))
+        if (end := _end(plain)) is not None:
+            starts.append(end)
         test = _best_test(model, train, setting, starts, kernel)
         level = np.where(np.isin(test.noise.places, absent), 0.0, test.noise.force)
         test = replace(test, noise=replace(test.noise, force=level))
@@ -210,12 +210,16 @@ class Study:
         knowledge: Knowledge | None = None,
     ) -> Filtered:
         """Likelihood of the nominal model with some effects."""
+        model = self.model(effects, values)
+        return Filtered(model, dataset, levels, kernel=self.kernel, knowledge=knowledge)
+
+    def model(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Model:
+        """The nominal model with some effects, at those of the values that it knows."""
         order = {effect.name: i for i, effect in enumerate(self.candidates)}
         # In the order of the filter's full state.
         model = self.base + sorted(effects, key=lambda e: order.get(e.name, len(order)))
         known = set(model.parameter_names)
-        model = model.with_values({k: v for k, v in values.items() if k in known})
-        return Filtered(model, dataset, levels, kernel=self.kernel, knowledge=knowledge)
+        return model.with_values({k: v for k, v in values.items() if k in known})
 
     def problem_of(self, found: FilteredSolution, levels: Levels) -> Filtered:
         """The same model on the training records with other unknown levels."""
@@ -286,13 +290,7 @@ class Study:
         self, effects: Sequence[Effect], values: Mapping[str, float]
     ) -> Start | None:
         """Where a fit of the nominal model with some effects to white noise ends."""
-        model = self.base + effects
-        known = set(model.parameter_names)
-        model = model.with_values({k: v for k, v in values.items() if k in known})
-        fit = PLAIN.fit(model, self.train)
-        if not np.isfinite(fit.cost):
-            return None
-        return Start(fit.model.values, fit.initial_states, fit.local_values)
+        return _end(PLAIN.fit(self.model(effects, values), self.train))
 
     def settle(self, found: FilteredSolution) -> FilteredSolution:
         """Estimate once more, colours of sensors and own times of disturbances admitted."""
@@ -303,17 +301,18 @@ class Study:
 
     def loosened(self, noise: NoiseModel) -> NoiseModel:
         """Noise levels from which a vanished disturbance can come back."""
-        known = dict(zip(self.unit.places, self.unit.force, strict=True))
-        least = np.array(
-            [0.0 if name in self.setting.known else known.get(name, 0.0) for name in noise.places]
-        )
-        return replace(noise, force=np.maximum(noise.force, 0.5 * least))
+        return replace(noise, force=np.maximum(noise.force, 0.5 * self._natural(noise)))
 
     def quiet(self, noise: NoiseModel) -> NoiseModel:
         """The same noise with forces no larger than the records begin to tell."""
+        return replace(noise, force=np.minimum(noise.force, self._natural(noise)))
+
+    def _natural(self, noise: NoiseModel) -> np.ndarray:
+        """Forces of which the records begin to tell, none where none is to be estimated."""
         known = dict(zip(self.unit.places, self.unit.force, strict=True))
-        least = np.array([known.get(name, 0.0) for name in noise.places])
-        return replace(noise, force=np.minimum(noise.force, least))
+        return np.array(
+            [0.0 if name in self.setting.known else known.get(name, 0.0) for name in noise.places]
+        )
 
     def polished(self, found: FilteredSolution) -> FilteredSolution:
         """A fit at the optimum of the filter as it is, with errors of that."""
@@ -470,6 +469,13 @@ def _nominal_start(model: Model, dataset: Dataset, white: np.ndarray) -> Start:
     own = [shooting.initial_state(unknowns, index).copy() for index in range(len(dataset))]
     local = [{p.name: p.value for p in model.free_parameters if p.per_record} for _ in own]
     return Start(model.values, own, local)
+
+
+def _end(fit: Fit) -> Start | None:
+    """Where a fit ended, as a start; None where it left the numbers."""
+    if not np.isfinite(fit.cost):
+        return None
+    return Start(fit.model.values, fit.initial_states, fit.local_values)
 
 
 def _best_test(

@@ -9,7 +9,7 @@ import numpy as np
 from oed_sysid.diagnosis.propose import Proposals, propose
 from oed_sysid.diagnosis.reconsider import rebuilt
 from oed_sysid.diagnosis.smoothers import dismissal, persists, smoothed_fit
-from oed_sysid.diagnosis.standing import Added, Standing, difference, rises
+from oed_sysid.diagnosis.standing import Added, Standing, absent, difference, rises
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.gauss_newton import FilteredSolution
@@ -98,9 +98,8 @@ def _without_imitations(
         options = []
         for one in kept:
             others = tuple(other for other in kept if other is not one)
-            values = dict(fit.values) | dict.fromkeys(one.effect.amplitude_names, 0.0)
             without = study.estimate(
-                [*(o.effect for o in others), term], values, fit, max_iterations=25
+                [*(o.effect for o in others), term], absent(fit, one.effect), fit, max_iterations=25
             )
             if without is not None:
                 options.append((others, without))

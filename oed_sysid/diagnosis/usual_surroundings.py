@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from oed_sysid.bodies.attitude import rotation
 from oed_sysid.diagnosis.dictionary import HORIZONTAL
 from oed_sysid.diagnosis.sizes import Sizes
 from oed_sysid.effects import Effect, Environment, Force, environment, restoring
@@ -12,20 +13,6 @@ from oed_sysid.parameters import Parameter
 
 # Share of the speed that a current has, and of the accelerations seen that a load makes.
 OF_SPEED, OF_LOAD = 0.1, 0.2
-# Rows of the rotation from north, east and down into body axes (Fossen 2011, section 2.2.1).
-ROTATION = {
-    "u": ("cos(psi)*cos(theta)", "sin(psi)*cos(theta)", "-sin(theta)"),
-    "v": (
-        "cos(psi)*sin(theta)*sin(phi) - sin(psi)*cos(phi)",
-        "sin(psi)*sin(theta)*sin(phi) + cos(psi)*cos(phi)",
-        "cos(theta)*sin(phi)",
-    ),
-    "w": (
-        "cos(psi)*sin(theta)*cos(phi) + sin(psi)*sin(phi)",
-        "sin(psi)*sin(theta)*cos(phi) - cos(psi)*sin(phi)",
-        "cos(theta)*cos(phi)",
-    ),
-}
 
 
 def usual_surroundings(model: Model, sizes: Sizes) -> Iterator[Effect]:
@@ -71,10 +58,12 @@ def _current(flow: dict[str, str], scale: float) -> Effect:
         Parameter(f"E_current_{way}", 0.0, "m/s", -20 * scale, 20 * scale, scale=scale)
         for way in ("north", "east", "down")
     ]
+    # Columns of the rotation to north, east and down are axes of the body.
+    columns = zip(*rotation(("phi", "theta", "psi")), strict=True)
     terms = {
         flow[state]: flow[state]
-        + "".join(f" - {size.name}*({text})" for size, text in zip(towards, row, strict=True))
-        for state, row in ROTATION.items()
+        + "".join(f" - {size.name}*({text})" for size, text in zip(towards, column, strict=True))
+        for state, column in zip("uvw", columns, strict=True)
     }
     return Environment(
         "current",
@@ -88,21 +77,13 @@ def _current(flow: dict[str, str], scale: float) -> Effect:
 
 def _weights(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Weight in water, where an angle turns it."""
-    flat = {"phi": ("sin(phi)", "cos(phi)"), "theta": ("sin(theta)", "cos(theta)")}
-    known = {name: words for name, words in flat.items() if name in model.state_names}
-    if "Z" not in model.axes or not known:
+    if "Z" not in model.axes or not {"phi", "theta"} & set(model.state_names):
         return
-    sine = {name: known[name][0] if name in known else "0" for name in flat}
-    cosine = {name: known[name][1] if name in known else "1" for name in flat}
     size = Parameter("E_weight", 0.0, "N", scale=OF_LOAD * sizes.force("Z", model.axes["Z"]))
-    terms = {
-        "X": f"-{size.name}*{sine['theta']}",
-        "Y": f"{size.name}*{cosine['theta']}*{sine['phi']}",
-        "Z": f"{size.name}*{cosine['theta']}*{cosine['phi']}",
-    }
+    pulls = zip("XYZ", rotation(model.state_names)[2], strict=True)
     yield Force(
         "weight",
-        {axis: text for axis, text in terms.items() if axis in model.axes and "*0" not in text},
+        {a: f"{size.name}*({text})" for a, text in pulls if a in model.axes and text != "0"},
         (size,),
         description="weight less buoyancy differs from its nominal value",
         source=restoring.FOSSEN,

@@ -6,7 +6,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.compare import Comparison
-from oed_sysid.diagnosis.improvement import Improvement
+from oed_sysid.diagnosis.improvement import UNCONFIRMED, Improvement
 from oed_sysid.report.comparison_page import comparison_sections, log_verdict
 from oed_sysid.report.diagnosis_page import candidates_section, located_section
 from oed_sysid.report.improvement_plots import plot_error_fall
@@ -91,7 +91,7 @@ def improvement_verdict(improvement: Improvement) -> tuple[str, ...]:
     if improvement.steps:
         says.append(f"Improved, its error is {after[which]:.3g} times the noise.")
     elif improvement.verdict == "unexplained":
-        says.append("The misfit is more than noise, and no candidate is confirmed.")
+        says.append(UNCONFIRMED)
     else:
         says.append("No candidate is missing that these records could show.")
     if which == "train":
