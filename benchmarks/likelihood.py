@@ -67,6 +67,9 @@ def main() -> None:
     samples = sum(record.n_samples for record in data)
     label = f"fit with random forces, {samples} samples of {len(model.outputs)} outputs"
     print(verdict(label, 1e3 * seconds, 100.0, "ms"))
+    earlier = MultipleShooting().fit(model, data)
+    seconds = least(lambda: MultipleShooting().fit(model, data, warm=earlier), 5)
+    print(verdict("the same from where an earlier fit ended", 1e3 * seconds, 100.0, "ms"))
     times = []
     for _ in range(3):
         began = time.process_time()

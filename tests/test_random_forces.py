@@ -118,6 +118,28 @@ def test_noise_on_a_logged_input_is_another_place() -> None:
     assert forces.log_likelihood > rudder.log_likelihood + 5.0
 
 
+def test_an_earlier_fit_with_forces_is_where_the_next_begins(disturbed: Fit) -> None:
+    """From its end, the likeliest point is found again; on other records, that of a cold start."""
+    again = MultipleShooting().fit(SHIP, disturbed.dataset, warm=disturbed)
+    assert again.iterations < disturbed.iterations
+    assert again.log_likelihood == pytest.approx(disturbed.log_likelihood, abs=0.02)
+    other = dataset(4, force=3 * FORCE)
+    cold, warm = (MultipleShooting().fit(SHIP, other, warm=fit) for fit in (None, disturbed))
+    assert warm.log_likelihood == pytest.approx(cold.log_likelihood, abs=0.02)
+    for name, error in cold.std_errors.items():
+        assert warm.values[name] == pytest.approx(cold.values[name], abs=0.05 * error)
+        assert warm.std_errors[name] == pytest.approx(error, rel=0.05)
+
+
+def test_forces_of_an_earlier_fit_are_not_taken_along_where_none_act(disturbed: Fit) -> None:
+    """Calm water after a seaway: the fit is white again, and equal to that from a cold start."""
+    calm = dataset(5)
+    warm, cold = (MultipleShooting().fit(SHIP, calm, warm=fit) for fit in (disturbed, None))
+    assert warm.noise is not None
+    assert warm.noise.is_white
+    np.testing.assert_allclose(warm.estimates, cold.estimates, rtol=1e-4)
+
+
 def test_a_disturbed_fit_survives_its_file(disturbed: Fit, tmp_path) -> None:  # type: ignore[no-untyped-def]
     """Saved and loaded, it has the same noise, likelihood and predictions."""
     path = tmp_path / "fit.json"

@@ -239,8 +239,7 @@ class Study:
 
     def levels(self, noise: NoiseModel, dataset: Dataset) -> Levels:
         """All levels unknown, begun at a noise model."""
-        own = len(set(noise.force_time[(noise.force > 0) & (noise.force_time > 0)])) > 1
-        return self.setting.levels(dataset, noise, self.unit, noise.colour > 0, own_times=own)
+        return self.setting.as_in(dataset, noise, self.unit)
 
     def estimate(
         self,

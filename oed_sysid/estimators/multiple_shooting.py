@@ -298,7 +298,11 @@ class MultipleShooting:
         # Where random forces may follow, residuals that are no white noise end the iterations
         # soon, and their colour is weighed only if none do.
         first = partial(minimise, enough=_bent(shooting)) if wanted else minimise
-        solution, iterations = self._solve(shooting, point, first)
+        carried = _carried(shooting, point, warm) if wanted else None
+        solution = None if carried is None else first(shooting, point)
+        iterations = 0 if solution is None else solution.iterations
+        if solution is None:
+            solution, iterations = self._solve(shooting, point, first)
         if solution is not None and estimated.any():
             shooting, solution, more = self._estimate_noise(shooting, solution, estimated, minimise)
             iterations += more
@@ -310,7 +314,7 @@ class MultipleShooting:
         if self.loss == "auto" and fit.status.code != "interrupted":
             fit, excluded = self._without_spikes(fit, model)
         if wanted and fit.status.code != "interrupted":
-            fit = self._disturbed(fit, model, fit.dataset, estimated, began, known_starts)
+            fit = self._disturbed(fit, model, fit.dataset, estimated, began, known_starts, carried)
         early = solution is not None and solution.reason == "enough"
         if wanted and fit.covariance is white.covariance and (early or fit.coloured):
             if solution is not None and early:
@@ -356,6 +360,7 @@ class MultipleShooting:
         estimated: np.ndarray,
         began: float,
         known_starts: KnownStarts | None,
+        carried: Start | None,
     ) -> Fit:
         """Go on from a white fit with random forces and coloured sensors, where they act."""
         declared = [e.noise for e in random_effects(model.effects) if e.noise is not None]
@@ -409,22 +414,26 @@ class MultipleShooting:
         if auto and test.gain < CLEAR:
             return replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
         test = replace(test, noise=_declared_levels(test.noise, declared))
-        solution = fit_disturbed(
-            model,
-            dataset,
-            setting,
-            starts,
-            test,
-            kernel=kernel,
-            max_iterations=self.max_iterations,
-            progress=self.progress,
-        )  # fmt: skip
-        if solution is None:
+        found = None
+        for begun in ([carried], starts) if carried is not None else (starts,):
+            solution = fit_disturbed(
+                model,
+                dataset,
+                setting,
+                begun,
+                test,
+                kernel=kernel,
+                max_iterations=self.max_iterations,
+                progress=self.progress,
+            )
+            if solution is None:
+                continue
+            name, iterations = f"{self.name}, random forces", fit.iterations + solution.iterations
+            found = summarise_filtered(solution, estimated, name, iterations, began)
+            if not _no_likelier(found, fit):
+                break
+        if found is None:
             return fit
-        name = f"{self.name}, random forces"
-        found = summarise_filtered(
-            solution, estimated, name, fit.iterations + solution.iterations, began
-        )
         extras = {**found.extras, "disturbance_test": test.gain}
         # Random forces absorb a delay, so that it is looked for where they are not.
         if fit.names and (late := clear_delay(fit, estimate_delays(fit))) is not None:
@@ -498,6 +507,19 @@ class MultipleShooting:
         least = min(s.cost for s in found)
         best = min(found, key=lambda s: (s.cost > WORSE * least, s.reason not in ENDED, s.cost))
         return best, sum(s.iterations for s in found)
+
+
+def _carried(shooting: Shooting, point: Point, warm: Fit | None) -> Start | None:
+    """Where an earlier fit with random forces or coloured sensors ended, to go on from."""
+    if warm is None or warm.noise is None or warm.noise.is_white:
+        return None
+    whole, layout = point.unknowns, shooting.layout
+    states, local = [], []
+    for index in range(len(shooting.records)):
+        own = layout.parameters(whole, index)
+        states.append(shooting.initial_state(whole, index))
+        local.append({layout.free_names[i]: float(own[i]) for i in layout.local})
+    return Start(shooting.model.values, states, local, warm.noise)
 
 
 def _bent(shooting: Shooting) -> Callable[[Progress], bool]:

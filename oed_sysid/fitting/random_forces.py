@@ -96,18 +96,21 @@ def fit_disturbed(
             np.maximum(test.noise.force, LEAST_START * unit.force),
         ),
     )
-    nowhere = np.zeros(len(setting.white), dtype=bool)
     begun = []
     for start in starts:
-        levels = setting.levels(dataset, begin, unit, nowhere)
+        own = begin if start.noise is None else _carried(begin, start.noise, setting)
         problem = Filtered(
             model.with_values(dict(start.values)),
             dataset,
-            levels,
+            setting.as_in(dataset, own, unit),
             kernel=kernel,
             known_starts=setting.known_starts,
         )
-        begun.append((problem, *_begun(problem, start, setting, begin)))
+        if start.noise is None:
+            begun.append((problem, *_begun(problem, start, setting, begin)))
+        else:
+            point = problem.point(start.initial, start.local, own)
+            begun.append((problem, point, problem.objective(point.unknowns)))
     best = _raced(begun, max_iterations, progress)
     if best is None:
         return None
@@ -217,11 +220,34 @@ def _likeliest_level(
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where an estimation begins: values, start states and values of each record."""
+    """Where an estimation begins: values, start states and values of each record.
+
+    Levels are looked for unless ``noise`` gives those of an earlier fit.
+    """
 
     values: Mapping[str, float]
     initial: Sequence[np.ndarray]
     local: Sequence[Mapping[str, float]]
+    noise: NoiseModel | None = None
+
+
+def _carried(begin: NoiseModel, earlier: NoiseModel, setting: Setting) -> NoiseModel:
+    """Levels and times of an earlier fit at the places that both know."""
+    force, time = begin.force.copy(), begin.force_time.copy()
+    for index, place in enumerate(begin.places):
+        if place not in setting.known and place in earlier.places:
+            level, lasting = earlier.level(place)
+            force[index] = max(level, force[index])
+            time[index] = lasting or time[index]
+    coloured = setting.colour & (earlier.colour > 0)
+    return replace(
+        begin,
+        white=np.where(setting.estimated | coloured, earlier.white, begin.white),
+        colour=np.where(coloured, earlier.colour, 0.0),
+        colour_time=np.where(coloured, earlier.colour_time, begin.colour_time),
+        force=force,
+        force_time=time,
+    )
 
 
 def with_colour(

@@ -140,3 +140,9 @@ class Setting:
             least_white=np.where(colour, COLOUR_SEEN, 1.0) * self.least_white,
             times=self.times(dataset),
         )
+
+    def as_in(self, dataset: Dataset, noise: NoiseModel, unit: NoiseModel) -> Levels:
+        """Unknown levels as a noise model has them: its colours, and own times where they differ."""
+        times = noise.force_time[(noise.force > 0) & (noise.force_time > 0)]
+        own = bool(np.any(times != times[:1]))
+        return self.levels(dataset, noise, unit, noise.colour > 0, own_times=own)
