@@ -10,7 +10,6 @@ from test_design import ship
 
 from oed_sysid import Experiment, Limits, NoiseModel, load_problem
 from oed_sysid.design import assess_limits
-from oed_sysid.errors import SimulationError
 from oed_sysid.manoeuvres import Doublet
 from oed_sysid.noise.realisation import simulate_at_sea
 from oed_sysid.simulation import simulate
@@ -61,10 +60,30 @@ def test_a_force_in_an_axis_meets_a_zigzag_that_reacts() -> None:
     ]
     assert np.abs(records[0].inputs - records[1].inputs).max() > 0.1
     assert np.abs(records[0].input("fin_command")).max() == pytest.approx(np.radians(5))
-    with pytest.raises(SimulationError, match="only forces"):
-        simulate_at_sea(
-            problem.model, run, replace(sea, places=("sensor q",)), rng=np.random.default_rng(0)
-        )
+
+
+def test_a_drifting_sensor_and_a_noisy_command_are_drawn_too() -> None:
+    """A drift is added to its reading alone; a noise of the fin moves the vehicle."""
+    problem = load_problem("remus_diving_plane")
+    run = replace(problem.experiment("zigzag_5_5"), manoeuvre=(), duration=40.0,
+                  constants={"fin_command": 0.05, "thrust": 9.0})  # fmt: skip
+    names = problem.model.output_names
+    quiet = NoiseModel(
+        np.full(5, 1e-12), np.zeros(5), np.array([0.2]), force_time=np.array([5.0]),
+        outputs=names, places=("sensor q",),
+    )  # fmt: skip
+    still = simulate(problem.model, run, noise=False)
+    drawn = [
+        simulate_at_sea(problem.model, run, sea, rng=np.random.default_rng(0))
+        for sea in (quiet, replace(quiet, places=("actuator ds",), force_time=np.zeros(1)))
+    ]
+    drift, wiggle = (record.outputs - still.outputs for record in drawn)
+    here = names.index("q")
+    assert np.abs(np.delete(drift, here, axis=1)).max() < 1e-9
+    assert np.std(drift[:, here]) == pytest.approx(0.2, rel=0.5)
+    step, series = run.sample_time, drift[:, here]
+    assert np.corrcoef(series[1:], series[:-1])[0, 1] == pytest.approx(np.exp(-step / 5), abs=0.05)
+    assert np.std(wiggle[50:, here]) > 1e-3
 
 
 def test_waves_count_in_how_surely_limits_hold() -> None:

@@ -218,6 +218,9 @@ HOVERCRAFT = Model(
 )  # fmt: skip
 
 
+TRIMS = {1: 0.04, 2: -0.03, 3: 0.02, 4: -0.05}
+
+
 def hovercraft_run(hidden: str, seed: int, n_times: int = 300, dt: float = 0.2) -> Record:
     """A run over ground that SciPy integrates, sharing nothing with the package."""
     rng = np.random.default_rng(seed)
@@ -235,8 +238,9 @@ def hovercraft_run(hidden: str, seed: int, n_times: int = 300, dt: float = 0.2) 
         ])  # fmt: skip
         if hidden == "quadratic_N_r":
             forces[2] -= 600 * abs(r) * r
-        if hidden == "wind":
-            forces[:2] += 25 * np.cos(1.0 - psi), 25 * np.sin(1.0 - psi)
+        if hidden.startswith("wind"):
+            towards = 1.0 + (seed if hidden == "wind_by_record" else 0)
+            forces[:2] += 25 * np.cos(towards - psi), 25 * np.sin(towards - psi)
         over_ground = (u * np.cos(psi) - v * np.sin(psi), u * np.sin(psi) + v * np.cos(psi))
         return [*(forces / (500, 500, 400)), r, *over_ground]
 
@@ -244,6 +248,8 @@ def hovercraft_run(hidden: str, seed: int, n_times: int = 300, dt: float = 0.2) 
         seen.append(state[[4, 5, 3]])
         if hidden == "vane_deadband":
             angle = np.sign(angle) * max(abs(angle) - 0.06, 0.0)
+        if hidden == "vane_offset_by_record":
+            angle = angle + TRIMS[seed]
         done = solve_ivp(rate, (0, dt), state, args=(thrust, angle), rtol=1e-8, atol=1e-9)
         state = done.y[:, -1]
     outputs = np.array(seen) + rng.standard_normal((n_times, 3)) * [0.05, 0.05, 0.005]
@@ -251,13 +257,20 @@ def hovercraft_run(hidden: str, seed: int, n_times: int = 300, dt: float = 0.2) 
     return Record(f"run {seed}", times, inputs, outputs, HOVERCRAFT.channels)
 
 
-@pytest.mark.parametrize("hidden", ["", "quadratic_N_r", "vane_deadband", "wind"])
+HIDDEN = ("", "quadratic_N_r", "vane_deadband", "wind", "wind_by_record", "vane_offset_by_record")
+
+
+@pytest.mark.parametrize("hidden", HIDDEN)
 def test_a_vehicle_that_nobody_prepared(hidden: str) -> None:
     """A hovercraft measured by position and compass: what its log hides is found, and no more."""
     runs = [hovercraft_run(hidden, seed) for seed in range(1, 5)]
     found = improve(HOVERCRAFT, Dataset(runs[:3]), Dataset(runs[3:]))
     assert [step.added for step in found.steps] == ([hidden] if hidden else [])
     assert found.final_error["test"] == pytest.approx(1.0, abs=0.05)
+    if hidden == "vane_offset_by_record":
+        assert found.steps[0].group == (hidden,)  # an offset that all share is not as good
+        sizes = [local["E_vane_offset_by_record"] for local in found.fit.local_values]
+        assert sizes == pytest.approx([TRIMS[seed] for seed in (1, 2, 3)], abs=0.003)
     assert found.remains.kind == "adequate"
     if hidden:
         assert found.base_error["test"] > 20

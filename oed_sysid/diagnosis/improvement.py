@@ -499,6 +499,7 @@ def advice(
     for step in steps:
         own = [p for p in step.effect.parameters if p.name in estimates]
         sizes = [_size(estimates[p.name], p) for p in own]
+        sizes += [_sizes(p, steps[-1].fit) for p in step.effect.parameters if p.per_record]
         tested = not np.isnan(step.test_gain)
         rivals = step.group[1:]
         what = " or ".join(step.group) if rivals else step.added
@@ -563,6 +564,13 @@ def _size(row: Mapping[str, Any], parameter: Parameter) -> str:
         return f"{row['name']} about {row['value']:.3g}{unit}"
     half = TWO_SIDED_95 * row["std_error"]
     return f"{row['name']} = {row['value']:.3g} +/- {half:.2g}{unit} (95 %)"
+
+
+def _sizes(parameter: Parameter, fit: Fit) -> str:
+    """The range of a size that differs from record to record."""
+    found = [local[parameter.name] for local in fit.local_values if parameter.name in local]
+    unit = "" if parameter.unit in ("", "1") else f" {parameter.unit}"
+    return f"{parameter.name} from {min(found):.3g} to {max(found):.3g}{unit}, by record"
 
 
 def _listed(title: str, lines: Sequence[str]) -> list[str]:

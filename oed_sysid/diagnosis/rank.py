@@ -11,6 +11,7 @@ from scipy.special import chdtri
 from oed_sysid.diagnosis.score import Score, scores, two_sided
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
+from oed_sysid.effects.by_record import BY_RECORD
 from oed_sysid.fitting.fit import align
 from oed_sysid.fitting.gauss_newton import FilteredSolution
 
@@ -69,8 +70,12 @@ class Refit:
 
     @property
     def evidence(self) -> float:
-        """Gain less what freedom costs (two per parameter, as in Akaike's criterion)."""
-        return self.gain - 2.0 * self.score.freedom
+        """Gain less what freedom costs (two per parameter, as in Akaike's criterion).
+
+        A size for every record costs twice that: it is estimated anew on validation records, too,
+        so that these cannot refuse it in favour of one that all share.
+        """
+        return self.gain - 2.0 * self.score.freedom - 2.0 * self.score.apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,16 +114,23 @@ class Ranking:
         return threshold(len(self.scores), score.freedom, self.share)
 
     def group(self, width: float = GROUP_WIDTH) -> tuple[Refit, ...]:
-        """The best refit and all that these data cannot tell from it."""
+        """The best refit and all that these data cannot tell from it.
+
+        The same with a size for every record is no rival: it holds the best as a special case.
+        """
         if not self.refits:
             return ()
         best = self.refits[0]
         return tuple(
             refit
             for refit in self.refits
-            if best.evidence - refit.evidence < width
-            or (
-                best.gain - refit.gain < NEARLY * best.gain and self.similarity(best, refit) > ALIKE
+            if refit.name != f"{best.name}{BY_RECORD}"
+            and (
+                best.evidence - refit.evidence < width
+                or (
+                    best.gain - refit.gain < NEARLY * best.gain
+                    and self.similarity(best, refit) > ALIKE
+                )
             )
         )
 
@@ -127,16 +139,20 @@ class Ranking:
         return _similarity(first.score, second.score)
 
     def alike(self, name: str, limit: float = ALIKE) -> tuple[str, ...]:
-        """Candidates never refitted whose signature is nearly that of another, by likeness.
+        """Candidates never refitted that explain nearly what another explains, by likeness.
 
         Those that were refitted are told from it, or not, by their evidence.
         """
         own = next(score for score in self.scores if score.effect.name == name)
+        explained = _within(own, self.residual)
+        size = float(np.linalg.norm(explained))
         refitted = {refit.name for refit in self.refits}
         found = {
-            score.effect.name: _similarity(own, score)
+            score.effect.name: float(np.linalg.norm(_within(score, explained))) / size
             for score in self.scores
-            if score.effect.name != name and score.effect.name not in refitted
+            if size > 0
+            and score.effect.name not in refitted
+            and score.effect.name not in (name, f"{name}{BY_RECORD}")
         }
         return tuple(n for n in sorted(found, key=lambda n: -found[n]) if found[n] > limit)
 
@@ -175,6 +191,14 @@ class Ranking:
         return found
 
 
+def _within(score: Score, rows: np.ndarray) -> np.ndarray:
+    """What the amplitudes of an effect can explain of some rows."""
+    if not np.any(score.signature):
+        return np.zeros_like(rows)
+    basis, _ = np.linalg.qr(score.signature)
+    return basis @ (basis.T @ rows)
+
+
 def _similarity(first: Score, second: Score) -> float:
     bases = []
     for score in (first, second):
@@ -209,7 +233,13 @@ def rank(
         Share of false claims that chance may make on these records.
     """
     scored, residual = scores(study, fit, candidates)
-    chosen = [s for s in scored if not s.absorbed and s.statistic > 2.0][:n_refits]
+    shared = {f"{s.effect.name}{BY_RECORD}": s.statistic for s in scored}
+    chosen = [
+        s
+        for s in scored
+        # A size for every record only where it says more than one that all share.
+        if not s.absorbed and s.statistic > 2.0 + shared.get(s.effect.name, -s.apart) + s.apart
+    ][:n_refits]
     chosen += [s for s in scored if s.effect.name in also and s not in chosen]
     quick = [r for r in (refit(study, fit, score) for score in chosen) if r is not None]
     quick.sort(key=lambda r: -r.evidence)

@@ -48,7 +48,7 @@ class Score:
     estimate : dict
         One-step estimate of amplitudes (and the shape that goes with it).
     std_errors : dict
-        Standard errors of the amplitudes.
+        Standard errors of the amplitudes, over all records.
     distinct : float
         Share of the effect's signature that free parameters cannot imitate.
     signature : ndarray (n_rows, n_amplitudes)
@@ -62,6 +62,11 @@ class Score:
     std_errors: dict[str, float]
     distinct: float
     signature: np.ndarray
+
+    @property
+    def apart(self) -> int:
+        """Freedoms that sizes which differ from record to record have beyond shared ones."""
+        return self.signature.shape[1] - len(self.effect.amplitude_names)
 
     @property
     def absorbed(self) -> bool:
@@ -100,6 +105,14 @@ class _Rows:
         return np.concatenate(
             [part[s] / root for part, s, root in zip(parts, self.seen, self.roots, strict=True)]
         )
+
+    def by_record(self, columns: np.ndarray) -> np.ndarray:
+        """A column for every record in place of one for all, ``(n_rows, n_columns*n_records)``."""
+        ends = np.cumsum([len(root) for root in self.roots])
+        apart = np.zeros((*columns.shape, len(ends)))
+        for index, (begin, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
+            apart[begin:end, :, index] = columns[begin:end]
+        return apart.reshape(len(columns), -1)
 
 
 def scores(
@@ -209,7 +222,10 @@ def _score(
     if raw.shape[1] > len(variant.amplitudes):  # one amplitude for every record
         count = raw.shape[1] // len(variant.amplitudes)
         amplitude = np.array([p.mean() for p in np.split(amplitude, len(variant.amplitudes))])
-        errors = np.array([p.max() for p in np.split(errors, len(variant.amplitudes))])
+        # What a size that all records share would be known to.
+        errors = np.array(
+            [np.sum(p**-2.0) ** -0.5 for p in np.split(errors, len(variant.amplitudes))]
+        )
         assert local
         assert count > 1
     lower = [_parameter(effect, name).lower for name in variant.amplitudes]
@@ -243,18 +259,15 @@ def _variants(
     variants = []
     for effect in candidates:
         amplitudes = effect.amplitude_names
-        if effect.shape_names:
-            for shape in _shapes(effect):
-                columns = _secant(study, fit, effect, shape, rows)
-                if columns is not None:
-                    variants.append(_Variant(effect, amplitudes, shape, columns))
-        elif all(name in smooth for name in amplitudes):
+        if all(name in smooth for name in amplitudes):
             columns = np.hstack([rows.extra[name] for name in amplitudes])
             variants.append(_Variant(effect, amplitudes, {}, columns))
-        else:
-            columns = _secant(study, fit, effect, {}, rows)
-            if columns is not None:
-                variants.append(_Variant(effect, amplitudes, {}, columns))
+            continue
+        for shape in _shapes(effect) if effect.shape_names else [{}]:
+            together = _secant(study, fit, effect, shape, rows)
+            if together is not None:
+                columns = rows.by_record(together) if _local_names(effect) else together
+                variants.append(_Variant(effect, amplitudes, shape, columns))
     return variants
 
 

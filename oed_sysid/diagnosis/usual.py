@@ -9,6 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from fnmatch import fnmatch
+
+import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.dictionary import HORIZONTAL
@@ -18,8 +21,8 @@ from oed_sysid.diagnosis.usual_surroundings import usual_surroundings
 from oed_sysid.effects import (
     Effect,
     actuators,
+    in_each_record,
     inertia,
-    propulsion,
     sensors,
 )
 from oed_sysid.errors import DataError, ModelError
@@ -27,12 +30,14 @@ from oed_sysid.model import Model
 from oed_sysid.problem import Problem
 from oed_sysid.simulation import simulate
 
-# Share of a signal's swing, of an inertia and of a thrust or load that an effect makes.
+# Share of a signal's swing, of an inertia and of a lift that an effect makes.
 OF_SWING, OF_INERTIA, OF_THRUST = 0.1, 0.2, 0.2
 # A lag in samples, the longest delay in samples, and the most steps that its register may hold.
 LAG, DELAY, LONGEST = 2.0, 4.0, 12
 # An input in this unit or with such a name is no command but a measured flow.
 FLOW_UNIT, FLOWS = "m/s", ("wind", "wave", "current")
+# What is steady in a record and another in the next: trims, currents and winds.
+FROM_DAY_TO_DAY = ("*_offset", "current*", "drift_*", "wind")
 
 
 def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
@@ -60,13 +65,19 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
     """
     sizes = sizes_of(model, dataset)
     found: dict[str, Effect] = {}
-    for effect in (
+    made = (
         *usual_forces(model, sizes),
         *usual_surroundings(model, sizes),
         *_inertias(model, sizes),
         *_commands(model, sizes),
         *_sensors(model, sizes),
-    ):
+    )
+    own = [
+        in_each_record(effect)
+        for effect in made
+        if len(dataset) > 1 and any(fnmatch(effect.name, kind) for kind in FROM_DAY_TO_DAY)
+    ]
+    for effect in (*made, *own):
         if effect.name in model.effect_names or effect.name in found:
             continue
         try:
@@ -86,28 +97,42 @@ def _inertias(model: Model, sizes: Sizes) -> Iterator[Effect]:
 
 
 def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    lag = LAG * sizes.sample
-    for signal, unit in commanded(model).items():
-        swing = sizes.swing.get(signal, 0.0)
-        if swing <= 0 or unit == FLOW_UNIT or signal.startswith(FLOWS):
-            continue
-        share = OF_SWING * swing
+    units = {
+        signal: unit
+        for signal, unit in commanded(model).items()
+        if sizes.swing.get(signal, 0.0) > 0 and unit != FLOW_UNIT and not signal.startswith(FLOWS)
+    }
+    alike: dict[str, list[str]] = {}
+    for signal, unit in units.items():
+        alike.setdefault(unit, []).append(signal)
+    for signal, unit in units.items():
+        share = OF_SWING * sizes.swing[signal]
         yield actuators.actuator_offset(f"{signal}_offset", signal, unit, scale=share)
-        yield actuators.actuator_lag(f"{signal}_lag", signal, scale=lag)
-        if DELAY * sizes.sample <= LONGEST * sizes.step:
-            yield actuators.actuator_delay(
-                f"{signal}_delay", signal, max_delay=DELAY * sizes.sample, step=sizes.step,
-                scale=0.5 * lag,
-            )  # fmt: skip
-        yield actuators.rate_limit(f"{signal}_rate_limit", signal, unit, scale=lag / swing)
-        yield actuators.deadband(f"{signal}_deadband", signal, unit, scale=share)
-        yield actuators.backlash(f"{signal}_backlash", signal, unit, scale=share)
+        if len(alike[unit]) > 1:  # of one alone, free derivatives are its gain
+            yield actuators.actuator_gain_error(f"{signal}_gain", signal)
         if unit == "rad":
-            yield actuators.stall(f"{signal}_stall", signal, scale=OF_THRUST / swing**2)
-        if unit == "N" and "u" in model.axes.values():
-            yield propulsion.thrust_speed_loss(
-                f"{signal}_speed_loss", thrust=signal, scale=OF_THRUST / sizes.level["u"]
-            )
+            bend = OF_THRUST / sizes.swing[signal] ** 2
+            yield actuators.stall(f"{signal}_stall", signal, scale=bend)
+        yield from _moved((signal,), unit, sizes)
+    for unit, signals in alike.items():
+        if len(signals) > 1:
+            yield from _moved(signals, unit, sizes)
+
+
+def _moved(signals: Sequence[str], unit: str, sizes: Sizes) -> Iterator[Effect]:
+    """What actuators do to their commands: of one, or of several alike."""
+    name, lag = "_".join(signals), LAG * sizes.sample
+    swing = float(np.mean([sizes.swing[signal] for signal in signals]))
+    share = OF_SWING * swing
+    yield actuators.actuator_lag(f"{name}_lag", signals, scale=lag)
+    if DELAY * sizes.sample <= LONGEST * sizes.step:
+        yield actuators.actuator_delay(
+            f"{name}_delay", signals, max_delay=DELAY * sizes.sample, step=sizes.step,
+            scale=0.5 * lag,
+        )  # fmt: skip
+    yield actuators.rate_limit(f"{name}_rate_limit", signals, unit, scale=lag / swing)
+    yield actuators.deadband(f"{name}_deadband", signals, unit, scale=share)
+    yield actuators.backlash(f"{name}_backlash", signals, unit, scale=share)
 
 
 def _sensors(model: Model, sizes: Sizes) -> Iterator[Effect]:
@@ -116,7 +141,9 @@ def _sensors(model: Model, sizes: Sizes) -> Iterator[Effect]:
         swing = sizes.swing.get(name, 0.0)
         if swing <= 0:
             continue
-        if not (name == "psi" or (name in HORIZONTAL and output.unit == "m")):
+        # Only positions show where the vehicle went, and so that its compass is off.
+        is_position = name in HORIZONTAL and output.unit == "m"
+        if not is_position and (name != "psi" or set(HORIZONTAL) & set(measured)):
             yield sensors.sensor_bias(f"bias_{name}", name, output.unit, scale=OF_SWING * swing)
             yield sensors.sensor_scale(f"scale_{name}", name)
         yield sensors.sensor_lag(f"lag_{name}", name, scale=LAG * sizes.sample)

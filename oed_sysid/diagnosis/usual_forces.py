@@ -98,6 +98,10 @@ def _powers(
         twice = ((signal, False),) * 2
         if equation == "X" and unit == "rad":
             yield f"drag_{signal}", f"{signal}**2", twice, level**2
+        elif equation == "X" and "u" in model.axes.values() and unit != "m/s":
+            forward = through.get("u", "u")  # thrust falls with the speed of advance
+            pair, size = ((forward, False), (signal, False)), level * sizes.level["u"]
+            yield f"advance_{signal}", f"{forward}*{signal}", pair, size
         elif not model.axes:
             one, size = (signal, False), level**2
             yield f"quadratic_{signal}", f"abs({signal})*{signal}", ((signal, True), one), size

@@ -24,6 +24,7 @@ from oed_sysid.effects.base import (
     Memory,
     Sensor,
 )
+from oed_sysid.effects.by_record import in_each_record
 from oed_sysid.effects.derivatives import coupling, derivative, derivative_group, hull_derivatives
 from oed_sysid.effects.drag import (
     crossed_drag,
@@ -106,6 +107,7 @@ __all__ = [
     "Memory",
     "Sensor",
     "amplitude",
+    "in_each_record",
     "derivative",
     "derivative_group",
     "hull_derivatives",

@@ -205,36 +205,58 @@ def maximum_rate(effect: Actuator) -> float:
 
 
 def deadband(
-    name: str, signal: str, unit: str = "rad", *, scale: float = 0.03, value: float = 0.0
+    name: str,
+    signal: str | Sequence[str],
+    unit: str = "rad",
+    *,
+    scale: float = 0.03,
+    value: float = 0.0,
 ) -> Actuator:
-    """Commands within ``±E`` do nothing, larger ones lose ``E``."""
+    """Commands within ``±E`` do nothing, larger ones lose ``E``; of one signal or of several."""
     size = amplitude(name, unit, scale=scale, value=value, positive=True, description="half-width")
-    shrunk = f"{signal} - {size.name}*sign({signal})"
+    terms = {
+        channel: f"where(abs({channel}) >= {size.name}, {channel} - {size.name}*sign({channel}), 0)"
+        for channel in _channels(signal)
+    }
     return Actuator(
         name,
-        {signal: f"where(abs({signal}) >= {size.name}, {shrunk}, 0)"},
+        terms,
         (size,),
-        description=f"small {signal} commands have no effect",
+        description=f"small {_listed(signal)} commands have no effect",
         source=TAO,
         needs="commands near zero and far from it",
     )
 
 
 def backlash(
-    name: str, signal: str, unit: str = "rad", *, scale: float = 0.03, value: float = 0.0
+    name: str,
+    signal: str | Sequence[str],
+    unit: str = "rad",
+    *,
+    scale: float = 0.03,
+    value: float = 0.0,
 ) -> Actuator:
-    """Play of half-width ``E``: the actual value moves when its flank is touched."""
+    """Play of half-width ``E``: the actual value moves when its flank is touched.
+
+    Of one signal or of several alike.
+    """
     size = amplitude(name, unit, scale=scale, value=value, positive=True, description="half-width")
-    low, high = f"{signal} - {size.name}", f"{signal} + {size.name}"
+    terms, definitions, memory = {}, {}, []
+    for channel, actual in _remembered(signal):
+        held = actual.replace("actual", "held")
+        low, high = f"{channel} - {size.name}", f"{channel} + {size.name}"
+        definitions[held] = (
+            f"where({actual} > {high}, {high}, where({actual} < {low}, {low}, {actual}))"
+        )
+        terms[channel] = held
+        memory.append(Memory(actual, held, channel))
     return Actuator(
         name,
-        {signal: "held"},
+        terms,
         (size,),
-        definitions={
-            "held": f"where(actual > {high}, {high}, where(actual < {low}, {low}, actual))"
-        },
-        memory=(Memory("actual", "held", signal),),
-        description=f"play between command and actual {signal}",
+        definitions=definitions,
+        memory=tuple(memory),
+        description=f"play between command and actual {_listed(signal)}",
         source=TAO,
         needs="reversals of small and large amplitude",
     )

@@ -5,19 +5,20 @@ Without measurements a trajectory spreads by three causes: parameters and start 
 .. math:: V(t) = J(t)\, C\, J(t)' + P(t), \qquad P_{k+1} = F P_k F' + Q
 
 the random forces of the noise model (``P``, from a filter that is shown nothing), and the
-sensors. Where parameters are so poorly known that a first-order band would mislead, the first
-term is the mean square of trajectories drawn from their distribution.
+sensors. Where a first-order band would mislead, because parameters are poorly known or random
+forces throw the vehicle far, ``V`` is the mean square of runs in which all is drawn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError
+from oed_sysid.fitting.drawn import N_PROBE, Spread, misleads, runs_at_sea
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.gauss_newton import solve, solve_filtered
 from oed_sysid.fitting.shooting import Shooting
@@ -33,9 +34,9 @@ WAYS = {
 }
 
 Initial = str | StartState
-# Relative standard error of a parameter from which bands are drawn, share of the band that it
-# must matter, and the number of draws.
-DRAWN, MATTERS, N_DRAWS = 0.15, 0.3, 200
+# Relative standard error of a parameter from which bands are drawn, and share of the band that it
+# must matter.
+DRAWN, MATTERS = 0.15, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,19 +233,21 @@ def _predict(
         gain = np.zeros((len(others), n_shared))
         if way == "fit":
             gain = inverse[:, : len(outer)] @ outer
-        columns = layout.record_columns(0)
-        drawn = _drawn(
-            lambda unknowns: _outputs(shooting, unknowns),
+        spread = Spread(
             point.unknowns,
             shared,
-            columns[others],
+            layout.record_columns(0)[others],
             gain,
             covariance,
             other_covariance,
             (shooting.limits.lower, shooting.limits.upper),
         )
-        spread = np.mean((drawn - outputs) ** 2, axis=0)
-        variance = np.where(np.isfinite(variance), spread, variance)
+
+        def simulated(unknowns: np.ndarray, _: np.random.Generator) -> np.ndarray:
+            return np.array([_outputs(shooting, one) for one in unknowns])
+
+        drawn = spread.mean_square(simulated, outputs)
+        variance = np.where(np.isfinite(variance), drawn, variance)
     return outputs, np.sqrt(variance), states, values
 
 
@@ -303,12 +306,17 @@ def _predict_disturbed(
     own = layout.parameters(unknowns, 0)
     values = {layout.free_names[i]: float(own[i]) for i in layout.local}
 
-    def simulated(vector: np.ndarray) -> np.ndarray:
-        own = problem.initial_state(vector, 0)
-        values = problem.values(vector, 0)
-        return problem.kernel.simulate(record.times, record.inputs, values, own)[0]
+    position = {name: i for i, name in enumerate(model.parameter_names)}
+    free = [position[name] for name in layout.free_names]
 
-    outputs = simulated(unknowns)
+    def split(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        own = model.value_vector.copy()
+        own[free] = layout.parameters(vector, 0)
+        return own, problem.initial_state(vector, 0)
+
+    outputs, _, _ = problem.kernel.simulate(
+        record.times, record.inputs, problem.values(unknowns, 0), problem.initial_state(unknowns, 0)
+    )
     if not part.ok or part.rows is None:
         return np.full(record.outputs.shape, np.nan), blind, states, values
     jacobian = -part.rows * np.sqrt(part.variances)[:, :, None]
@@ -320,23 +328,18 @@ def _predict_disturbed(
     by_other = jacobian[:, :, np.concatenate([np.arange(n_own), n_own + layout.local])]
     by_shared = by_shared - by_other @ gain
     variance = _carry(by_other, other_covariance) + _carry_uncertain(by_shared, covariance)
-    random = np.maximum(part.variances - noise.white**2, 0.0)
-    if _poorly_known(model, layout.shared_names, covariance) and np.any(
-        variance > MATTERS**2 * part.variances
-    ):
-        drawn = _drawn(
-            simulated,
-            unknowns,
-            shared,
-            others,
-            gain,
-            covariance,
-            other_covariance,
-            (problem.limits.lower, problem.limits.upper),
-        )
-        spread = np.mean((drawn - outputs) ** 2, axis=0)
-        variance = np.where(np.isfinite(variance), spread, variance)
-    return outputs, np.sqrt(variance + random), states, values
+    # What sensors add is no matter of the model.
+    total = variance + np.maximum(part.variances - noise.white**2, 0.0)
+    bounds = (problem.limits.lower, problem.limits.upper)
+    spread = Spread(unknowns, shared, others, gain, covariance, other_covariance, bounds)
+    simulate = runs_at_sea(model, record, noise, split)
+    doubtful = _poorly_known(model, layout.shared_names, covariance) and bool(
+        np.any(variance > MATTERS**2 * part.variances)
+    )
+    if doubtful or misleads(total, spread.mean_square(simulate, outputs, N_PROBE)):
+        drawn = spread.mean_square(simulate, outputs)
+        total = np.where(np.isfinite(total), drawn, total)
+    return outputs, np.sqrt(total), states, values
 
 
 def _given(model: Model, record: Record, initial: Initial) -> KnownStarts | None:
@@ -360,42 +363,6 @@ def _poorly_known(model: Model, names: Sequence[str], covariance: np.ndarray) ->
     parameters = [model.parameter(name) for name in names]
     sizes = np.array([1.0 if p.log else abs(p.value) for p in parameters])
     return bool(np.any(np.isfinite(errors) & (errors > DRAWN * sizes)))
-
-
-def _drawn(
-    simulate: Callable[[np.ndarray], np.ndarray],
-    unknowns: np.ndarray,
-    shared: np.ndarray,
-    others: np.ndarray,
-    gain: np.ndarray,
-    covariance: np.ndarray,
-    other_covariance: np.ndarray,
-    bounds: tuple[np.ndarray, np.ndarray],
-) -> np.ndarray:
-    """Outputs of draws from the distribution of the unknowns, ``(n_draws, n_times, n_outputs)``.
-
-    Start states follow the parameters, as they would if they were estimated anew.
-    """
-    rng = np.random.default_rng(0)  # the same draws for the same fit
-    known = np.isfinite(np.diag(covariance))
-    root = _root(covariance[np.ix_(known, known)])
-    other_root = _root(other_covariance)
-    found = []
-    for _ in range(N_DRAWS):
-        step = np.zeros(len(shared))
-        step[known] = root @ rng.normal(size=root.shape[1])
-        vector = unknowns.copy()
-        vector[shared] += step
-        vector[others] += other_root @ rng.normal(size=other_root.shape[1]) - gain @ step
-        outputs = simulate(np.clip(vector, *bounds))
-        if np.isfinite(outputs).all():
-            found.append(outputs)
-    return np.array(found) if found else np.full((1, *simulate(unknowns).shape), np.inf)
-
-
-def _root(covariance: np.ndarray) -> np.ndarray:
-    values, vectors = np.linalg.eigh(covariance)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def _outputs(shooting: Shooting, unknowns: np.ndarray) -> np.ndarray:

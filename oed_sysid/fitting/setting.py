@@ -142,7 +142,7 @@ class Setting:
         )
 
     def as_in(self, dataset: Dataset, noise: NoiseModel, unit: NoiseModel) -> Levels:
-        """Unknown levels as a noise model has them: its colours, and own times where they differ."""
+        """Unknown levels as a noise model has them: its colours, its own times if they differ."""
         times = noise.force_time[(noise.force > 0) & (noise.force_time > 0)]
         own = bool(np.any(times != times[:1]))
         return self.levels(dataset, noise, unit, noise.colour > 0, own_times=own)

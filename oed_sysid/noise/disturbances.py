@@ -8,8 +8,9 @@ outputs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from oed_sysid.channels import Input
 from oed_sysid.effects import Actuator, Effect, Environment, Force, Sensor
 from oed_sysid.errors import ModelError
 from oed_sysid.language import expressions
@@ -17,6 +18,8 @@ from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
 
 DISTURBANCE = "disturbance_"
+# ... and where it is a signal.
+WAVE = "wave_"
 
 
 def disturbed_equations(model: Model) -> tuple[str, ...]:
@@ -93,6 +96,21 @@ def _rate(unit: str) -> str:
 
 def disturbance(place: Place) -> Effect:
     """The disturbance of a place as an effect, with one parameter of its own name."""
+    name = f"{DISTURBANCE}{place.stage}_{place.signal}"
+    return replace(_let_in(place, name), parameters=(Parameter(name, 0.0),))
+
+
+def with_disturbance_inputs(model: Model, places: Sequence[Place]) -> Model:
+    """The model with the disturbances of some places as further inputs, in their order."""
+    inputs = tuple(Input(f"{WAVE}{p.stage}_{p.signal}", p.unit) for p in places)
+    # A model that names its actuator signals knows its inputs through them alone.
+    signals = {**model.actuators, **{i.name: i.name for i in inputs}} if model.actuators else {}
+    wide = replace(model, actuators=signals, inputs=(*model.inputs, *inputs))
+    return wide + [_let_in(p, i.name) for p, i in zip(places, inputs, strict=True)]
+
+
+def _let_in(place: Place, name: str) -> Effect:
+    """A signal that is let in at a place, as an effect of its name."""
     kind: dict[str, type[Effect]] = {
         "actuator": Actuator,
         "flow": Environment,
@@ -100,9 +118,8 @@ def disturbance(place: Place) -> Effect:
         "kinematics": Force,
         "sensor": Sensor,
     }
-    name = f"{DISTURBANCE}{place.stage}_{place.signal}"
     text = name if kind[place.stage] is Force else f"{place.signal} + {name}"
-    return kind[place.stage](name, {place.signal: text}, (Parameter(name, 0.0),))
+    return kind[place.stage](name, {place.signal: text})
 
 
 def chosen_places(model: Model, names: Sequence[str] | str) -> tuple[Place, ...]:

@@ -14,18 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from oed_sysid.channels import Input
 from oed_sysid.data.dataset import Record
-from oed_sysid.effects import Force
-from oed_sysid.errors import SimulationError
 from oed_sysid.experiment import Experiment
 from oed_sysid.manoeuvres import Piecewise
 from oed_sysid.model import Model
-from oed_sysid.noise.disturbances import chosen_places
+from oed_sysid.noise.disturbances import chosen_places, with_disturbance_inputs
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.simulation import simulate
-
-_INPUT = "wave_"
 
 
 def gauss_markov(
@@ -69,44 +64,29 @@ def gauss_markov(
 def at_sea(
     model: Model, experiment: Experiment, noise: NoiseModel, *, rng: np.random.Generator
 ) -> tuple[Model, Experiment]:
-    """Return the vehicle with random forces as inputs, and the run with one draw of them.
+    """Return the vehicle with what disturbs it as inputs, and the run with one draw of them.
 
     Parameters
     ----------
     model : Model
     experiment : Experiment
     noise : NoiseModel
-        Sensors in the order of the model's outputs; random forces in equations (``force Z``).
+        Sensors in the order of the model's outputs; random forces in equations (``force Z``) and
+        other disturbances (``sensor q``).
     rng : numpy.random.Generator
-
-    Raises
-    ------
-    SimulationError
-        If a disturbance is not a force.
     """
     acting = [i for i in range(len(noise.force)) if noise.force[i] > 0]
     places = chosen_places(model, [noise.places[i] for i in acting])
-    if other := [p.name for p in places if p.stage != "force"]:
-        raise SimulationError(
-            f"A disturbance at {other[0]!r} cannot be drawn here, only forces in equations."
-        )
-    names = [f"{_INPUT}{place.signal}" for place in places]
-    times = experiment.times
-    # A model that names its actuator signals knows its inputs through them alone.
-    signals = {**model.actuators, **{n: n for n in names}} if model.actuators else model.actuators
+    vehicle = with_disturbance_inputs(model, places)
     vehicle = replace(
-        model,
-        actuators=signals,
-        inputs=(*model.inputs, *(Input(n, p.unit) for n, p in zip(names, places, strict=True))),
+        vehicle,
         outputs=tuple(
             replace(output, noise_std=float(level))
             for output, level in zip(model.outputs, noise.white, strict=True)
         ),
     )
-    vehicle = vehicle + [
-        Force(f"{_INPUT}force_{place.signal}", {place.signal: name})
-        for name, place in zip(names, places, strict=True)
-    ]
+    names = vehicle.input_names[len(model.inputs) :]
+    times = experiment.times
     waves = []
     for index, name in zip(acting, names, strict=True):
         force = gauss_markov(noise.force[index], noise.force_time[index], times, rng)
@@ -135,7 +115,7 @@ def simulate_at_sea(
     Raises
     ------
     SimulationError
-        If a disturbance is not a force, or the vehicle diverges.
+        If the vehicle diverges.
     """
     vehicle, run = at_sea(model, experiment, noise, rng=rng)
     record = simulate(vehicle, run, rng=rng)
