@@ -7,7 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Fit, Model, MultipleShooting, Record, jackknife
+from oed_sysid import (
+    Dataset,
+    Fit,
+    Model,
+    MultipleShooting,
+    Record,
+    jackknife,
+    turning_circle,
+)
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.fitting.between_records import RecordScatter, record_scatter
 from oed_sysid.simulation import simulate_inputs
@@ -179,6 +187,19 @@ def test_errors_between_records_can_be_taken_along(fit: Fit, tmp_path: Path) -> 
     assert isinstance(again.record_scatter, RecordScatter)
     assert again.record_errors == fit.record_errors
     assert again.report() == fit.report()
+
+
+def test_what_is_predicted_carries_the_caveat(fit: Fit, differing: Dataset) -> None:
+    """Bands and circles of the fit are said to be too narrow, those of the wider errors are not."""
+    honest, right = fit.with_record_errors(), WHITE.fit(SHIP, ships(6, 0.0, seed=2))
+    for one, narrow in ((fit, True), (honest, False), (right, False)):
+        circle = turning_circle(one, speed=1.0, rudder=0.3, n_draws=10)
+        found = one.predict(Dataset((differing[0],)))
+        assert bool(one.caveat) == bool(circle.caveat) == bool(found.caveat) == narrow
+        assert circle.to_dict()["caveat"] == one.caveat
+        assert (one.caveat in circle.report()) == (one.caveat in found.report())
+    wide = honest.predict(differing).model_std[0]
+    assert np.nanmedian(wide / fit.predict(differing).model_std[0]) > 2.0
 
 
 def test_too_few_records_are_refused(differing: Dataset) -> None:

@@ -106,6 +106,16 @@ class Fit(Estimate):
         """Why the values must not be used although the fit converged; see :mod:`.explained`."""
         return grave(self, self.concerns)
 
+    @property
+    def caveat(self) -> str:
+        """What to add to every interval that follows from the standard errors; often empty."""
+        if not any(concern.kind == "records_differ" for concern in self.concerns):
+            return ""
+        return (
+            "Records of the fit differ by more than its standard errors say, so these intervals "
+            "are too narrow: predict from fit.with_record_errors()."
+        )
+
     def predict(self, dataset: Dataset, *, initial: Initial = "fit") -> Prediction:
         """Predict other records; see :func:`oed_sysid.fitting.prediction.predict`.
 
@@ -123,7 +133,8 @@ class Fit(Estimate):
         known = [i for i, name in enumerate(shared) if name in self.names]
         columns = [self.names.index(shared[i]) for i in known]
         covariance[np.ix_(known, known)] = self.covariance[np.ix_(columns, columns)]
-        return predict(self.model, dataset, covariance, self.noise, initial=initial)
+        found = predict(self.model, dataset, covariance, self.noise, initial=initial)
+        return replace(found, caveat=self.caveat)
 
     def with_record_errors(self) -> Fit:
         """Return the same fit, its covariance that of the scatter between records.
@@ -194,7 +205,7 @@ class Fit(Estimate):
         if not self.names:
             return ["  no free parameter: initial states only"]
         # A column of its own where the stated errors do not hold what differs between records.
-        differ = any(concern.kind == "records_differ" for concern in self.concerns)
+        differ = bool(self.caveat)
         scattered = self.record_errors
         head = ("std. error", "between records") if differ else ("std. error",)
         rows = [("parameter", "value", *head, "rel. %", "unit", "")]

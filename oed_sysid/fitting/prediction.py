@@ -61,6 +61,8 @@ class Prediction:
         Where these come from: ``fit``, ``first`` or ``given``.
     local_values : tuple of mapping
         Values of per-record parameters, per record.
+    caveat : str
+        Why the bands are too narrow; empty where nothing says so.
     """
 
     dataset: Dataset
@@ -70,6 +72,7 @@ class Prediction:
     initial_states: tuple[Mapping[str, float], ...]
     way: str
     local_values: tuple[Mapping[str, float], ...] = ()
+    caveat: str = ""
 
     @property
     def residuals(self) -> tuple[np.ndarray, ...]:
@@ -117,6 +120,7 @@ class Prediction:
                 f"  {name}: rms {rms:.3g} {output.unit}, noise {sigma:.3g}; "
                 f"{100 * coverage[name]:.0f} % within the 95 % band"
             )
+        lines += [f"  {self.caveat}"] if self.caveat else []
         return "\n".join(lines)
 
 

@@ -282,6 +282,8 @@ class ClosedLoop:
         95 % band of the draws; NaN without draws.
     failed : int
         Draws that left the numbers.
+    caveat : str
+        Why the band is too narrow; empty where nothing says so.
     """
 
     record: Record
@@ -292,6 +294,7 @@ class ClosedLoop:
     lower: np.ndarray = field(repr=False)
     upper: np.ndarray = field(repr=False)
     failed: int = 0
+    caveat: str = ""
 
     def rms(self, *, open_loop: bool = False) -> dict[str, float]:
         """Rms error of each output."""
@@ -327,8 +330,9 @@ class ClosedLoop:
                     "" if math.isnan(held[name]) else f"{100 * held[name]:.0f} %",
                 )
             )
-        lines = [f"replay of {self.record.name}, rms error"]
-        return "\n".join([*lines, *(f"  {line}" for line in align(rows))])
+        lines = [f"replay of {self.record.name}, rms error", *(f"  {line}" for line in align(rows))]
+        lines += [f"  {self.caveat}"] if self.caveat else []
+        return "\n".join(lines)
 
 
 def closed_loop(
@@ -384,7 +388,8 @@ def closed_loop(
         std = np.sqrt(drawn.var(axis=0) + sigma**2)
         lower, upper = np.quantile(noisy, [0.025, 0.975], axis=0)
     failed = len(runs) - 1 - len(drawn)
-    return ClosedLoop(record, outputs, opened, inputs, std, lower, upper, failed)
+    caveat = fit_or_model.caveat if isinstance(fit_or_model, Fit) else ""
+    return ClosedLoop(record, outputs, opened, inputs, std, lower, upper, failed, caveat)
 
 
 def _run(

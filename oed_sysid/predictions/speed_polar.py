@@ -77,6 +77,8 @@ class SpeedPolar:
         All steady states and the helm.
     draws : ndarray (n_draws, n_angles)
         Speeds of parameters drawn from the fit, m/s; NaN without a steady state.
+    caveat : str
+        Why the band is too narrow; empty where nothing says so.
     """
 
     model: str
@@ -86,6 +88,7 @@ class SpeedPolar:
     sheets: np.ndarray
     states: Mapping[str, np.ndarray] = field(repr=False)
     draws: np.ndarray = field(repr=False)
+    caveat: str = ""
 
     def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper ends ``(n_angles,)`` of the credible band; NaN without draws."""
@@ -118,6 +121,7 @@ class SpeedPolar:
         lines += [f"  {line}" for line in align(rows)]
         if self.missing:
             lines.append(f"  {self.missing} of {self.draws.size} draws have no steady state.")
+        lines += [f"  {self.caveat}"] if self.caveat else []
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
@@ -132,6 +136,7 @@ class SpeedPolar:
             "high": _plain(high),
             "sheets": _plain(self.sheets),
             "missing": self.missing,
+            "caveat": self.caveat,
         }
 
 
@@ -222,8 +227,10 @@ def speed_polar(
         key: np.array([math.nan if point is None else point[key] for point in best])
         for key in (*keys, names.sheet)
     }
+    caveat = "" if fit is None else fit.caveat
+    best_speeds, best_sheets = states[names.speed], states[names.sheet]
     return SpeedPolar(
-        model.name, wind_speed, angles, states[names.speed], states[names.sheet], states, speeds
+        model.name, wind_speed, angles, best_speeds, best_sheets, states, speeds, caveat
     )
 
 

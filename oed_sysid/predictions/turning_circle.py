@@ -57,6 +57,8 @@ class TurningPrediction:
     neutral : float
         Rudder angle of the straight approach at the fitted values, rad; zero where the approach
         was asked to be amidships.
+    caveat : str
+        Why the intervals are too narrow; empty where nothing says so.
     """
 
     model: str
@@ -67,6 +69,7 @@ class TurningPrediction:
     draws: Mapping[str, Mapping[str, np.ndarray]] = field(repr=False)
     unfinished: Mapping[str, int]
     neutral: float = 0.0
+    caveat: str = ""
 
     @property
     def sides(self) -> tuple[str, ...]:
@@ -124,6 +127,7 @@ class TurningPrediction:
             for side, count in self.unfinished.items()
             if count
         ]
+        lines += [f"  {self.caveat}"] if self.caveat else []
         return "\n".join(lines)
 
     def _cell(self, quantity: str, side: str, factor: float) -> str:
@@ -154,6 +158,7 @@ class TurningPrediction:
                 for side in self.sides
             },
             "unfinished": dict(self.unfinished),
+            "caveat": self.caveat,
         }
 
 
@@ -288,7 +293,10 @@ def turning_circle(
             f"{missing[0]}. Check the sign and the size of its rudder force."
         )
     ordered = {name: nominal[name] for name in wanted}
-    return TurningPrediction(model.name, rudder, speed, length, ordered, draws, unfinished, trim)
+    caveat = "" if fit is None else fit.caveat
+    return TurningPrediction(
+        model.name, rudder, speed, length, ordered, draws, unfinished, trim, caveat
+    )
 
 
 def _approach(
