@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
+from oed_sysid import check, diagnose, improve, simulate, turning_circle, usual_effects
 from oed_sysid.channels import Output
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError, OedSysidError
@@ -206,6 +207,26 @@ def test_message_says_what_to_do(
         act()
     for word in words:
         assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        lambda: FIT.fit(DATA, MODEL),  # type: ignore[arg-type]
+        lambda: FIT.fit(MODEL, list(DATA)),  # type: ignore[arg-type]
+        lambda: improve(DATA, MODEL),  # type: ignore[arg-type]
+        lambda: improve(MODEL, DATA, list(DATA)),  # type: ignore[arg-type]
+        lambda: diagnose(DATA, MODEL),  # type: ignore[arg-type]
+        lambda: check(MODEL, DATA),  # type: ignore[arg-type]
+        lambda: usual_effects(DATA, MODEL),  # type: ignore[arg-type]
+        lambda: simulate(DATA, MODEL),  # type: ignore[arg-type]
+        lambda: turning_circle(DATA, speed=1.0),  # type: ignore[arg-type]
+    ],
+)
+def test_arguments_in_the_wrong_place_are_named(act: Callable[[], object]) -> None:
+    """What was expected and what was got, from every entry that takes a model and records."""
+    with pytest.raises(OedSysidError, match=r"Expected a .*, got (Dataset|Model|list)|got Dataset"):
+        act()
 
 
 def test_list_is_complete() -> None:

@@ -14,7 +14,7 @@ from oed_sysid.compatibility.limits import unchecked
 from oed_sysid.compatibility.relations import Relation, relations
 from oed_sysid.compatibility.result import Balance, Finding, LogCheck
 from oed_sysid.compatibility.screen_words import screen_findings
-from oed_sysid.compatibility.screens import screen
+from oed_sysid.compatibility.screens import screened
 from oed_sysid.compatibility.spare import spare_signals
 from oed_sysid.compatibility.traces import Trace
 from oed_sysid.compatibility.words import continuous_finding, discrete_finding
@@ -160,7 +160,7 @@ def signal_check(dataset: Dataset) -> LogCheck:
     """
     began = perf_counter()
     traces = [Trace.of(record, {}) for record in dataset]
-    faults = [fault for trace in traces for fault in screen(trace)]
+    faults, traces = screened(traces)
     findings = _ordered(screen_findings(dataset, traces, faults))
     open_points = ("signals against each other: name the problem whose channels these are",)
     return LogCheck(tuple(findings), dataset.names, (), (), open_points, perf_counter() - began)
@@ -171,7 +171,7 @@ def _screened(
 ) -> tuple[list[Trace], tuple[Relation, ...], list[Finding]]:
     """Traces with bad samples left out, what was found, and the equations that remain."""
     traces = [Trace.of(r, spare_signals(r) if spare else {}) for r in dataset]
-    faults = [fault for trace in traces for fault in screen(trace)]
+    faults, traces = screened(traces)
     findings = screen_findings(dataset, traces, faults)
     clean = []
     for trace in traces:

@@ -7,14 +7,17 @@ Spikes are looked for in what a cubic through four neighbours does not explain,
 at 8.5 times the robust deviation of :math:`d`, globally and nearby: with normal noise one in
 :math:`10^{16}` samples. A kink, where a rudder starts to move say, changes the slope and is left
 alone: the deviation from both neighbours has to exceed 1.5 times the change of slope around it.
+Where chance would hardly put so many of them right after steps of the inputs, those there are no
+spikes but answers that are faster than the sampling.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import bdtrc
 
 from oed_sysid.compatibility.traces import QUARTILE, Trace
 
@@ -25,6 +28,8 @@ LEAST_RUNS = 4
 FROZEN = 8
 LEAST_SAMPLES = 20
 UNIQUE = 0.6
+# Probability below which spikes after steps of the inputs are none.
+CHANCE = 0.05
 
 
 @dataclass(frozen=True)
@@ -116,9 +121,39 @@ def _faults(trace: Trace, name: str, noisy: bool) -> Iterator[Fault]:
             duration = float(runs.length[frozen].sum()) * trace.step
             yield Fault("frozen", name, trace.name, present[rows], duration)
     if not held:
-        rows = _spikes(trace.times[present], series, taken, coarse)
+        rows = present[_spikes(trace.times[present], series, taken, coarse)]
         if rows.size:
-            yield Fault("spikes", name, trace.name, present[rows], float(rows.size))
+            yield Fault("spikes", name, trace.name, rows, float(rows.size))
+
+
+def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
+    """Faults of all records, and the records with what is faster than its samples marked.
+
+    Isolated samples of one signal that follow steps of the inputs more often than chance would have
+    it are its answers. Smaller steps are answered as fast, only less clearly: all are marked.
+    """
+    faults = [fault for trace in traces for fault in screen(trace)]
+    after = {trace.name: trace.pushed for trace in traces}
+    share = float(np.concatenate([trace.pushed for trace in traces]).mean())
+    fast = set()
+    for name in {fault.signal for fault in faults if fault.kind == "spikes"}:
+        spikes = [f for f in faults if f.kind == "spikes" and f.signal == name]
+        number = sum(f.rows.size for f in spikes)
+        following = sum(int(after[f.record][f.rows].sum()) for f in spikes)
+        if following and bdtrc(following - 1, number, share) < CHANCE:
+            fast.add(name)
+    kept = []
+    for fault in faults:
+        if fault.kind == "spikes" and fault.signal in fast:
+            rows = fault.rows[~after[fault.record][fault.rows]]
+            fault = replace(fault, rows=rows, amount=float(rows.size))
+        if fault.kind != "spikes" or fault.rows.size:
+            kept.append(fault)
+    marked = [
+        replace(trace, unresolved={name: np.flatnonzero(trace.pushed) for name in fast})
+        for trace in traces
+    ]
+    return kept, marked
 
 
 def _is_clipped(runs: Runs, flat: np.ndarray) -> bool:

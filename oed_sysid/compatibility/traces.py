@@ -24,6 +24,9 @@ QUARTILE = 0.6745
 FOURTH_DIFFERENCE = np.sqrt(70.0)
 # A stretch without samples that is bridged by a straight line, in usual spacings of the signal.
 BRIDGED = 4.0
+# Change of an input from sample to sample that is a step, as a share of its range; the largest
+# share of such samples; and how many samples after one the answer may peak.
+STEP, RARE, ANSWERED = 0.1, 0.1, 3
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,10 @@ class Trace:
         Signal to the standard deviation of its fast noise.
     step : float
         Median time step, s; found from the times if not given.
+    pushed : numpy.ndarray of bool
+        Shape ``(n_times,)``: samples right after a step of an input.
+    unresolved : mapping
+        Signal to rows at which it answers a step faster than it is sampled.
     """
 
     name: str
@@ -52,6 +59,8 @@ class Trace:
     units: dict[str, str]
     noise: dict[str, float] = field(default_factory=dict)
     step: float = 0.0
+    pushed: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    unresolved: dict[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.step:
@@ -66,7 +75,10 @@ class Trace:
         values |= {name: np.array(series) for name, series in spare.items()}
         units |= {name: STANDARD_UNITS[name] for name in spare}
         noise = {name: fast_noise(series) for name, series in values.items()}
-        return cls(record.name, record.times, values, units, noise)
+        pushed = np.zeros(record.times.size, dtype=bool)
+        for column in record.inputs.T:
+            pushed |= after_steps(column)
+        return cls(record.name, record.times, values, units, noise, pushed=pushed)
 
     def blank(self, rows: Mapping[str, np.ndarray]) -> Trace:
         """Return the trace without some samples; ``rows`` by signal."""
@@ -90,7 +102,16 @@ class Trace:
             }
         times = self.times[:n].reshape(-1, group).mean(axis=1)
         noise = {name: std / np.sqrt(group) for name, std in self.noise.items()}
-        return replace(self, times=times, values=values, noise=noise, step=0.0)
+        coarse = {
+            name: np.unique(rows[rows < n] // group) for name, rows in self.unresolved.items()
+        }
+        pushed = self.pushed
+        if pushed.size:
+            pushed = np.any(pushed[:n].reshape(-1, group), axis=1)
+        return replace(
+            self, times=times, values=values, noise=noise, step=0.0, pushed=pushed,
+            unresolved=coarse,
+        )  # fmt: skip
 
     def filled(self, names: Iterable[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Series joined by straight lines, and where all of them can be relied on.
@@ -100,12 +121,14 @@ class Trace:
         series : dict
             Signal to array ``(n_times,)`` without gaps.
         usable : ndarray of bool (n_times,)
-            False inside long gaps and before the first or after the last sample.
+            False inside long gaps, before the first or after the last sample, and where a signal
+            is faster than its samples.
         """
         series: dict[str, np.ndarray] = {}
         usable = np.ones(self.times.size, dtype=bool)
         for name in names:
             values = self.values[name]
+            usable[self.unresolved.get(name, np.zeros(0, dtype=int))] = False
             present = np.flatnonzero(np.isfinite(values))
             if present.size == self.times.size:
                 series[name] = values
@@ -129,6 +152,24 @@ class Trace:
         edges = [0, *broken.tolist(), self.times.size]
         whole = (slice(a, b) for a, b in pairwise(edges) if b - a >= least)
         return [piece for piece in whole if usable[piece].all()]
+
+
+def after_steps(series: np.ndarray) -> np.ndarray:
+    """Samples right after the steps of an input that is mostly held, ``(n_times,)``.
+
+    Examples
+    --------
+    >>> print(after_steps(np.repeat([0.0, 1.0, 1.0, 1.0], 6)).nonzero()[0])
+    [6 7 8]
+    """
+    pushed = np.zeros(series.size, dtype=bool)
+    change = np.abs(np.diff(np.nan_to_num(series)))
+    steps = np.flatnonzero(change > STEP * np.ptp(np.nan_to_num(series)))
+    if not 0 < steps.size < RARE * series.size:
+        return pushed
+    for after in range(1, ANSWERED + 1):
+        pushed[np.minimum(steps + after, series.size - 1)] = True
+    return pushed
 
 
 def fast_noise(values: np.ndarray) -> float:

@@ -14,6 +14,7 @@ from oed_sysid.diagnosis.study import Study
 from oed_sysid.diagnosis.usual import settled
 from oed_sysid.display import as_html
 from oed_sysid.effects import Effect
+from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.model import Model
 
 
@@ -106,6 +107,7 @@ def diagnose(
     disturbances : str or sequence of str
         See :func:`oed_sysid.diagnosis.improve.improve`.
     """
+    check_channels(model, dataset)
     candidates, _ = settled(model, dataset, candidates)
     study, fit = Study.begin(
         model, dataset, None, candidates, known_noise=known_noise, disturbances=disturbances

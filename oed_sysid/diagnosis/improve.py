@@ -40,6 +40,7 @@ from oed_sysid.errors import OedSysidError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import FilteredSolution
 from oed_sysid.fitting.noise_levels import credible_levels
+from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.model import Model
 
 
@@ -98,6 +99,8 @@ def improve(
         Keeps every finished step; a later call with the same content goes on from them.
     """
     tell = progress or (lambda text: None)
+    for records in (train,) if test is None else (train, test):
+        check_channels(model, records)
     if test is not None:
         check_disjoint(train, test)
     # Overlaps of training and validation records were refused above.

@@ -7,6 +7,7 @@ of a tenth of the command's swing. Sizes scale the unknowns; they are no priors.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
@@ -26,6 +27,7 @@ from oed_sysid.effects import (
     sensors,
 )
 from oed_sysid.errors import DataError, ModelError
+from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.model import Model
 from oed_sysid.problem import Problem
 from oed_sysid.simulation import simulate
@@ -36,6 +38,8 @@ OF_SWING, OF_INERTIA, OF_THRUST = 0.1, 0.2, 0.2
 LAG, DELAY, LONGEST = 2.0, 4.0, 12
 # An input in this unit or with such a name is no command but a measured flow.
 FLOW_UNIT, FLOWS = "m/s", ("wind", "wave", "current")
+# Names of twins that have nothing in common.
+SIDES = ("port", "starboard", "left", "right", "upper", "lower")
 # What is steady in a record and another in the next: trims, currents and winds.
 FROM_DAY_TO_DAY = ("*_offset", "current*", "drift_*", "wind")
 
@@ -63,6 +67,7 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
     >>> [e.name for e in usual_effects(problem.model, problem.data())][:3]
     ['constant_X', 'linear_X_u_r', 'quadratic_X_u_r']
     """
+    check_channels(model, dataset)
     sizes = sizes_of(model, dataset)
     found: dict[str, Effect] = {}
     made = (
@@ -102,21 +107,27 @@ def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
         for signal, unit in commanded(model).items()
         if sizes.swing.get(signal, 0.0) > 0 and unit != FLOW_UNIT and not signal.startswith(FLOWS)
     }
-    alike: dict[str, list[str]] = {}
+    alike: dict[tuple[str, str], list[str]] = {}
     for signal, unit in units.items():
-        alike.setdefault(unit, []).append(signal)
+        alike.setdefault((unit, _stem(signal)), []).append(signal)
     for signal, unit in units.items():
         share = OF_SWING * sizes.swing[signal]
         yield actuators.actuator_offset(f"{signal}_offset", signal, unit, scale=share)
-        if len(alike[unit]) > 1:  # of one alone, free derivatives are its gain
+        if len(alike[unit, _stem(signal)]) > 1:  # of one alone, free derivatives are its gain
             yield actuators.actuator_gain_error(f"{signal}_gain", signal)
         if unit == "rad":
             bend = OF_THRUST / sizes.swing[signal] ** 2
             yield actuators.stall(f"{signal}_stall", signal, scale=bend)
         yield from _moved((signal,), unit, sizes)
-    for unit, signals in alike.items():
+    for (unit, _), signals in alike.items():
         if len(signals) > 1:
             yield from _moved(signals, unit, sizes)
+
+
+def _stem(signal: str) -> str:
+    """What the names of twins have in common: ``n`` of ``n_l``, nothing of ``port``."""
+    first = re.split(r"[_\d]", signal)[0]
+    return "" if first in SIDES else first
 
 
 def _moved(signals: Sequence[str], unit: str, sizes: Sizes) -> Iterator[Effect]:

@@ -226,6 +226,12 @@ def check_channels(model: Model, dataset: Dataset) -> None:
     """Raise :class:`DataError` where records and model name different signals."""
     if isinstance(dataset, Record):
         raise DataError("Expected a dataset, got a single record. Write Dataset((record,)).")
+    if not isinstance(dataset, Dataset) or not isinstance(model, Model):
+        found = " and ".join(type(one).__name__ for one in (model, dataset))
+        raise DataError(
+            f"Expected a model and a dataset, got {found}. Records are put together by "
+            "Dataset(records); check() takes the dataset first, everything else the model."
+        )
     for record in dataset:
         if record.channels.input_names != model.input_names:
             raise DataError(

@@ -239,6 +239,8 @@ def turning_circle(
     """
     fit = fit_or_model if isinstance(fit_or_model, Fit) else None
     model = fit_or_model.model if isinstance(fit_or_model, Fit) else fit_or_model
+    if not isinstance(model, Model):
+        raise ModelError(f"Expected a fit or a model to turn, got {type(model).__name__}.")
     wanted = SIDES if side == "both" else (side,)
     if not set(wanted) <= set(SIDES):
         raise ModelError(f"side is {side!r}. Choose starboard, port or both.")

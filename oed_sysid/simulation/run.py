@@ -68,6 +68,9 @@ def simulate(
     >>> record.n_samples, int((np.diff(record.input("rudder")) != 0).sum())
     (181, 2)
     """
+    if not isinstance(model, Model) or not isinstance(experiment, Experiment):
+        found = " and ".join(type(one).__name__ for one in (model, experiment))
+        raise SimulationError(f"Expected a model and an experiment, in this order; got {found}.")
     experiment.check_model(model)
     times = experiment.times
     noise_values = _draw_noise(model, experiment, len(times), rng) if noise else None
