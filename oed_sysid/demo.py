@@ -161,7 +161,7 @@ def tanker(out: Path) -> Improvement | None:
 
 
 def _introduce(problem: Problem, train: Dataset, test: Dataset) -> None:
-    """Say what is believed, and what it is confronted with."""
+    """Say what the nominal model is, and what it is confronted with."""
     model = problem.model
     print(f"Nominal model    {model.name}; {len(model.free_names)} parameters to estimate")
     print(f"Perhaps missing  {len(problem.effects)} candidate effects")

@@ -36,4 +36,4 @@ class DesignError(OedSysidError):
 
 
 class PrecisionWarning(UserWarning):
-    """A calculation has lost so many digits to rounding that its result is not to be believed."""
+    """A calculation has lost so many digits to rounding that its result is not to be trusted."""

@@ -82,10 +82,10 @@ def test_distance_that_nothing_can_keep_is_named() -> None:
 def test_campaign_learns_from_each_run() -> None:
     """Wrong beliefs are corrected: later designs start near the truth, and the truth is found."""
     truth = ship()
-    believed = truth.with_values({"b": 0.08, "d": 0.55, "c": 1.0})
+    nominal = truth.with_values({"b": 0.08, "d": 0.55, "c": 1.0})
     rng = np.random.default_rng(2)
     stages = campaign(
-        believed, lambda experiment: simulate(truth, replace(experiment, limits=Limits()), rng=rng),
+        nominal, lambda experiment: simulate(truth, replace(experiment, limits=Limits()), rng=rng),
         2, limits=LIMITS, duration=40.0, sample_time=0.5, parametrisation=Levels(12), n_starts=1,
         n_candidates=10, n_steps=6, n_workers=1, rng=rng,
     )  # fmt: skip

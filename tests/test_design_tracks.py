@@ -80,7 +80,7 @@ def test_the_track_of_a_circle_is_a_circle_and_its_room_the_diameter() -> None:
                              n_vehicles=3, length=10.0)  # fmt: skip
     assert found is not None
     assert not found.is_vertical
-    centre = found.believed - np.array([0.0, 40.0])
+    centre = found.nominal - np.array([0.0, 40.0])
     np.testing.assert_allclose(np.hypot(*centre.T), 40.0, atol=0.15)
     np.testing.assert_allclose(found.room, [[-40, 40], [0, 80]], atol=1.5)
     assert any("L)" in words for words in found.words())

@@ -208,16 +208,16 @@ def _limits(
         one, two = st.columns([2, 1], vertical_alignment="bottom")
         with one:
             ranges += _range(channel, limits.inputs[channel.name], keys("range"))
-        turn, believed = commands.factor(channel.unit), limits.rates.get(channel.name)
+        turn, declared = commands.factor(channel.unit), limits.rates.get(channel.name)
         rate = two.number_input(
             f"Largest rate [{commands.shown_rate(channel.unit)}]",
             min_value=0.0,
             value=None,
-            placeholder="no limit" if believed is None else "as in the problem",
+            placeholder="no limit" if declared is None else "as in the problem",
             format="%.4g",
-            key=choices.preset(keys("rate"), believed and turn * believed),
+            key=choices.preset(keys("rate"), declared and turn * declared),
         )
-        if rate is not None and rate != (believed and turn * believed):
+        if rate is not None and rate != (declared and turn * declared):
             rates.append((channel.name, rate / turn))
     columns = st.columns(2)
     for place, (name, corridor) in enumerate(limits.signals.items()):

@@ -95,7 +95,7 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
 
     problem = study.problem
     pattern = problem.experiment(wish.like)
-    believed = fitted(study, problem.model, tell) if wish.after_fit else problem.model
+    nominal = fitted(study, problem.model, tell) if wish.after_fit else problem.model
     if wish.rivals:
         criterion: Any = Discriminate([problem.effect(name) for name in wish.rivals])
     else:
@@ -104,7 +104,7 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
     limits = limits_of(problem.limits, wish)
     spread = None if wish.after_fit else UNCERTAINTY
     result = design_experiment(
-        believed,
+        nominal,
         limits=limits,
         duration=wish.duration,
         sample_time=pattern.sample_time,

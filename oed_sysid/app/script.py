@@ -124,11 +124,11 @@ def design(study: Study, wish: DesignWish) -> str:
         f"    rates={{**problem.limits.rates, **{dict(wish.rates)!r}}},",
         f"    signals={{**problem.limits.signals, **{corridors!r}}},",
         ")",
-        "believed = estimator.fit(problem.model, train)"
+        "nominal = estimator.fit(problem.model, train)"
         if wish.after_fit
-        else "believed = problem.model",
+        else "nominal = problem.model",
         "design = oed_sysid.design_experiment(",
-        f"    believed, limits=limits, duration={wish.duration!r},",
+        f"    nominal, limits=limits, duration={wish.duration!r},",
         f"    sample_time=pattern.sample_time, rng=np.random.default_rng({wish.seed}),",
         f"    criterion={criterion}, parametrisation=oed_sysid.design.{family}(),",
         "    constants=pattern.constants, initial=pattern.initial,",

@@ -23,9 +23,9 @@ class Study:
     source : str
         Shipped name or folder of the problem, as the user gave it.
     variant : str
-        Which of its models is believed.
+        Which of its models is the nominal one.
     problem : Problem
-        The problem, that model believed; usual candidates are added where it names none.
+        The problem, that model as the nominal one; usual candidates are added where it names none.
     train, test : Dataset or None
         Training records; validation records.
     known_noise : bool

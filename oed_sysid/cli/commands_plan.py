@@ -256,12 +256,12 @@ def design(
     if certainty:
         caution = Caution(certainty, spread)
     n_starts, n_candidates, n_steps = _choice("effort", effort, EFFORTS)
-    believed = Fit.load(after) if after else chosen.model
-    noise = _noise(chosen, believed, sea)
+    nominal = Fit.load(after) if after else chosen.model
+    noise = _noise(chosen, nominal, sea)
     with journal(kept_in, fresh) as keep:
         with progress("Designing") as show:
             found = design_experiment(
-                believed,
+                nominal,
                 limits=limits,
                 duration=float(pattern.duration or 0.0) if duration is None else duration,
                 sample_time=pattern.sample_time,
@@ -369,14 +369,14 @@ def _pattern(problem: Problem, name: str | None) -> Experiment:
     return next(iter(problem.experiments.values()))
 
 
-def _noise(problem: Problem, believed: Any, sea: str | None) -> Any:
+def _noise(problem: Problem, nominal: Any, sea: str | None) -> Any:
     """Noise of a sea in words; None leaves it to the fit, or to the declared levels."""
     if sea is None:
         return None
     from oed_sysid.fitting.fit import Fit
     from oed_sysid.sensitivity import sea_noise, sea_words
 
-    model = believed.model if isinstance(believed, Fit) else believed
+    model = nominal.model if isinstance(nominal, Fit) else nominal
     found = sea_noise(model, sea, problem.experiments.values())
     note(f"Random forces: {sea_words(found)}.")
     return found

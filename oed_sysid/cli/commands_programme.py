@@ -136,17 +136,17 @@ def programme(
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
-    believed = Fit.load(after) if after else chosen.model
+    nominal = Fit.load(after) if after else chosen.model
     with progress("Planning") as show:
         found = design_programme(
-            believed,
+            nominal,
             _patterns(chosen, patterns or []),
             limits=_limits(chosen, limit or []),
             rng=np.random.default_rng(seed),
             hours=hours,
             n_runs=runs,
             criterion=_criterion(chosen, criterion, discriminate or [], reveal or []),
-            noise=_noise(chosen, believed, sea),
+            noise=_noise(chosen, nominal, sea),
             spread=_spread(chosen, uncertainty, after),
             turnaround=60.0 * turnaround,
             durations=None if duration is None else (duration,),

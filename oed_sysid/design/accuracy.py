@@ -1,4 +1,4 @@
-r"""What accuracy can be promised when the vehicle is not quite the one believed.
+r"""What accuracy can be promised when the vehicle is not quite the nominal one.
 
 The bound belongs to one set of values. On vehicles a few per cent off, realised errors are 0.65 to
 1.8 times those stated, so the bound is taken on vehicles drawn from what is known as well,
@@ -29,7 +29,7 @@ from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity.bound import information_of
 from oed_sysid.sensitivity.noise import Levels
 
-# Relative error up to which a bound under random forces is believed.
+# Relative error up to which a bound under random forces is taken as it is.
 TRUSTED = 0.3
 # Share of the vehicles left out at either end of a range.
 _TAIL = 0.1
@@ -99,7 +99,7 @@ def accuracy_range(
     Parameters
     ----------
     model : Model
-        What is believed.
+        The nominal vehicle.
     runs : Experiment or iterable of Experiment
         Planned together.
     rng : numpy.random.Generator

@@ -55,7 +55,7 @@ class Library:
     Attributes
     ----------
     information : ndarray (n_vehicles, n_runs, n, n)
-        In relative units of the parameters; the believed vehicle first.
+        In relative units of the parameters; the nominal vehicle first.
     prior : ndarray (n, n)
         Known before, in the same units.
     costs : ndarray (n_runs,)

@@ -194,12 +194,12 @@ def assess_limits(
     others: Sequence[Model] = (),
     vehicles: Sequence[Model] | None = None,
 ) -> Assurance:
-    """Simulate an experiment on vehicles whose coefficients are not those believed.
+    """Simulate an experiment on vehicles whose coefficients are not the nominal ones.
 
     Parameters
     ----------
     model : Model
-        What is believed.
+        The nominal vehicle.
     experiment : Experiment
         Any; one that reacts closes its loop on every vehicle.
     rng : numpy.random.Generator

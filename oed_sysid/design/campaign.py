@@ -37,7 +37,7 @@ class Stage:
     Attributes
     ----------
     design : Design
-        What was proposed, on what was believed then.
+        What was proposed, on what was known then.
     record : Record
         What was measured.
     fit : Fit
@@ -66,7 +66,7 @@ def campaign(
     Parameters
     ----------
     model : Model or Fit
-        What is believed at first.
+        The nominal vehicle at first.
     measure : callable
         Takes the designed experiment and returns the record: at sea the crew
         and a file, in a study :func:`oed_sysid.simulation.simulate`.
@@ -91,13 +91,13 @@ def campaign(
         designed on its result.
     """
     chosen = estimator or MultipleShooting(disturbances="none", noise="given")
-    believed: Model | Fit = model
+    nominal: Model | Fit = model
     start = model.model if isinstance(model, Fit) else model
     records = tuple(data) if data is not None else ()
     stages: list[Stage] = []
     for index in range(n_runs):
         name = f"{settings.get('name', 'run')}_{index + 1}"
-        design = design_experiment(believed, **{**settings, "name": name})
+        design = design_experiment(nominal, **{**settings, "name": name})
         record = replace(measure(design.experiment), name=name)
         records = (*records, record)
         fit = chosen.fit(start, Dataset(records))
@@ -107,5 +107,5 @@ def campaign(
                 "parameters that the runs do not show, or begin with a run of another kind."
             )
         stages.append(Stage(design, record, fit))
-        believed, start = fit, fit.model
+        nominal, start = fit, fit.model
     return tuple(stages)

@@ -42,7 +42,7 @@ class Planned(Protocol):
 
     @property
     def model(self) -> Model:
-        """The vehicle as believed."""
+        """The nominal vehicle."""
 
     @property
     def trajectory(self) -> Trajectory:
@@ -269,7 +269,7 @@ def _accuracy(design: Planned) -> list[str]:
     for title, low, high in (
         (f"Found to {_GOOD:.0%} or better", 0.0, _GOOD),
         (f"Found to {usable:.0%}", _GOOD, usable),
-        ("NOT found by this run; hold at believed values, or add runs", usable, np.inf),
+        ("NOT found by this run; hold at nominal values, or add runs", usable, np.inf),
     ):
         names = [n for n, error in errors.items() if low < error <= high]
         if names:

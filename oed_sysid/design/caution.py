@@ -209,7 +209,7 @@ class Guards:
         return np.hstack([commands, self._waves[index]]) if self._waves else commands
 
     def _limited(self, states: np.ndarray, outputs: np.ndarray) -> np.ndarray:
-        # Own states come first in every structure; outputs are counted after those of the believed.
+        # Own states come first in every structure; outputs count after those of the nominal one.
         n_full = self.corridor.n_full
         signals = np.empty((len(states), len(self._columns)))
         for i, column in enumerate(self._columns):

@@ -29,7 +29,7 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.corridor import Corridor
 from oed_sysid.design.elimination import quick_inverse
 from oed_sysid.design.library import Candidate, kept_on
-from oed_sysid.design.plan import believed_noise, knowledge
+from oed_sysid.design.plan import knowledge, nominal_noise
 from oed_sysid.design.quantities import percent, quantity, units_of
 from oed_sysid.design.robust import draw_models
 from oed_sysid.errors import DesignError
@@ -120,7 +120,7 @@ class PredictionGoal:
     Parameters
     ----------
     experiment : Experiment
-        What is to be predicted; its commands are those of the believed vehicle.
+        What is to be predicted; its commands are those of the nominal vehicle.
     output : str
     tolerance : float
         In the output's unit, at the worst time.
@@ -196,7 +196,7 @@ class Decision:
         Share of the vehicles that remain possible on which the next run keeps its limits; None
         where there are no limits, or nothing is known that vehicles could be drawn from.
     n_checked : int
-        These vehicles, the believed one included.
+        These vehicles, the nominal one included.
     """
 
     model: Model
@@ -330,7 +330,7 @@ def decide(
     model = fit.model if isinstance(fit, Fit) else fit
     if isinstance(fit, Fit) and noise is None:
         noise = fit
-    model, sea, sigma = believed_noise(model, noise)
+    model, sea, sigma = nominal_noise(model, noise)
     known = knowledge(fit, model, prior)
     names = tuple(p.name for p in model.free_parameters if not p.per_record)
     scales = np.array([p.magnitude for p in model.free_parameters if not p.per_record])
@@ -346,7 +346,7 @@ def decide(
     )  # fmt: skip
     for run, found in zip(candidates, each, strict=True):
         if found is None:
-            continue  # it diverges on what is believed now
+            continue  # it diverges on what is known now
         told.append(found.matrix * scales[:, None] * scales)
         runs.append(run)
     now = _deviations(matrix, rows)

@@ -33,8 +33,8 @@ class ByShifts(Protocol):
         """Name for reports."""
         ...
 
-    def shifts(self, believed: Model) -> Shifts:
-        """Return the effects or rivals, on the believed model."""
+    def shifts(self, nominal: Model) -> Shifts:
+        """Return the effects or rivals, on the nominal model."""
         ...
 
     def bind_shifts(self, shifts: Shifts, n_parameters: int) -> Measure:
@@ -109,9 +109,9 @@ class Discriminate:
         """Name for reports."""
         return f"discrimination of {', '.join(self.rival_names)}"
 
-    def shifts(self, believed: Model) -> Shifts:
-        """Return what each rival does, built on the believed model."""
-        return Shifts.of(believed, self.rivals, size=self.size)
+    def shifts(self, nominal: Model) -> Shifts:
+        """Return what each rival does, built on the nominal model."""
+        return Shifts.of(nominal, self.rivals, size=self.size)
 
     def bind_shifts(self, shifts: Shifts, n_parameters: int) -> Measure:
         """Return the criterion of the information on ``[parameters, shifts]``."""
@@ -133,13 +133,13 @@ class Discriminate:
         return measure
 
     def misfits(
-        self, believed: Model, shifts: Shifts, total: np.ndarray, n_parameters: int
+        self, nominal: Model, shifts: Shifts, total: np.ndarray, n_parameters: int
     ) -> dict[tuple[str, str], float]:
-        """Expected ``2 dlogL`` of every rival over every other and over the believed model.
+        """Expected ``2 dlogL`` of every rival over every other and over the nominal model.
 
         Parameters
         ----------
-        believed : Model
+        nominal : Model
         shifts : Shifts
         total : ndarray
             Information on ``[parameters, shifts]``.
@@ -148,7 +148,7 @@ class Discriminate:
         gram, _ = eliminate(total, n_parameters)
         names = shifts.names
         return {
-            (names[i], believed.name if j < 0 else names[j]): value
+            (names[i], nominal.name if j < 0 else names[j]): value
             for i, j, value, _ in pair_misfits(gram, shifts, against_believed=True)
         }
 
@@ -230,9 +230,9 @@ class Completing:
         """Name for reports."""
         return self.criterion.name
 
-    def shifts(self, believed: Model) -> Shifts:
+    def shifts(self, nominal: Model) -> Shifts:
         """Return those of the criterion."""
-        return self.criterion.shifts(believed)
+        return self.criterion.shifts(nominal)
 
     def bind_shifts(self, shifts: Shifts, n_parameters: int) -> Measure:
         """Return that of the criterion."""

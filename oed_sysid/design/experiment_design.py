@@ -89,7 +89,7 @@ def design_experiment(
     Parameters
     ----------
     model : Model or Fit
-        What is believed. A fit brings its values, noise levels and, as prior
+        The nominal vehicle. A fit brings its values, noise levels and, as prior
         knowledge, its information: the next experiment completes the last.
     limits : Limits
         Range of each designed input, its rate, and corridors of states or outputs.
@@ -125,7 +125,7 @@ def design_experiment(
     caution : Caution, "auto" or None
         How surely limits are to be kept although the parameters are uncertain. By default they
         hold on 95 % of the vehicles that a fit leaves possible, where its covariance is known;
-        where no such manoeuvre is found, one that keeps them on the believed vehicle is returned
+        where no such manoeuvre is found, one that keeps them on the nominal vehicle is returned
         and its report begins with the danger. For a model alone, or None, limits are kept at the
         nominal values (and those of ``Robust``).
     n_starts, n_candidates, n_steps : int
@@ -260,7 +260,7 @@ def design_series(model: Model | Fit, n_experiments: int, **settings: object) ->
     Parameters
     ----------
     model : Model or Fit
-        What is believed.
+        The nominal vehicle.
     n_experiments : int
         How many.
     **settings

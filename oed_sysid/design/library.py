@@ -1,7 +1,7 @@
 r"""Candidate runs of a programme: what a crew would know how to run, within the limits.
 
 Every kind is made at several sizes and at every *pattern* (a speed, a start, constant inputs) and
-is shrunk until all limits of the motion hold on the believed vehicle and on vehicles drawn from
+is shrunk until all limits of the motion hold on the nominal vehicle and on vehicles drawn from
 what is known. Circles and spirals are for vehicles with a heading. Commands of open-loop kinds
 keep range and rate of the actuator by construction. With :math:`\bar\delta` the range of the
 input,
@@ -14,7 +14,7 @@ attitude has a corridor of half-width :math:`b`, zigzags that look ahead reverse
 .. math:: \theta + T q - k\,(z - z_0) = \pm\theta_s, \qquad
     k = \frac{\theta_s}{\min(z_+ - z_0,\; z_0 - z_-)}
 
-with a lead :math:`T` of the time in which full control turns the believed vehicle by :math:`b/2`,
+with a lead :math:`T` of the time in which full control turns the nominal vehicle by :math:`b/2`,
 or half of it. Without a lead the swing goes on by as much as the vehicle is quick, several times
 more on the worst of those that are possible, and it is they who make all runs gentle. The keeper
 (gain :math:`k`, where the depth has limits) lets such a run be long.
@@ -48,7 +48,7 @@ SHARES = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
 _GENTLER = 0.4
 ZIGZAGS = (5.0, 10.0, 20.0)  # degrees, both of the control and of the attitude
 # Attitudes of quick zigzags, as shares of the control's angle: a large control within a narrow
-# corridor, on vehicles that answer it by more than is believed as well.
+# corridor, on vehicles that answer it by more than the nominal one does.
 _QUICK = (0.5, 0.25)
 # Zigzags that look ahead: control as a share of its range, switch as one of the corridor, lead as
 # one of the time that a half of the corridor takes.
@@ -101,7 +101,7 @@ def candidate_runs(
     Parameters
     ----------
     model : Model
-        What is believed.
+        The nominal vehicle.
     patterns : Experiment or iterable of Experiment
         Each lends its constant inputs (a speed), start state and sampling.
     limits : Limits
@@ -384,7 +384,7 @@ class _Stand:
     def turning_time(
         self, attitude: str, begin: float, control: float, angle: float
     ) -> float | None:
-        """Time in which a control turns the believed vehicle by an angle, s; None if never."""
+        """Time in which a control turns the nominal vehicle by an angle, s; None if never."""
         inputs = self.held | {self.name: float(self.grid.neutral[0]) + control}
         run = simulate_inputs(
             self.model, self.grid.times, inputs=inputs, initial=self.pattern.initial, throw=False
@@ -406,7 +406,7 @@ def kept_on(
     ----------
     run : Experiment
     vehicles : sequence of Model
-        The believed one first.
+        The nominal one first.
     corridor : Corridor
     wanted : float
         Below this share of the others nothing is returned.

@@ -290,7 +290,7 @@ def plan_of(
             f"The start names {unknown[0]!r}, but model {model.name!r} has the states "
             f"{', '.join(model.state_names)}."
         )
-    model, sea, sigma = believed_noise(model, noise)
+    model, sea, sigma = nominal_noise(model, noise)
     levels = noise_of(model, sigma, coloured)
     known = knowledge(given, model, prior)
     robust = criterion if isinstance(criterion, Robust) else None
@@ -387,7 +387,7 @@ def _grid(
     return Grid(np.arange(n_steps + 1) * sample_time, names, lower, upper, rest, rates * (1 - 1e-9))
 
 
-def believed_noise(
+def nominal_noise(
     model: Model, noise: NoiseLevels | NoiseModel | Fit
 ) -> tuple[Model, NoiseModel | None, np.ndarray]:
     """Return the model with the sensors' levels in use, what is not white, and these levels.

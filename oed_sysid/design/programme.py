@@ -1,7 +1,7 @@
 r"""Several runs together: which, how often, in which order, measured with what.
 
 For each of a library of runs the information :math:`F_i(\theta_s)` is taken, random forces
-included, on the believed vehicle and on others drawn from what is known; weights with a
+included, on the nominal vehicle and on others drawn from what is known; weights with a
 certificate and whole runs by exchange follow :mod:`oed_sysid.design.allocation`. Then the
 commands of the chosen runs are refined (column generation): with everything but run ``j``
 
@@ -39,7 +39,7 @@ from oed_sysid.design.elimination import inverse
 from oed_sysid.design.experiment_design import design_experiment
 from oed_sysid.design.library import KINDS, Candidate, candidate_runs, kept_on
 from oed_sysid.design.parametrisation import Levels
-from oed_sysid.design.plan import believed_noise, joint_knowledge, knowledge
+from oed_sysid.design.plan import joint_knowledge, knowledge, nominal_noise
 from oed_sysid.design.reference import as_piecewise
 from oed_sysid.design.result import Design
 from oed_sysid.design.reveal import Chance, Reveal
@@ -94,7 +94,7 @@ def design_programme(
     Parameters
     ----------
     model : Model or Fit
-        What is believed; a fit brings its values, noise and information.
+        The nominal vehicle; a fit brings its values, noise and information.
     patterns : Experiment or iterable of Experiment
         Each lends its constant inputs (a speed), start state, sampling and length.
     limits : Limits
@@ -122,7 +122,7 @@ def design_programme(
     sensors : mapping of str to float, optional
         Outputs that need not be measured, and what each costs, h. All subsets are tried.
     n_draws : int
-        Vehicles besides the believed one that the worth is averaged over.
+        Vehicles besides the nominal one that the worth is averaged over.
     n_vehicles : int
         Vehicles on which limits are checked.
     n_rounds : int
@@ -144,29 +144,29 @@ def design_programme(
     began = time.perf_counter()
     tell = progress or (lambda words: None)
     given = model
-    believed = given.model if isinstance(given, Fit) else given
+    nominal = given.model if isinstance(given, Fit) else given
     if isinstance(given, Fit) and noise is None:
         noise = given
-    believed, sea, levels = believed_noise(believed, noise)
-    known = knowledge(given, believed, prior)
-    vehicles = draw_models(believed, spread, max(n_vehicles, n_draws, _SCREENED), known, rng)
+    nominal, sea, levels = nominal_noise(nominal, noise)
+    known = knowledge(given, nominal, prior)
+    vehicles = draw_models(nominal, spread, max(n_vehicles, n_draws, _SCREENED), known, rng)
     if isinstance(criterion, EOptimal):
         raise DesignError("E is not smooth, so that no bound can be stated. Choose D or A.")
     listed = [patterns] if isinstance(patterns, Experiment) else list(patterns)
     tell("making candidate runs")
     runs = list(
         candidate_runs(
-            believed, listed, limits=limits, rng=rng, vehicles=vehicles[:n_vehicles],
+            nominal, listed, limits=limits, rng=rng, vehicles=vehicles[:n_vehicles],
             durations=durations, turnaround=turnaround, kinds=kinds, kept=certainty,
         )
     )  # fmt: skip
     expected = levels if sea is None else sea
     shifts, before = None, None
     if isinstance(criterion, ByShifts):
-        shifts = criterion.shifts(believed)
-        before = joint_knowledge(given, believed, shifts, expected, prior)
+        shifts = criterion.shifts(nominal)
+        before = joint_knowledge(given, nominal, shifts, expected, prior)
     task = _Task(
-        believed, (believed, *vehicles[:n_draws]), known, criterion, expected, hours, n_runs,
+        nominal, (nominal, *vehicles[:n_draws]), known, criterion, expected, hours, n_runs,
         shifts, before,
     )  # fmt: skip
     optional = dict(sensors or {})
@@ -200,7 +200,7 @@ def design_programme(
     safe: dict[str, Assurance] = {}
     # All runs are judged on the same fresh vehicles, so that it can be said on how many of them
     # every run keeps its limits.
-    judges = draw_models(believed, spread, _CHECKED, known, rng)
+    judges = draw_models(nominal, spread, _CHECKED, known, rng)
     while True:
         tell("checking limits on other vehicles")
         picked = [runs[int(i)] for i in np.flatnonzero(chosen.counts)]
@@ -208,7 +208,7 @@ def design_programme(
             if run.name not in safe:
                 safe[run.name] = replace(
                     assess_limits(
-                        believed, run.experiment, rng=rng, limits=limits, wanted=certainty, sea=sea,
+                        nominal, run.experiment, rng=rng, limits=limits, wanted=certainty, sea=sea,
                         vehicles=judges,
                     ),
                     spread=spread,
@@ -234,7 +234,7 @@ def design_programme(
         names, errors.min(axis=0), errors.max(axis=0), len(errors), sea
     )
     return Programme(
-        model=believed,
+        model=nominal,
         runs=tuple(sequence),
         candidates=tuple(runs),
         weights=shares.repetitions,

@@ -89,9 +89,9 @@ class Reveal:
         kind = "smallest" if self.worst else "mean log"
         return f"{kind} chance to show {len(self.candidates)} effects"
 
-    def shifts(self, believed: Model) -> Shifts:
-        """Return what each candidate does, built on the believed model."""
-        return Shifts.of(believed, self.candidates, size=self.size)
+    def shifts(self, nominal: Model) -> Shifts:
+        """Return what each candidate does, built on the nominal model."""
+        return Shifts.of(nominal, self.candidates, size=self.size)
 
     def needed(self, freedom: int) -> float:
         """Gain in twice the log-likelihood that a claim needs.

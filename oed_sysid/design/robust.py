@@ -113,7 +113,7 @@ def draw_structures(
     Parameters
     ----------
     model : Model
-        The believed one, whose parameters the prior is about.
+        The nominal one, whose parameters the prior is about.
     others : sequence of Model
         Other structures; what the prior does not know of them stays at its value.
     spread, n_sets, prior, rng

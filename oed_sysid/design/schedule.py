@@ -65,7 +65,7 @@ class Programme:
     Attributes
     ----------
     model : Model
-        What is believed.
+        The nominal vehicle.
     runs : tuple of Candidate
         In the order in which they tell most first; one entry for each repetition.
     candidates : tuple of Candidate
@@ -73,7 +73,7 @@ class Programme:
     weights : ndarray (n_candidates,)
         Repetitions in the relaxed optimum.
     information : Information
-        After all runs on the believed vehicle, prior knowledge included.
+        After all runs on the nominal vehicle, prior knowledge included.
     prior : Information or None
     criterion : str
     value, relaxed, bound : float
@@ -333,7 +333,7 @@ class Programme:
         """Write the commands of every run as a table, numbered in order.
 
         Times in s, commands in SI units named in the header, each to be held until the next
-        row; of a run that is closed over the vehicle, what the believed one would command.
+        row; of a run that is closed over the vehicle, what the nominal one would command.
 
         Parameters
         ----------

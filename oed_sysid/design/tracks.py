@@ -1,6 +1,6 @@
 r"""Where a run goes: the track, the range of plausible ones, and the sea room that it needs.
 
-Of the believed vehicle and of others drawn from what is known, in waves where any are expected, the
+Of the nominal vehicle and of others drawn from what is known, in waves where any are expected, the
 track is a state of the model (``x``, ``y``) or follows from its velocities,
 
 .. math::
@@ -43,8 +43,8 @@ class Tracks:
     ----------
     times : ndarray (n_times,)
         s.
-    believed : ndarray (n_times, 2)
-        Of the believed vehicle: ahead and to starboard, or along the course and depth, m.
+    nominal : ndarray (n_times, 2)
+        Of the nominal vehicle: ahead and to starboard, or along the course and depth, m.
     plausible : ndarray (n_vehicles, n_times, 2)
         Of others.
     is_vertical : bool
@@ -54,7 +54,7 @@ class Tracks:
     """
 
     times: np.ndarray
-    believed: np.ndarray
+    nominal: np.ndarray
     plausible: np.ndarray
     is_vertical: bool
     length: float | None = None
@@ -68,10 +68,10 @@ class Tracks:
         ndarray (2, 2)
             Rows: along, across (or depth); columns: lowest, highest.
         """
-        every = np.concatenate([self.believed[None], self.plausible])
+        every = np.concatenate([self.nominal[None], self.plausible])
         low = np.quantile(every.min(axis=1), _TAIL, axis=0)
         high = np.quantile(every.max(axis=1), 1 - _TAIL, axis=0)
-        own = self.believed
+        own = self.nominal
         return np.column_stack(
             [np.minimum(low, own.min(axis=0)), np.maximum(high, own.max(axis=0))]
         )
@@ -85,7 +85,7 @@ class Tracks:
         else:
             port, starboard = abs(min(first, 0.0)), max(last, 0.0)
             lines.append(f"to port {self._far(port)}, to starboard {self._far(starboard)}")
-        spread = np.abs(self.plausible - self.believed).max(axis=(1, 2))
+        spread = np.abs(self.plausible - self.nominal).max(axis=(1, 2))
         lines.append(
             f"other vehicles are up to {self._far(float(np.quantile(spread, 1 - _TAIL)))} from the "
             f"drawn track ({len(self.plausible)} simulated; no steady current)"
@@ -109,7 +109,7 @@ def plausible_tracks(
     length: float | None = None,
     n_vehicles: int = 60,
 ) -> Tracks | None:
-    """Simulate where a run goes on the believed vehicle and on others.
+    """Simulate where a run goes on the nominal vehicle and on others.
 
     Parameters
     ----------

@@ -120,7 +120,7 @@ def dead_zone(
     scale: float = 0.01,
     value: float = 0.0,
 ) -> Force:
-    r"""Play in a spring: of a believed force :math:`-k x` the part within :math:`\pm E` is lost.
+    r"""Play in a spring: of a force :math:`-k x` the part within :math:`\pm E` is lost.
 
     The base model holds :math:`-k x` already; this adds :math:`k\,\mathrm{clip}(x, -E, E)`.
     """

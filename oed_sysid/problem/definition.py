@@ -232,7 +232,7 @@ class Problem:
         return (*self.models, *self.others)
 
     def variant(self, name: str) -> Problem:
-        """Return the problem with another of its models as the one believed.
+        """Return the problem with another of its models as the nominal one.
 
         Candidates that this model contains already are left out.
         """

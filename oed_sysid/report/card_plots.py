@@ -47,7 +47,7 @@ def plot_tracks(tracks: Tracks, *, ax: Axes | None = None) -> Axes:
     for number, track in enumerate(tracks.plausible):
         ax.plot(track[:, right], track[:, up], color=COLOURS[0], lw=0.5, alpha=0.35,
                 label="other vehicles" if number == 0 else None)  # fmt: skip
-    own = tracks.believed
+    own = tracks.nominal
     ax.plot(own[:, right], own[:, up], color=TRUTH, lw=1.5, label="predicted")
     ax.plot(own[0, right], own[0, up], "o", mfc="white", mec=TRUTH, ms=6, label="start")
     room = tracks.room

@@ -21,7 +21,7 @@ from oed_sysid.report.style import TWO_SIDED_95, new_figure
 # A misfit within this share of the noise level counts as explained by it.
 _EXPLAINED = 1.05
 _MAX_RECORDS = 8
-# Prior standard deviations beyond which an estimate contradicts what was believed.
+# Prior standard deviations beyond which an estimate contradicts the prior.
 _SURPRISING = 3.0
 
 

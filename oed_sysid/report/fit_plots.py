@@ -207,8 +207,8 @@ def plot_intervals(
             ax.plot(truth[name] / scale[name], row, "|", color=TRUTH, ms=14, mew=2, label="truth")
     ax.set_yticks(rows, [symbol_of(name) for name in names])
     parameters = [several[0].model.parameter(name) for name in names if name in several[0].names]
-    believed = any(parameter.prior_mean is not None for parameter in parameters)
-    what = "the prior" if believed else "the estimate"
+    has_prior = any(parameter.prior_mean is not None for parameter in parameters)
+    what = "the prior" if has_prior else "the estimate"
     ax.set(xlabel=f"value relative to {what} [-]", ylim=(-0.6, len(names) - 0.4))
     clean(ax)
     # Above: below, its distance from the axis' label would depend on the height.

@@ -47,7 +47,7 @@ class ModelStyle:
 
 
 def model_style(index: int) -> ModelStyle:
-    """Style of the model at a position in a comparison; the first is the believed one.
+    """Style of the model at a position in a comparison; the first is the nominal one.
 
     Examples
     --------

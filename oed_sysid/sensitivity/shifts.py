@@ -68,7 +68,7 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Shifts:
-    """Models that each differ in one respect from the one believed.
+    """Models that each differ in one respect from the nominal one.
 
     Attributes
     ----------
@@ -95,12 +95,12 @@ class Shifts:
         return len(self.models)
 
     @classmethod
-    def of(cls, believed: Model, rivals: Sequence[Effect | Model], *, size: float = 1.0) -> Shifts:
+    def of(cls, nominal: Model, rivals: Sequence[Effect | Model], *, size: float = 1.0) -> Shifts:
         """Return the shifts by effects and rival models.
 
         Parameters
         ----------
-        believed : Model
+        nominal : Model
         rivals : sequence of Effect or Model
             Effects count at their amplitudes, or at a share of their scale where these are zero;
             models as they are.
@@ -122,9 +122,9 @@ class Shifts:
         (3, [1, 3])
         """
         effects = tuple(r for r in rivals if isinstance(r, Effect))
-        fresh = tuple(e.absent() for e in effects if e.name not in believed.effect_names)
+        fresh = tuple(e.absent() for e in effects if e.name not in nominal.effect_names)
         # One structure for all: compiled once, values are arguments.
-        wide = believed + fresh if fresh else believed
+        wide = nominal + fresh if fresh else nominal
         shared = kernel(wide)
         models: list[Model] = []
         kernels: list[Kernel] = []
@@ -133,14 +133,14 @@ class Shifts:
         for rival in rivals:
             first = len(models)
             if isinstance(rival, Model):
-                # Levels of noise may differ: those of the believed model count.
+                # Levels of noise may differ: those of the nominal model count.
                 if (rival.input_names, rival.output_names) != (
-                    believed.input_names,
-                    believed.output_names,
+                    nominal.input_names,
+                    nominal.output_names,
                 ):
                     raise DesignError(
                         f"The rival {rival.name!r} has other inputs or outputs than "
-                        f"{believed.name!r}. Give it the same channels."
+                        f"{nominal.name!r}. Give it the same channels."
                     )
                 models.append(rival)
                 kernels.append(kernel(rival))
@@ -148,8 +148,8 @@ class Shifts:
                 groups.append(Group(rival.name, np.array([first]), np.eye(1), 1, {}))
                 continue
             sizes = _sizes(rival, size)
-            base = wide if rival.name not in believed.effect_names else (
-                believed.without(rival.name) + rival.absent()
+            base = wide if rival.name not in nominal.effect_names else (
+                nominal.without(rival.name) + rival.absent()
             )  # fmt: skip
             parts = [sizes]
             smooth = two_sided(rival) and base is wide
@@ -179,7 +179,7 @@ class Shifts:
         ----------
         play : Play
         outputs : ndarray (n_times, n_outputs)
-            Of the believed model.
+            Of the nominal model.
 
         Raises
         ------
@@ -242,7 +242,7 @@ def joint_information(
     Parameters
     ----------
     model : Model
-        The one believed.
+        The nominal one.
     runs, noise, coloured, start, initial_states, outputs
         See :func:`~oed_sysid.sensitivity.information_of`; no prior is added.
     shifts : Shifts
