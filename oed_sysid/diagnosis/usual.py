@@ -7,39 +7,25 @@ of a tenth of the command's swing. Sizes scale the unknowns; they are no priors.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
 
-import numpy as np
-
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.dictionary import HORIZONTAL
 from oed_sysid.diagnosis.sizes import Sizes, sizes_of
-from oed_sysid.diagnosis.usual_forces import commanded, usual_forces
+from oed_sysid.diagnosis.usual_commands import LAG, OF_SWING, usual_commands
+from oed_sysid.diagnosis.usual_forces import usual_forces
 from oed_sysid.diagnosis.usual_surroundings import usual_surroundings
-from oed_sysid.effects import (
-    Effect,
-    actuators,
-    in_each_record,
-    inertia,
-    sensors,
-)
+from oed_sysid.effects import Effect, in_each_record, inertia, sensors
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.model import Model
 from oed_sysid.problem import Problem
 from oed_sysid.simulation import simulate
 
-# Share of a signal's swing, of an inertia and of a lift that an effect makes.
-OF_SWING, OF_INERTIA, OF_THRUST = 0.1, 0.2, 0.2
-# A lag in samples, the longest delay in samples, and the most steps that its register may hold.
-LAG, DELAY, LONGEST = 2.0, 4.0, 12
-# An input in this unit or with such a name is no command but a measured flow.
-FLOW_UNIT, FLOWS = "m/s", ("wind", "wave", "current")
-# Names of twins that have nothing in common.
-SIDES = ("port", "starboard", "left", "right", "upper", "lower")
+# Share of an inertia that an effect makes.
+OF_INERTIA = 0.2
 # What is steady in a record and another in the next: trims, currents and winds.
 FROM_DAY_TO_DAY = ("*_offset", "current*", "drift_*", "wind")
 
@@ -74,7 +60,7 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
         *usual_forces(model, sizes),
         *usual_surroundings(model, sizes),
         *_inertias(model, sizes),
-        *_commands(model, sizes),
+        *usual_commands(model, sizes),
         *_sensors(model, sizes),
     )
     own = [
@@ -99,51 +85,6 @@ def _inertias(model: Model, sizes: Sizes) -> Iterator[Effect]:
         yield inertia.added_mass_error(
             f"inertia_{axis}_{state}", axis, state, scale=OF_INERTIA * mass, bound=0.5 * mass
         )
-
-
-def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    units = {
-        signal: unit
-        for signal, unit in commanded(model).items()
-        if sizes.swing.get(signal, 0.0) > 0 and unit != FLOW_UNIT and not signal.startswith(FLOWS)
-    }
-    alike: dict[tuple[str, str], list[str]] = {}
-    for signal, unit in units.items():
-        alike.setdefault((unit, _stem(signal)), []).append(signal)
-    for signal, unit in units.items():
-        share = OF_SWING * sizes.swing[signal]
-        yield actuators.actuator_offset(f"{signal}_offset", signal, unit, scale=share)
-        if len(alike[unit, _stem(signal)]) > 1:  # of one alone, free derivatives are its gain
-            yield actuators.actuator_gain_error(f"{signal}_gain", signal)
-        if unit == "rad":
-            bend = OF_THRUST / sizes.swing[signal] ** 2
-            yield actuators.stall(f"{signal}_stall", signal, scale=bend)
-        yield from _moved((signal,), unit, sizes)
-    for (unit, _), signals in alike.items():
-        if len(signals) > 1:
-            yield from _moved(signals, unit, sizes)
-
-
-def _stem(signal: str) -> str:
-    """What the names of twins have in common: ``n`` of ``n_l``, nothing of ``port``."""
-    first = re.split(r"[_\d]", signal)[0]
-    return "" if first in SIDES else first
-
-
-def _moved(signals: Sequence[str], unit: str, sizes: Sizes) -> Iterator[Effect]:
-    """What actuators do to their commands: of one, or of several alike."""
-    name, lag = "_".join(signals), LAG * sizes.sample
-    swing = float(np.mean([sizes.swing[signal] for signal in signals]))
-    share = OF_SWING * swing
-    yield actuators.actuator_lag(f"{name}_lag", signals, scale=lag)
-    if DELAY * sizes.sample <= LONGEST * sizes.step:
-        yield actuators.actuator_delay(
-            f"{name}_delay", signals, max_delay=DELAY * sizes.sample, step=sizes.step,
-            scale=0.5 * lag,
-        )  # fmt: skip
-    yield actuators.rate_limit(f"{name}_rate_limit", signals, unit, scale=lag / swing)
-    yield actuators.deadband(f"{name}_deadband", signals, unit, scale=share)
-    yield actuators.backlash(f"{name}_backlash", signals, unit, scale=share)
 
 
 def _sensors(model: Model, sizes: Sizes) -> Iterator[Effect]:
