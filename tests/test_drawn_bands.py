@@ -28,11 +28,13 @@ def falling(growth: float) -> Model:
     )
 
 
-def predicted(growth: float, start: float, spread: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def predicted(
+    growth: float, start: float, spread: float = 0.0, *, force: float = FORCE, colour: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Prediction of the package and its standard deviation, without the sensor's."""
     model = falling(growth)
     noise = NoiseModel(
-        np.array([0.01]), np.zeros(1), np.array([FORCE]), TIME, outputs=("x",),
+        np.array([0.01]), np.array([colour]), np.array([force]), TIME, outputs=("x",),
         places=("force x",), force_time=np.array([TIME]),
     )  # fmt: skip
     record = Record("run", TIMES, np.zeros((len(TIMES), 0)), np.zeros((len(TIMES), 1)),
@@ -75,6 +77,15 @@ def test_what_is_damped_keeps_its_first_order_band() -> None:
     np.testing.assert_allclose(std[5:], expected[5:], rtol=0.08)
     # dx/dt = -x + w with w of time one: the variance tends to FORCE^2/2, nearly.
     assert std[-1] == pytest.approx(FORCE / np.sqrt(2.0), rel=0.02)
+
+
+@pytest.mark.parametrize("force", [0.0, FORCE])
+def test_the_colour_of_a_sensor_is_part_of_the_band(force: float) -> None:
+    """With or without random forces: its variance is added to that of the runs."""
+    growth, start, level = 1.0, 0.01, 0.2
+    quiet = predicted(growth, start, force=force)[1]
+    coloured = predicted(growth, start, force=force, colour=level)[1]
+    np.testing.assert_allclose(coloured[1:], np.hypot(quiet, level)[1:], rtol=1e-3, atol=1e-4)
 
 
 def test_draws_have_the_covariance_that_is_stated() -> None:

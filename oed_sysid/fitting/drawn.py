@@ -119,7 +119,8 @@ def runs_at_sea(
             for _ in unknowns
         ]
         calm = np.broadcast_to(record.inputs, (len(unknowns), *record.inputs.shape))
-        inputs = np.concatenate([calm, np.swapaxes(waves, 1, 2)], axis=2)
+        shape = (len(unknowns), len(acting), len(record.times))
+        inputs = np.concatenate([calm, np.reshape(waves, shape).swapaxes(1, 2)], axis=2)
         return simulate_batch(vehicle, record.times, inputs=inputs, values=values, initials=starts)
 
     return simulate

@@ -332,7 +332,7 @@ def _predict_disturbed(
     by_other = jacobian[:, :, np.concatenate([np.arange(n_own), n_own + layout.local])]
     by_shared = by_shared - by_other @ gain
     variance = _carry(by_other, other_covariance) + _carry_uncertain(by_shared, covariance)
-    # What sensors add is no matter of the model.
+    # White noise of sensors is no matter of the model; their colour is, as of what drifts.
     total = variance + np.maximum(part.variances - noise.white**2, 0.0)
     bounds = (problem.limits.lower, problem.limits.upper)
     spread = Spread(unknowns, shared, others, gain, covariance, other_covariance, bounds)
@@ -340,8 +340,9 @@ def _predict_disturbed(
     doubtful = _poorly_known(model, layout.shared_names, covariance) and bool(
         np.any(variance > MATTERS**2 * part.variances)
     )
-    if doubtful or misleads(total, spread.mean_square(simulate, outputs, N_PROBE)):
-        drawn = spread.mean_square(simulate, outputs)
+    colour = noise.colour**2
+    if doubtful or misleads(total, colour + spread.mean_square(simulate, outputs, N_PROBE)):
+        drawn = colour + spread.mean_square(simulate, outputs)
         total = np.where(np.isfinite(total), drawn, total)
     return outputs, np.sqrt(total), states, values
 
