@@ -149,11 +149,7 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
             fault = replace(fault, rows=rows, amount=float(rows.size))
         if fault.kind != "spikes" or fault.rows.size:
             kept.append(fault)
-    marked = [
-        replace(trace, unresolved={name: np.flatnonzero(trace.pushed) for name in fast})
-        for trace in traces
-    ]
-    return kept, marked
+    return kept, [replace(trace, fast=frozenset(fast)) for trace in traces]
 
 
 def _is_clipped(runs: Runs, flat: np.ndarray) -> bool:

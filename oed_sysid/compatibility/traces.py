@@ -49,8 +49,8 @@ class Trace:
         Median time step, s; found from the times if not given.
     pushed : numpy.ndarray of bool
         Shape ``(n_times,)``: samples right after a step of an input.
-    unresolved : mapping
-        Signal to rows at which it answers a step faster than it is sampled.
+    fast : frozenset of str
+        Signals that answer such a step faster than they are sampled.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Trace:
     noise: dict[str, float] = field(default_factory=dict)
     step: float = 0.0
     pushed: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    unresolved: dict[str, np.ndarray] = field(default_factory=dict)
+    fast: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         if not self.step:
@@ -102,16 +102,10 @@ class Trace:
             }
         times = self.times[:n].reshape(-1, group).mean(axis=1)
         noise = {name: std / np.sqrt(group) for name, std in self.noise.items()}
-        coarse = {
-            name: np.unique(rows[rows < n] // group) for name, rows in self.unresolved.items()
-        }
         pushed = self.pushed
         if pushed.size:
             pushed = np.any(pushed[:n].reshape(-1, group), axis=1)
-        return replace(
-            self, times=times, values=values, noise=noise, step=0.0, pushed=pushed,
-            unresolved=coarse,
-        )  # fmt: skip
+        return replace(self, times=times, values=values, noise=noise, step=0.0, pushed=pushed)
 
     def filled(self, names: Iterable[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Series joined by straight lines, and where all of them can be relied on.
@@ -128,7 +122,8 @@ class Trace:
         usable = np.ones(self.times.size, dtype=bool)
         for name in names:
             values = self.values[name]
-            usable[self.unresolved.get(name, np.zeros(0, dtype=int))] = False
+            if name in self.fast:
+                usable[self.pushed] = False
             present = np.flatnonzero(np.isfinite(values))
             if present.size == self.times.size:
                 series[name] = values
@@ -163,8 +158,8 @@ def after_steps(series: np.ndarray) -> np.ndarray:
     [6 7 8]
     """
     pushed = np.zeros(series.size, dtype=bool)
-    change = np.abs(np.diff(np.nan_to_num(series)))
-    steps = np.flatnonzero(change > STEP * np.ptp(np.nan_to_num(series)))
+    whole = np.nan_to_num(series)
+    steps = np.flatnonzero(np.abs(np.diff(whole)) > STEP * np.ptp(whole))
     if not 0 < steps.size < RARE * series.size:
         return pushed
     for after in range(1, ANSWERED + 1):

@@ -136,7 +136,8 @@ class Ranking:
 
     def similarity(self, first: Refit, second: Refit) -> float:
         """Largest canonical correlation of two effects' signatures."""
-        return _similarity(first.score, second.score)
+        cosines = _basis(first.score).T @ _basis(second.score)
+        return float(np.linalg.svd(cosines, compute_uv=False).max(initial=0.0))
 
     def alike(self, name: str, limit: float = ALIKE) -> tuple[str, ...]:
         """Candidates never refitted that explain nearly what another explains, by likeness.
@@ -155,6 +156,11 @@ class Ranking:
             and score.effect.name not in (name, f"{name}{BY_RECORD}")
         }
         return tuple(n for n in sorted(found, key=lambda n: -found[n]) if found[n] > limit)
+
+    def claimed_with(self, name: str) -> tuple[str, ...]:
+        """A claimed effect and all that these data cannot tell from it or from the best."""
+        names = (name, *(refit.name for refit in self.group()), *self.alike(name))
+        return tuple(dict.fromkeys(names))
 
     def report(self) -> str:
         """Return the best candidates and what these records cannot show, as text."""
@@ -191,21 +197,16 @@ class Ranking:
         return found
 
 
+def _basis(score: Score) -> np.ndarray:
+    """Orthonormal basis of an effect's signature; no column where there is none."""
+    signature = score.signature if np.any(score.signature) else score.signature[:, :0]
+    return np.linalg.qr(signature)[0]
+
+
 def _within(score: Score, rows: np.ndarray) -> np.ndarray:
     """What the amplitudes of an effect can explain of some rows."""
-    if not np.any(score.signature):
-        return np.zeros_like(rows)
-    basis, _ = np.linalg.qr(score.signature)
+    basis = _basis(score)
     return basis @ (basis.T @ rows)
-
-
-def _similarity(first: Score, second: Score) -> float:
-    bases = []
-    for score in (first, second):
-        if not np.any(score.signature):
-            return 0.0
-        bases.append(np.linalg.qr(score.signature)[0])
-    return float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0])
 
 
 def rank(

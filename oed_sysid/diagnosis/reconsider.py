@@ -33,8 +33,7 @@ def with_effect(
     if study.validation is not None and rises(study, state.fit, fit):
         fit = chosen.fit  # a better likelihood elsewhere, which the validation records refuse
     effect = chosen.score.effect
-    names = [refit.name for refit in ranking.group()]
-    group = tuple(dict.fromkeys((effect.name, *names, *ranking.alike(effect.name))))
+    group = ranking.claimed_with(effect.name)
     one = Added(effect, ranking, chosen.gain, ranking.needed(chosen), validation_gain, group)
     return replace(state, added=(*state.added, one), fit=fit, path=(*state.path, fit))
 
@@ -103,8 +102,7 @@ def reviewed(state: Standing) -> Standing:
         chosen = best
         if present is not None and best.evidence < present.evidence + SWAP_MARGIN:
             chosen = present
-        names = [refit.name for refit in ranking.group()]
-        group = tuple(dict.fromkeys((chosen.name, *names, *ranking.alike(chosen.name))))
+        group = ranking.claimed_with(chosen.name)
         if chosen.name == old.effect.name:
             same = replace(old, ranking=ranking, group=group)
             kept = tuple(same if i == position else one for i, one in enumerate(state.added))

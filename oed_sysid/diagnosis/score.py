@@ -145,7 +145,7 @@ def scores(
         if not effect.shape_names and two_sided(effect)
         for name in effect.amplitude_names
     ]
-    rows = _rows(fit, smooth, {n for e in candidates for n in _local_names(e)})
+    rows = _rows(fit, smooth)
     known = rows.known[:, np.linalg.norm(rows.known, axis=0) > 0]
     basis, _ = np.linalg.qr(known / np.linalg.norm(known, axis=0))
     residual = rows.residual - basis @ (basis.T @ rows.residual)
@@ -164,14 +164,13 @@ def _local_names(effect: Effect) -> tuple[str, ...]:
     return tuple(p.name for p in effect.parameters if p.per_record)
 
 
-def _rows(fit: FilteredSolution, smooth: Sequence[str], local: set[str]) -> _Rows:
+def _rows(fit: FilteredSolution, smooth: Sequence[str]) -> _Rows:
     """One pass along the filtered path, candidates' columns included."""
     problem, unknowns = fit.problem, fit.point.unknowns
     layout = problem.layout
     names = (*layout.free_names, *smooth)
     width = layout.n_own + len(layout.free_names)
     found = problem.passes(unknowns, rows=True, gains=True, names=names)
-    n_records = len(found)
     n_known = layout.levels.start
     seen = [np.isfinite(part.innovations) for part in found]
     roots = [np.sqrt(part.variances[s]) for part, s in zip(found, seen, strict=True)]
@@ -180,7 +179,7 @@ def _rows(fit: FilteredSolution, smooth: Sequence[str], local: set[str]) -> _Row
     held = np.flatnonzero(priors > 0)
     known = np.zeros((sum(sizes) + len(held), n_known))
     residual = np.zeros(len(known))
-    extra = {name: np.zeros((len(known), n_records if name in local else 1)) for name in smooth}
+    extra = {name: np.zeros(len(known)) for name in smooth}
     begin = 0
     for index, (part, s, root) in enumerate(zip(found, seen, roots, strict=True)):
         block = slice(begin, begin + len(root))
@@ -192,7 +191,7 @@ def _rows(fit: FilteredSolution, smooth: Sequence[str], local: set[str]) -> _Row
         known[block, columns[layout.n_own :]] *= layout.slopes(unknowns[columns[layout.n_own :]])
         residual[block] = part.innovations[s] / root
         for position, name in enumerate(smooth):
-            extra[name][block, index if name in local else 0] = -rows[:, width + position]
+            extra[name][block] = -rows[:, width + position]
     for position, column in enumerate(held):
         known[begin + position, column] = np.sqrt(priors[column])
         away = problem.limits.prior_mean[column] - unknowns[column]
@@ -259,14 +258,15 @@ def _variants(
     variants = []
     for effect in candidates:
         amplitudes = effect.amplitude_names
-        if all(name in smooth for name in amplitudes):
-            columns = np.hstack([rows.extra[name] for name in amplitudes])
-            variants.append(_Variant(effect, amplitudes, {}, columns))
-            continue
+        is_smooth = all(name in smooth for name in amplitudes)
         for shape in _shapes(effect) if effect.shape_names else [{}]:
-            together = _secant(study, fit, effect, shape, rows)
-            if together is not None:
-                columns = rows.by_record(together) if _local_names(effect) else together
+            columns = (
+                np.column_stack([rows.extra[name] for name in amplitudes])
+                if is_smooth
+                else _secant(study, fit, effect, shape, rows)
+            )
+            if columns is not None:
+                columns = rows.by_record(columns) if _local_names(effect) else columns
                 variants.append(_Variant(effect, amplitudes, shape, columns))
     return variants
 
