@@ -61,8 +61,8 @@ from oed_sysid.noise.model import NoiseModel
 # for noise: random forces are then looked for from the start values too.
 BENT = 3.0
 # Iterations of a white fit after which such residuals end it where random forces are looked for,
-# and the share of the cost that has to be left.
-PATIENCE, ENOUGH = 8, 0.7
+# or known from an earlier fit, and the share of the cost that has to be left.
+PATIENCE, KNOWN, ENOUGH = 8, 2, 0.7
 # Ends of a white fit that are where it was going.
 ENDED = ("converged", "enough")
 # Of two ends the one that converged is taken unless its cost is higher by this factor; an end that
@@ -297,8 +297,9 @@ class MultipleShooting:
         wanted = asked and not self._white_only
         # Where random forces may follow, residuals that are no white noise end the iterations
         # soon, and their colour is weighed only if none do.
-        first = partial(minimise, enough=_bent(shooting)) if wanted else minimise
         carried = _carried(shooting, point, warm) if wanted else None
+        patience = PATIENCE if carried is None else KNOWN
+        first = partial(minimise, enough=_bent(shooting, patience)) if wanted else minimise
         solution = None if carried is None else first(shooting, point)
         iterations = 0 if solution is None else solution.iterations
         if solution is None:
@@ -408,7 +409,10 @@ class MultipleShooting:
                 gain = score_test(at, dataset, louder, first.initial, first.local, kernel).gain
                 if gain < CLEAR:
                     return replace(fit, extras={**fit.extras, "disturbance_test": gain})
-            test = score_test(at, dataset, quiet, first.initial, first.local, kernel)
+            look = partial(score_test, at, dataset, quiet, first.initial, first.local, kernel)
+            test = look(times=_times(carried))
+            if carried is not None and test.gain < CLEAR:
+                test = look()
         except SimulationError:  # the model itself leaves the numbers: the status says so
             return fit
         if auto and test.gain < CLEAR:
@@ -522,7 +526,16 @@ def _carried(shooting: Shooting, point: Point, warm: Fit | None) -> Start | None
     return Start(shooting.model.values, states, local, warm.noise)
 
 
-def _bent(shooting: Shooting) -> Callable[[Progress], bool]:
+def _times(carried: Start | None) -> list[float]:
+    """Correlation times of the random forces that an earlier fit found, s."""
+    noise = None if carried is None else carried.noise
+    if noise is None:
+        return []
+    acting = (noise.force > 0) & (noise.force_time > 0)
+    return sorted({float(time) for time in noise.force_time[acting]})
+
+
+def _bent(shooting: Shooting, patience: int) -> Callable[[Progress], bool]:
     """Tell when residuals are no white noise of the given levels, wherever iterations end."""
     count = sum(int(np.isfinite(record.outputs).sum()) for record in shooting.records)
     large = 0.5 * BENT**2 * count
@@ -530,7 +543,7 @@ def _bent(shooting: Shooting) -> Callable[[Progress], bool]:
     def told(progress: Progress) -> bool:
         left = progress.cost - max(progress.decrement, 0.0)
         near = left > ENOUGH * progress.cost
-        return progress.iteration >= PATIENCE and near and left > large
+        return progress.iteration >= patience and near and left > large
 
     return told
 

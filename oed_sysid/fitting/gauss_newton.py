@@ -25,7 +25,7 @@ CLOSED = 1e-8
 NEARLY_CLOSED, ROUNDING_SHARE, ROUNDING_COST = 1e-6, 1e-8, 1e-3
 # With random forces: the step that ends the iterations at frozen gain, the rise of the cost that
 # its gradient may cause near the end, most steps of the exact one, the gain below which the last
-# of these was enough, and the promised gain below which a search without a way on has arrived.
+# of these was enough, and its equations serve where it led, and the promised gain below which a search without a way on has arrived.
 FROZEN_TOLERANCE, SLACK, POLISH_STEPS, SETTLED, STALLED_NEAR = 1e-3, 0.1, 8, 0.1, 0.1
 # Where the frozen gradient promises what no step keeps, few trials show it.
 MOST_DAMPING, FEW_LENGTHS = 10.0, 3
@@ -246,7 +246,11 @@ def solve_filtered(
             search.slack = 0.0
             for _ in range(polish):
                 iteration += 1
-                if search.advance(tolerance) or search.decrease < SETTLED:
+                before = search.now
+                if search.advance(tolerance):
+                    break
+                if search.decrease < SETTLED:
+                    search.settled = _shifted(before, search.now.point)
                     break
             # The exact gradient has the last word, whatever the frozen one ended with.
             if reason == "iterations" and search.decrease < STALLED_NEAR:
@@ -257,8 +261,14 @@ def solve_filtered(
     if reason == "stalled" and search.decrease < STALLED_NEAR:
         reason = "converged"
     now = search.now
-    matrix, right = now.equations()
+    matrix, right = search.settled or now.equations()
     return FilteredSolution(problem, now.point, now.cost, matrix, right, iteration, reason)
+
+
+def _shifted(before: Iterate, point: Point) -> tuple[np.ndarray, np.ndarray]:
+    """Equations of an iterate as they hold at a point close by, for the cost of a product."""
+    matrix, right = before.equations()
+    return matrix, right - matrix @ (point.unknowns - before.point.unknowns)
 
 
 class _Search:
@@ -271,6 +281,7 @@ class _Search:
         self.at_floor, self.length = False, 1.0
         self.trust: Trust | None = None
         self.cheap: Evaluate | None = None
+        self.settled: tuple[np.ndarray, np.ndarray] | None = None
 
     def confirm(self) -> bool:
         """Go on with exact sensitivities at the same point; return whether that is news."""

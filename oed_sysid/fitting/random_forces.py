@@ -48,6 +48,9 @@ HELD_STEPS = 2
 # Iterations after which the likeliest of several starts goes on, and the others only where they
 # promise to overtake; and the difference of twice the log-likelihood below which two are one.
 FIRST_LOOK, SAME_PLACE = 3, 10.0
+# Fall of the cost promised where an earlier fit ended, below which no step is taken at frozen gain;
+# and steps at frozen gain before the exact ones where those before did not converge.
+ARRIVED, UNFINISHED = 0.2, 3
 
 
 def fit_disturbed(
@@ -111,16 +114,36 @@ def fit_disturbed(
         else:
             point = problem.point(start.initial, start.local, own)
             begun.append((problem, point, problem.objective(point.unknowns)))
-    best = _raced(begun, max_iterations, progress)
+    best = _stayed(begun, starts) or _raced(begun, max_iterations, progress)
     if best is None:
         return None
     best = with_colour(best, setting, max_iterations=max_iterations)
     best = with_input_noise(best, setting)
     best = with_own_times(best, setting)
     if polish:
-        again = solve_filtered(best.problem, best.point, max_iterations=3, polish=polish)
-        best = replace(again, iterations=again.iterations + best.iterations) if again else best
+        more = 0 if best.reason == "converged" else UNFINISHED
+        again = solve_filtered(best.problem, best.point, max_iterations=more, polish=polish)
+        if again is not None:
+            stood = not more and again.reason == "iterations"
+            best = replace(
+                again,
+                iterations=again.iterations + best.iterations,
+                reason=best.reason if stood else again.reason,
+            )
     return best
+
+
+def _stayed(
+    begun: Sequence[tuple[Filtered, Point, float]], starts: Sequence[Start]
+) -> FilteredSolution | None:
+    """The one beginning itself, where an earlier fit ended and steps promise next to nothing."""
+    if len(begun) > 1 or starts[0].noise is None:
+        return None
+    problem, point, _ = begun[0]
+    found = solve_filtered(problem, point, max_iterations=0, polish=0)
+    if found is None or found.promise > ARRIVED:
+        return None
+    return replace(found, reason="converged")
 
 
 def _raced(

@@ -80,6 +80,8 @@ def score_test(
     initial: Sequence[np.ndarray],
     local: Sequence[Mapping[str, float]],
     kernel: FilterKernel | None = None,
+    *,
+    times: Sequence[float] = (),
 ) -> ScoreTest:
     """Test at a white fit whether forces act or sensors are coloured.
 
@@ -95,11 +97,13 @@ def score_test(
         Values of per-record parameters.
     kernel : FilterKernel, optional
         Of a larger model.
+    times : sequence of float, optional
+        Correlation times that are tried, s; by default :data:`TIMES`, in samples.
     """
     sample = float(np.median([record.sample_time for record in dataset]))
     best: ScoreTest | None = None
-    for count in TIMES:
-        found = _score_at(model, dataset, setting, initial, local, count * sample, kernel)
+    for time in times or [count * sample for count in TIMES]:
+        found = _score_at(model, dataset, setting, initial, local, time, kernel)
         if best is None or found.gain > best.gain:
             best = found
     assert best is not None
