@@ -248,7 +248,10 @@ def whiteness(series: np.ndarray, n_lags: int = 20) -> Whiteness:
 
 
 def coloured_score_covariance(
-    jacobians: Sequence[np.ndarray], residuals: Sequence[np.ndarray]
+    jacobians: Sequence[np.ndarray],
+    residuals: Sequence[np.ndarray],
+    *,
+    lags: int | None = None,
 ) -> np.ndarray:
     """Covariance of ``J' r`` when the residuals ``r`` are stationary but coloured.
 
@@ -265,6 +268,9 @@ def coloured_score_covariance(
         In units of the noise, zero rows where nothing was measured.
     residuals : sequence of ndarray (n_times, n_outputs)
         In units of the noise, NaN where nothing was measured; sampled alike.
+    lags : int, optional
+        Samples over which autocovariances are kept, at most a quarter of the shortest record; by
+        default until they fade.
 
     Returns
     -------
@@ -273,7 +279,7 @@ def coloured_score_covariance(
     """
     n_unknowns = jacobians[0].shape[2]
     total = np.zeros((n_unknowns, n_unknowns))
-    colour = _Colour(residuals)
+    colour = _Colour(residuals, lags)
     for jacobian in jacobians:
         # Twice the length: a colour with memory must not wrap around.
         size = next_fast_len(2 * len(jacobian) + len(colour.covariance), real=True)
@@ -298,7 +304,7 @@ class _Colour:
     the taper to spoil, so that slow residuals need fewer samples.
     """
 
-    def __init__(self, residuals: Sequence[np.ndarray]) -> None:
+    def __init__(self, residuals: Sequence[np.ndarray], lags: int | None = None) -> None:
         n_outputs = residuals[0].shape[1]
         self.recursion = np.zeros((n_outputs, n_outputs))
         rough = _lagged_covariance(residuals, 1)
@@ -309,7 +315,8 @@ class _Colour:
             self.recursion = recursion
         else:  # too many gaps for differences between neighbours
             whiter = list(residuals)
-        lags = _taper_length(whiter)
+        longest = max(2, min(len(residual) for residual in whiter) // 4)
+        lags = _taper_length(whiter) if lags is None else min(lags, longest)
         taper = np.minimum(1.0, 2.0 * (1.0 - np.arange(lags + 1) / (lags + 1.0)))
         # Through the covariances of the residuals themselves, so that no sample is lost to a gap.
         own = _lagged_covariance(residuals, lags + 1)

@@ -65,6 +65,8 @@ class Scenario:
         Standard deviation of each random force.
     force_time : float
         Their time, s.
+    swell : float or None
+        The forces have a JONSWAP spectrum with this peak period instead, s.
     pole : float or None
         The vehicle is made unstable in pitch with this pole, 1/s.
     level : float
@@ -96,6 +98,7 @@ class Scenario:
     fresh: Manoeuvre = FRESH
     force: tuple[float, ...] = (0.0, 0.0, 0.0)
     force_time: float = 2.0
+    swell: float | None = None
     pole: float | None = None
     level: float = 1.0
     colour: float = 0.0
@@ -148,6 +151,16 @@ SCENARIOS = {
             fresh=STEADIED[3],
             force=_times(1.0),
             pole=0.5,
+        ),
+        *(
+            Scenario(
+                f"swell_{period:g}",
+                f"medium, JONSWAP with peak at {period:g} s",
+                force=_times(1.0),
+                swell=period,
+                may_flag=True,
+            )
+            for period in (3.0, 6.0, 12.0)
         ),
         Scenario("missing", "medium, half of the samples missing", force=_times(1.0), missing=0.5),
         Scenario("irregular", "medium, 60 % of the rows missing", force=_times(1.0), dropped=0.6),

@@ -18,6 +18,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.signal import lfilter
@@ -86,6 +87,26 @@ def gauss_markov(
     return level * lfilter([1.0], [1.0, -memory], scaled, axis=0)
 
 
+@lru_cache(maxsize=4)
+def _waves(n: int, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Amplitudes, then cosines and sines of a sea at ``n`` times, in peak periods ``step`` apart.
+
+    JONSWAP spectrum of peak factor 3.3 (Hasselmann et al. 1973) from 0.4 to 3 times its peak.
+    """
+    f = np.linspace(0.4, 3.0, 200)
+    wide = np.where(f < 1.0, 0.07, 0.09)
+    spectrum = f**-5.0 * np.exp(-1.25 * f**-4.0) * 3.3 ** np.exp(-((f - 1.0) ** 2) / (2 * wide**2))
+    angle = 2.0 * np.pi * step * np.outer(np.arange(n), f)
+    return np.sqrt(2.0 * spectrum / spectrum.sum()), np.cos(angle), np.sin(angle)
+
+
+def swell(rng: np.random.Generator, n: int, step: float, count: int) -> np.ndarray:
+    """Sums of waves of random phase, unit variance in all, ``(n, count)``; see :func:`_waves`."""
+    size, cosine, sine = _waves(n, step)
+    phase = rng.uniform(0.0, 2.0 * np.pi, (count, len(size)))
+    return np.asarray(cosine @ (size * np.cos(phase)).T - sine @ (size * np.sin(phase)).T)
+
+
 def believed(scenario: Scenario) -> dict[str, float]:
     """Parameters before the trial: the start of every fit."""
     values = dict(VEHICLES[scenario.vehicle].believed)
@@ -144,6 +165,10 @@ class _Column:
         draws = force.standard_normal(((self.n - 1) * vehicle.substeps + 1, len(vehicle.forces)))
         memory = np.exp(-h / scenario.force_time)
         self.force = gauss_markov(draws, np.array(scenario.force), memory)
+        if scenario.swell is not None:
+            waves = stream(seed, number, manoeuvre.name, "swell")
+            sea = swell(waves, len(draws), h / scenario.swell, len(scenario.force))
+            self.force = np.array(scenario.force) * sea
         white = noise.standard_normal((self.n, len(vehicle.states)))
         if scenario.colour:
             column = scenario.coloured

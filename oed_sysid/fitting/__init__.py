@@ -26,6 +26,7 @@ module                          subject
 ``filtered``, ``random_forces`` random forces and coloured sensors: filter, levels, tests
 ``gauss_newton``                the search
 ``covariance``, ``summary``     what the end says about errors, as a :class:`~.fit.Fit`
+``narrow_band``                 errors where innovations swing with a period, as in a swell
 ``between_records``             errors from what records say apart from one another
 ``prediction``                  other records, with bands
 ``archive``                     fits as files

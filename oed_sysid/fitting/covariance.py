@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from oed_sysid.data.sampling import sampled_alike
 from oed_sysid.fitting.between_records import FEWEST_RECORDS, RecordScatter, record_scatter
 from oed_sysid.fitting.fit import COLOUR_LIMIT
 from oed_sysid.fitting.shooting import Linearisation, Loss, Shooting
@@ -17,7 +18,6 @@ from oed_sysid.information import (
 
 # A combination of initial states seen less than this share of the best is not projected out.
 BLIND = 1e-10
-SAME_SAMPLING = 0.01
 # Residuals below this share of the noise say nothing about it.
 SILENT = 0.01
 # With so few independent samples that more is lost, no correction helps.
@@ -136,7 +136,7 @@ class ReducedProblem:
             return white
         middle = np.zeros_like(white)
         if coloured:
-            for group in _sampled_alike(self.shooting):
+            for group in sampled_alike(self.shooting.records):
                 middle += coloured_score_covariance(
                     [jacobians[i] for i in group], [self.scores[i] for i in group]
                 )
@@ -199,16 +199,3 @@ def _project_out(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
     rotation, values, _ = np.linalg.svd(triangle)
     basis = basis @ rotation[:, values > BLIND * values[0]]
     return outer - basis @ (basis.T @ outer)
-
-
-def _sampled_alike(shooting: Shooting) -> list[list[int]]:
-    """Group the records by sample time: colour is estimated in samples."""
-    groups: list[tuple[float, list[int]]] = []
-    for index, record in enumerate(shooting.records):
-        for sample_time, members in groups:
-            if abs(record.sample_time - sample_time) < SAME_SAMPLING * sample_time:
-                members.append(index)
-                break
-        else:
-            groups.append((record.sample_time, [index]))
-    return [members for _, members in groups]

@@ -15,6 +15,9 @@ the output's share of the unknowns. Large ``f`` with small :math:`f_\Delta` is c
 
 *Colour.* Ljung-Box statistic and effective sample size (:mod:`oed_sysid.information`).
 
+*Swing.* Innovations with power about one frequency, as waves leave them
+(:mod:`oed_sysid.fitting.narrow_band`).
+
 *Spikes* and *delays* are found by :mod:`oed_sysid.fitting.spikes` and
 :mod:`oed_sysid.fitting.delays`.
 
@@ -43,6 +46,7 @@ from oed_sysid.fitting.delays import (
 )
 from oed_sysid.fitting.estimate import Estimate
 from oed_sysid.fitting.input_noise import fast_level, noisy_inputs
+from oed_sysid.fitting.narrow_band import clear_peaks
 from oed_sysid.fitting.noise_levels import signal_spread, white_levels
 from oed_sysid.fitting.spikes import spike_masks, spike_sizes
 
@@ -86,7 +90,7 @@ class Concern:
     Attributes
     ----------
     kind : str
-        ``noise_level``, ``colour``, ``spikes``, ``delay``, ``per_record_follows``,
+        ``noise_level``, ``colour``, ``swing``, ``spikes``, ``delay``, ``per_record_follows``,
         ``records_differ``, ``input_noise``, ``absorbed``, ``integration``, ``runaway``,
         ``degenerate`` or ``few_samples``.
     signal : str
@@ -95,10 +99,11 @@ class Concern:
         Empty where it is all records.
     size : float
         A factor of the level (``noise_level``, ``absorbed``), the share of independent samples
-        (``colour``), a number of samples (``spikes``), seconds (``delay``), a correlation
-        (``per_record_follows``), a factor of the standard error (``records_differ``), noise
-        levels (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of the
-        signal (``degenerate``), samples per unknown (``few_samples``).
+        (``colour``), a number of samples (``spikes``), seconds (``delay``, ``swing``), a
+        correlation (``per_record_follows``), a factor of the standard error
+        (``records_differ``), noise levels (``integration``, ``input_noise``), multiples of the
+        scale (``runaway``) or of the signal (``degenerate``), samples per unknown
+        (``few_samples``).
     text : str
         What was expected, what was found, what to do.
     """
@@ -150,7 +155,7 @@ def judge(fit: Estimate) -> tuple[Concern, ...]:
     if any(concern.kind == "runaway" for concern in found) or not _has_numbers(fit):
         return found
     spikes = spike_concerns(fit)
-    colours = colour_concerns(fit)
+    colours, swings = colour_concerns(fit), swing_concerns(fit)
     return (
         *found,
         *_few_samples(fit),
@@ -160,7 +165,8 @@ def judge(fit: Estimate) -> tuple[Concern, ...]:
         *level_concerns(fit),
         *_absorbed(fit),
         *input_concerns(fit),
-        *colours,
+        *swings,
+        *(colour for colour in colours if colour.signal not in {swing.signal for swing in swings}),
         *_follows(fit),
     )
 
@@ -275,6 +281,26 @@ def colour_concerns(fit: Estimate) -> tuple[Concern, ...]:
             )
         )
     return tuple(found)
+
+
+def swing_concerns(fit: Estimate) -> tuple[Concern, ...]:
+    """Innovations that swing with a period of their own."""
+    if fit.innovations is None:
+        return ()
+    peaks = clear_peaks(fit.whitened, tuple(fit.dataset), fit.model.output_names)
+    return tuple(
+        Concern(
+            "swing",
+            peak.output,
+            "",
+            peak.period,
+            f"Innovations of {peak.output} swing with a period of about {peak.period:.2g} s "
+            f"({peak.ratio:.1f} times the power of white ones), as waves and swell leave them; "
+            "random forces are modelled without a period. Standard errors are from the sandwich "
+            "covariance, which holds the swing; estimates are not as precise as they could be.",
+        )
+        for peak in peaks
+    )
 
 
 def _absorbed(fit: Estimate) -> tuple[Concern, ...]:

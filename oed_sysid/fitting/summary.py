@@ -18,6 +18,7 @@ from oed_sysid.fitting.covariance import ReducedProblem
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.fit import Fit, Status
 from oed_sysid.fitting.gauss_newton import FilteredSolution, Solution
+from oed_sysid.fitting.narrow_band import clear_peaks, widened
 from oed_sysid.fitting.shooting import Shooting, replace_values
 from oed_sysid.fitting.unknowns import KnownStarts
 from oed_sysid.information import Information
@@ -133,7 +134,8 @@ def summarise_filtered(
 
     With the information ``H`` of all unknowns, start states, per-record parameters and
     levels ``o`` are eliminated from that of the shared parameters ``p``,
-    :math:`H_{pp} - H_{po} H_{oo}^{-1} H_{op}`.
+    :math:`H_{pp} - H_{po} H_{oo}^{-1} H_{op}`. Where innovations swing with a period of their own,
+    the covariance is that of :mod:`oed_sysid.fitting.narrow_band`.
 
     Parameters
     ----------
@@ -159,8 +161,14 @@ def summarise_filtered(
     )
     noise = problem.noise(unknowns)
     measured = [np.isfinite(record.outputs) for record in problem.records]
+    covariance = information.covariance
     # Derivatives serve the scatter between records alone.
     passes = problem.passes(unknowns, columns=len(problem.records) >= FEWEST_RECORDS)
+    whitened = [part.innovations / np.sqrt(np.maximum(part.variances, 1e-300)) for part in passes]
+    peaks = clear_peaks(whitened, problem.records, model.output_names)
+    if peaks:
+        period = max(peak.period for peak in peaks)
+        covariance = widened(problem, unknowns, matrix, covariance, period)
     predictions, states, residuals, initial, local = [], [], [], [], []
     free = np.array([layout.parameters(unknowns, i) for i in range(len(problem.records))])
     at = model.with_values(_means(model, layout.free_names, free))
@@ -180,9 +188,9 @@ def summarise_filtered(
         names=layout.shared_names,
         estimates=estimates,
         information=information,
-        covariance=information.covariance,
+        covariance=covariance,
         record_scatter=_between_records(problem, unknowns, passes),
-        coloured=False,
+        coloured=bool(peaks),
         sigma=noise.white.copy(),
         sigma_estimated=np.asarray(estimated, dtype=bool),
         predictions=tuple(predictions),
