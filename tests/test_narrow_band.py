@@ -12,6 +12,7 @@ from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import simulate, true_values
 from benchmarks.random_forces.trial import _model, believed, dataset
 from oed_sysid import MultipleShooting
+from oed_sysid.channels import Channels, Input, Output
 from oed_sysid.data.record import Record
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.narrow_band import clear_peaks, spectral_peak
@@ -59,25 +60,18 @@ def test_period_of_a_hidden_wave_is_found(period: float) -> None:
     assert np.median([peak.period for peak in found]) == pytest.approx(0.5 * period, rel=0.1)
 
 
-def test_a_slow_sensor_is_searched_in_its_own_samples(model_channels) -> None:  # type: ignore[no-untyped-def]
+def test_a_slow_sensor_is_searched_in_its_own_samples() -> None:
     """Every fifth row is measured: the period is in seconds all the same."""
     rng = np.random.default_rng(5)
     times = 0.1 * np.arange(3000)
     wave = np.cos(2 * np.pi * times / 6.0)
     series = np.full((3000, 1), np.nan)
     series[::5, 0] = rng.standard_normal(600) + wave[::5]
-    record = Record("a", times, np.zeros((3000, 1)), series, model_channels)
+    channels = Channels((Input("u", "1"),), (Output("y", "1"),))
+    record = Record("a", times, np.zeros((3000, 1)), series, channels)
     (peak,) = clear_peaks([series], [record], ["y"])
     assert peak.output == "y"
     assert peak.period == pytest.approx(6.0, rel=0.03)
-
-
-@pytest.fixture
-def model_channels():  # type: ignore[no-untyped-def]
-    """Channels of one input and one output."""
-    from oed_sysid.channels import Channels, Input, Output
-
-    return Channels((Input("u", "1"),), (Output("y", "1"),))
 
 
 def test_a_swell_is_named_and_its_errors_are_wider() -> None:

@@ -200,9 +200,7 @@ def widened(
             [np.ones(layout.n_own), layout.slopes(unknowns[columns[layout.n_own :]])]
         )
         assert part.rows is not None
-        onto = np.zeros((len(columns), n_shared))
-        for place, column in enumerate(columns):
-            onto[place] = np.eye(n_shared)[column] if column < n_shared else -share[:, column]
+        onto = (np.eye(n_shared, len(share.T)) - share)[:, columns].T
         jacobian = part.rows[..., : len(columns)] @ (size[:, None] * onto / slopes)
         jacobian[~np.isfinite(part.innovations)] = 0.0
         jacobians.append(jacobian)
