@@ -39,9 +39,12 @@ from oed_sysid.effects import Effect
 from oed_sysid.errors import OedSysidError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import FilteredSolution
-from oed_sysid.fitting.noise_levels import credible_levels
+from oed_sysid.fitting.noise_levels import credible_levels, signal_spread
 from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.model import Model
+
+# Share of a signal that whole runs must miss before a search is worth making again.
+MUCH = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +55,16 @@ class _Reached:
     base: FilteredSolution
     first: Ranking
     rejected: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Ended:
+    """A search with all samples asked, what is left of the records, and a term for that."""
+
+    state: Standing
+    left: Remains
+    proposals: Proposals | None
+    notes: list[str]
 
 
 @single_threaded
@@ -119,34 +132,27 @@ def improve(
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
     notes = [*ready.notes, *told]
     found = _searched(study, base, max_effects, tell, keep, notes)
-    if disturbances == "auto" and _astray(found.state.study, found.state.fit):
+    finish = partial(_ended, whole=ready.whole, max_effects=max_effects, tell=tell, keep=keep)
+
+    def calmer(than: _Reached) -> _Reached:
         tell("searching without random forces")
         calm = keep.once("without random forces", partial(begin, disturbances="none"))
-        found = _calmer(found, _searched(*calm, max_effects, tell, keep, notes), notes)
-    state, base, first = found.state, found.base, found.first
-    if ready.whole is not None:
-        tell("asking all samples")
-        state, told = keep.once("all samples", partial(on_all_samples, state, ready.whole))
-        notes += told
+        return _calmer(than, _searched(*calm, max_effects, tell, keep, notes), notes)
+
+    may_be_calm = disturbances == "auto"
+    if may_be_calm and _astray(found.state.study, found.state.fit):
+        found, may_be_calm = calmer(found), False
+    end = finish(found)
+    if may_be_calm and _unexplained(end):
+        reached = replace(found, state=end.state)
+        if (other := calmer(reached)) is not reached:
+            found, end = other, finish(other)
+    notes += end.notes
     tell("locating where the nominal model fails")
-    location = _located(study, base, first, notes, keep)
-    left = _kept(keep, "what remains", lambda: remains(state.study, state.fit), notes)
-    proposals: Proposals | None = None
-    if left is not None and not left.is_noise:
-        tell("looking for a term that no known effect holds")
-        beyond = _kept(keep, "unknown term", lambda: with_term(state, max_effects), notes)
-        if beyond is not None:
-            state, proposals, tied = beyond
-            again = _kept(keep, "what remains", lambda: remains(state.study, state.fit), notes)
-            left = replace(again or left, tied=tied)
-    if left is None:
-        left = Remains(np.inf, None)
-    notes += _bought(state.study, state.fit)
+    location = _located(study, found.base, found.first, notes, keep)
+    notes += _bought(end.state.study, end.state.fit)
     tell("fits and errors of every step")
-    return keep.once(
-        "every step",
-        lambda: _result(state, base, first, location, found.rejected, proposals, left, notes, log),
-    )
+    return keep.once("every step", lambda: _result(found, end, location, notes, log))
 
 
 def _searched(
@@ -164,6 +170,40 @@ def _searched(
         rejected += refused
     first = first or rank(study, base, study.candidates, n_refits=0, share=state.share)
     return _Reached(state, base, first, tuple(rejected))
+
+
+def _ended(
+    found: _Reached,
+    *,
+    whole: Dataset | None,
+    max_effects: int,
+    tell: Callable[[str], None],
+    keep: Journal,
+) -> _Ended:
+    """Ask all samples, judge what is left, and look for a term where that is no noise."""
+    state, notes = found.state, list[str]()
+    if whole is not None:
+        tell("asking all samples")
+        state, notes = keep.once("all samples", partial(on_all_samples, state, whole))
+    left = _kept(keep, "what remains", lambda: remains(state.study, state.fit), notes)
+    if left is None or left.is_noise:
+        return _Ended(state, left or Remains(np.inf, None), None, notes)
+    tell("looking for a term that no known effect holds")
+    beyond = _kept(keep, "unknown term", lambda: with_term(state, max_effects), notes)
+    if beyond is None:
+        return _Ended(state, left, None, notes)
+    wider, proposals, tied = beyond
+    again = _kept(keep, "what remains", lambda: remains(wider.study, wider.fit), notes)
+    return _Ended(wider, replace(again or left, tied=tied), proposals, notes)
+
+
+def _unexplained(end: _Ended) -> bool:
+    """Whether structure is missing under random forces, and whole runs miss much of a signal."""
+    if end.left.kind != "structure missing" or not end.left.random:
+        return False
+    study = end.state.study
+    missed = study.rms(end.state.fit, study.train) / signal_spread(study.train)
+    return bool(np.nanmax(missed) > MUCH)
 
 
 def _calmer(found: _Reached, calm: _Reached, notes: list[str]) -> _Reached:
@@ -299,20 +339,13 @@ def _at_estimates(effect: Effect, values: Mapping[str, float]) -> Effect:
 
 
 def _result(
-    state: Standing,
-    base: FilteredSolution,
-    first: Ranking,
-    location: Located,
-    rejected: Sequence[str],
-    proposals: Proposals | None,
-    left: Remains,
-    notes: list[str],
-    log: LogCheck,
+    found: _Reached, end: _Ended, location: Located, notes: list[str], log: LogCheck
 ) -> Improvement:
+    state, proposals = end.state, end.proposals
     study = state.study
     label = "improve, random forces"
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
-    path = [study.polished(fit) for fit in (base, *state.path[1:])]
+    path = [study.polished(fit) for fit in (found.base, *state.path[1:])]
     fits = [study.result(fit, label) for fit in path]
     base_fit = fits[0]
     sigma = _sigma(study, fits)
@@ -346,10 +379,11 @@ def _result(
     names = study.base.output_names
     # Noise that nobody declared is what the fastest wiggles show, whatever a fit took for noise.
     fast = np.where(study.estimated, np.minimum(sigma, credible_levels(study.train)[0]), sigma)
-    excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0)) / yardstick.spread
-    shares = {
-        name: float(share) for name, share in zip(names, excess, strict=True) if np.isfinite(share)
-    }
+    excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0))
+    shares, ratios = (
+        {name: float(v) for name, v in zip(names, excess / unit, strict=True) if np.isfinite(v)}
+        for unit in (yardstick.spread, fast)
+    )
     term = None
     if proposals is not None and proposals.best is not None:
         term = Term.of(proposals, steps[-1], state.replaced)
@@ -357,17 +391,19 @@ def _result(
         model=fits[-1].model,
         base=base_fit.model,
         steps=tuple(steps),
-        ranking=first,
+        ranking=found.first,
         base_fit=base_fit,
         base_error=errors[0],
         final_error=errors[-1],
         location=location,
-        remains=replace(left, shares=shares, suspect=_suspect(log, steps)),
+        remains=replace(end.left, shares=shares, over_wiggles=ratios, suspect=_suspect(log, steps)),
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
         yardstick=yardstick,
         rejected=tuple(
-            name for name in dict.fromkeys(rejected) if name not in {step.added for step in steps}
+            name
+            for name in dict.fromkeys(found.rejected)
+            if name not in {step.added for step in steps}
         ),
         proposed=() if term is None else (term.to_dict(),),
         notes=(*notes, *state.dismissed),

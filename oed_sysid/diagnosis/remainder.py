@@ -17,14 +17,16 @@ import numpy as np
 
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.fitting.gauss_newton import FilteredSolution
+from oed_sysid.fitting.setting import DRIFTS
 from oed_sysid.noise.disturbances import places
 
 # Twice the log-likelihood that disturbances may gain before they count as real.
 REMAINDER_LIMIT = 14.0
 # Below this share of a signal's spread an error of the model is no reason to go on.
 RELEVANT = 0.01
-# Share of a signal's spread that cannot be noise of its sensor.
-ABSORBED = 0.5
+# Share of a signal's spread that cannot be noise of its sensor; and that which cannot be where it
+# is far above what the fastest wiggles show.
+ABSORBED, DRIFTING = 0.5, 0.1
 # A level on other records that differs by more than this factor is tied to the manoeuvre.
 SAME_LEVEL = 2.0
 
@@ -86,6 +88,8 @@ class Remains:
         Those that are real, largest gain first.
     shares : mapping of str to float
         Error of the model on its own, as a share of each signal's spread.
+    over_wiggles : mapping of str to float
+        The same error, over what the fastest wiggles of each signal show.
     tied : tuple of str
         Terms or effects that would explain what is left but were not confirmed.
     suspect : str
@@ -96,6 +100,7 @@ class Remains:
     sensor_time: float | None
     random: tuple[RandomForceFound, ...] = ()
     shares: Mapping[str, float] | None = None
+    over_wiggles: Mapping[str, float] | None = None
     tied: tuple[str, ...] = ()
     suspect: str = ""
 
@@ -110,12 +115,24 @@ class Remains:
         return bool(self.shares) and max((self.shares or {}).values()) > ABSORBED
 
     @property
+    def drifting(self) -> tuple[str, ...]:
+        """Signals whose misfit is said to be slow noise of a sensor whose wiggles are far finer."""
+        if self.sensor_time is None or not self.over_wiggles:
+            return ()
+        shares = self.shares or {}
+        return tuple(
+            name
+            for name, ratio in self.over_wiggles.items()
+            if ratio > DRIFTS and shares.get(name, 0.0) > DRIFTING
+        )
+
+    @property
     def kind(self) -> str:
         """``"adequate"``, ``"random forces"``, ``"structure missing"`` or ``"log suspect"``."""
         if self.suspect:
             return "log suspect"
         if self.is_noise or not self.random:
-            return "structure missing" if self.is_absorbed else "adequate"
+            return "structure missing" if self.is_absorbed or self.drifting else "adequate"
         if self.tied or not all(force.is_the_same_elsewhere for force in self.random):
             small = self.shares and max(self.shares.values()) < RELEVANT
             return "adequate" if small else "structure missing"
@@ -132,6 +149,13 @@ class Remains:
             else f", correlated over about {self.sensor_time:.2g} s at the sensors"
         )
         if self.kind == "structure missing" and (self.is_noise or not self.random):
+            if self.drifting and not self.is_absorbed:
+                ratio = max((self.over_wiggles or {})[name] for name in self.drifting)
+                return (
+                    f"structure missing: on its own the model misses {self._shares()}{colour}. "
+                    f"That is {ratio:.2g} times what the fastest wiggles of "
+                    f"{', '.join(self.drifting)} show: no sensor's noise, unless it drifts."
+                )
             return (
                 f"structure missing: on its own the model misses {self._shares()}, which noise of "
                 "the sensors cannot be. Declare noise_std, check signs, units and start values."
@@ -180,6 +204,7 @@ class Remains:
                 for f in self.random
             ],
             "shares": dict(self.shares or {}),
+            "over_wiggles": dict(self.over_wiggles or {}),
             "tied": list(self.tied),
         }
 

@@ -156,8 +156,16 @@ class Study:
             acting = chosen_places(model, disturbances)
         absent = [place.name for place in places if place not in acting]
         places = tuple(dict.fromkeys((*places, *acting)))
+        # Without random forces, what is slow and far above a sensor's wiggles is structure.
         setting = Setting.of(
-            train, places, white, free, colour=not known_noise, inputs=inputs, known=absent
+            train,
+            places,
+            white,
+            free,
+            colour=not known_noise,
+            inputs=inputs,
+            known=absent,
+            drifting=disturbances != "none",
         )
         effects, skipped = fitting_candidates(model, candidates)
         wide = disturbed_model(model + effects, setting.disturbances)

@@ -52,6 +52,25 @@ def is_noise(parts: Sequence[np.ndarray]) -> bool:
     return bool(np.sqrt(np.median(fourth) / 0.4549 / 70.0) > FLAT * third)
 
 
+def shown_in_log(dataset: Dataset, name: str) -> float:
+    """Level of white noise that would wiggle as fast as the log of an input does, in its unit.
+
+    An upper limit: a command that changes from sample to sample wiggles, too. Infinite where no
+    input has that name, or where records are too short to tell.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    name : str
+    """
+    names = [channel.name for channel in dataset[0].channels.inputs]
+    if name not in names:
+        return float("inf")
+    column = names.index(name)
+    level = fast_level([record.inputs[:, column] for record in dataset])
+    return level if np.isfinite(level) else float("inf")
+
+
 def noisy_inputs(dataset: Dataset) -> dict[str, float]:
     """Level of the white noise of every input whose log shows some, in its unit.
 

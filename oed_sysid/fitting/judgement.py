@@ -63,8 +63,8 @@ STEP_CHANGE = 0.5
 FINER = 4
 # Samples over which the step is tried where random forces move the vehicle.
 PIECE = 20
-# Beyond so many times its scale no value is physical.
-RUNAWAY = 1e8
+# Beyond so many times its scale no value is physical, and none that the records do not show.
+RUNAWAY, UNSEEN = 1e8, 1e4
 # Motion of the model, as a share of the signal's, from which on it is no constant.
 STILL = 1e-2
 # A model that leaves this share of the squares about the mean explains nothing.
@@ -458,7 +458,8 @@ def _runaway(fit: Estimate) -> tuple[Concern, ...]:
         parameter = fit.model.parameter(name)
         scale = max(magnitudes.get(name, 0.0), parameter.scale or 0.0)
         # Without a scale: beyond what any coefficient in SI units can be.
-        limit = RUNAWAY * scale if scale > 0 else 1e15
+        most = RUNAWAY if np.isfinite(fit.std_errors.get(name, 0.0)) else UNSEEN
+        limit = most * scale if scale > 0 else 1e15
         if not abs(value) <= max(limit, 1.0):
             return (_ran_away(name, value, abs(value) / (scale or 1.0), parameter.unit),)
     spread = signal_spread(fit.dataset)

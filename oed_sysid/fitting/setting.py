@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.fitting.input_noise import shown_in_log
 from oed_sysid.fitting.noise_levels import credible_levels
 from oed_sysid.fitting.unknowns import KnownStarts
 from oed_sysid.model import Model
@@ -19,6 +20,11 @@ from oed_sysid.noise.model import NoiseModel
 LEAST_SEEN = 0.7
 # ... and the share of that where a sensor is coloured.
 COLOUR_SEEN = 0.1
+# Slow noise of a sensor, over what its fastest wiggles show, beyond which it drifts: noise with
+# correlation 0.9 from sample to sample is at 4, with 0.98 at 10.
+DRIFTS = 10.0
+# Noise of a logged input, over what the fastest wiggles of the log show, that is believed.
+INPUT_SEEN = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +44,12 @@ class Setting:
     colour : bool
         Whether sensors may have coloured noise.
     inputs : tuple of Place
-        Logged inputs, which may be noisy: white from sample to sample, let in where it pays.
+        Logged inputs, which may be noisy: white from sample to sample, let in where it pays. Left
+        out are those whose log is held or smooth to the last digit.
+    most_input : ndarray (n_inputs,)
+        Level above which that noise would show in the log itself.
+    most_colour : ndarray (n_outputs,), optional
+        Level above which slow noise of a sensor is none.
     known : tuple of str
         Places whose level and time are known.
     known_starts : KnownStarts or None
@@ -51,6 +62,8 @@ class Setting:
     least_white: np.ndarray
     colour: bool = True
     inputs: tuple[Place, ...] = ()
+    most_input: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    most_colour: np.ndarray | None = None
     known: tuple[str, ...] = ()
     known_starts: KnownStarts | None = None
 
@@ -66,17 +79,25 @@ class Setting:
         inputs: Sequence[Place] = (),
         known: Sequence[str] = (),
         known_starts: KnownStarts | None = None,
+        drifting: bool = True,
     ) -> Setting:
-        """Setting of some records."""
+        """Setting of some records.
+
+        Where sensors are not ``drifting``, slow noise far above their wiggles is none of theirs.
+        """
         floor, seen = credible_levels(dataset)
         least = np.where(seen, LEAST_SEEN * np.minimum(floor, white), 0.0)
+        most = [INPUT_SEEN * shown_in_log(dataset, place.channel) for place in inputs]
+        wiggling = [(place, level) for place, level in zip(inputs, most, strict=True) if level > 0]
         return cls(
             tuple(places),
             white,
             estimated,
             least,
             colour,
-            tuple(inputs),
+            tuple(place for place, _ in wiggling),
+            np.array([level for _, level in wiggling]),
+            None if drifting else np.where(seen, np.maximum(DRIFTS * floor, white), np.inf),
             tuple(known),
             known_starts,
         )
@@ -138,6 +159,7 @@ class Setting:
             own_times=own_times,
             # ... and most of the fastest wiggles may be its own.
             least_white=np.where(colour, COLOUR_SEEN, 1.0) * self.least_white,
+            most_colour=self.most_colour,
             times=self.times(dataset),
         )
 

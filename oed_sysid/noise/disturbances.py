@@ -44,11 +44,14 @@ class Place:
         Which actuator signal, flow signal, equation, state or output.
     unit : str
         Unit of the disturbance, where it can be told.
+    channel : str
+        Input from which an actuator's signal comes: its name, or the expression that it is.
     """
 
     stage: str
     signal: str
     unit: str = ""
+    channel: str = ""
 
     @property
     def name(self) -> str:
@@ -62,7 +65,7 @@ def places(model: Model) -> tuple[Place, ...]:
     state_units = {state.name: state.unit for state in model.states}
     input_units = {channel.name: channel.unit for channel in model.inputs}
     found = [
-        Place("actuator", signal, input_units.get(text, ""))
+        Place("actuator", signal, input_units.get(text, ""), text)
         for signal, text in model.actuator_signals.items()
     ]
     found += [

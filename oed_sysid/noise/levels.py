@@ -79,6 +79,7 @@ class Levels:
         force: np.ndarray,
         own_times: bool = False,
         least_white: np.ndarray | None = None,
+        most_colour: np.ndarray | None = None,
         times: tuple[float, float] = (1e-3, np.inf),
     ) -> Levels:
         """Name the unknowns.
@@ -94,6 +95,8 @@ class Levels:
             Whether every unknown disturbance and colour has a time of its own; else all share one.
         least_white : ndarray (n_outputs,), optional
             Smallest white levels, in the outputs' units.
+        most_colour : ndarray (n_outputs,), optional
+            Largest coloured levels, in the outputs' units.
         times : tuple of float
             Shortest and longest correlation time, s.
         """
@@ -106,8 +109,10 @@ class Levels:
         low, high = np.log(times[0]), np.log(times[1])
         rows: list[tuple[int, int, float, float, float, float]] = []
 
-        def variance(kind: int, index: int, size: float, least: float = 0.0) -> None:
-            rows.append((kind, index, least, np.inf, size**2, 0.0))
+        def variance(
+            kind: int, index: int, size: float, least: float = 0.0, most: float = np.inf
+        ) -> None:
+            rows.append((kind, index, least, most, size**2, 0.0))
 
         def logarithm(kind: int, index: int, value: float) -> None:
             rows.append((kind, index, low, high, 1.0, float(np.clip(np.log(value), low, high))))
@@ -123,7 +128,8 @@ class Levels:
             variance(WHITE_VARIANCE, int(i), unit.white[i], floor[i])
         for position, i in enumerate(coloured):
             if colour[i]:
-                variance(COLOUR_VARIANCE, position, unit.colour[i])
+                highest = np.inf if most_colour is None else (most_colour[i] / unit.colour[i]) ** 2
+                variance(COLOUR_VARIANCE, position, unit.colour[i], most=highest)
                 if own_times:
                     logarithm(COLOUR_TIME, position, noise.colour_time[i])
         if colour.any() and not own_times:

@@ -1,0 +1,70 @@
+"""What is left is called noise only where a sensor could have made it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, improve
+from oed_sysid.diagnosis.remainder import Remains
+from oed_sysid.effects import Force
+from oed_sysid.simulation import simulate_inputs
+
+CART = Model(
+    "cart",
+    (State("u", "m/s", scale=0.3),),
+    (Input("push", "N"),),
+    (Output("u", "m/s"),),
+    {"u": "(push - d*u)/m"},
+    parameters=(
+        Parameter("m", 2.0, "kg", lower=0.1),
+        Parameter("d", 1.0, "kg/s", lower=0.0),
+    ),
+    step=0.1,
+)
+DRY = Force("dry", {"u": "-F*tanh(u/0.02)/m"}, parameters=(Parameter("F", 0.0, "N"),))
+FINE = 0.001  # m/s
+
+
+def runs(slow: float, seed: int) -> list[Record]:
+    """Two records of the cart as modelled, its sensor fine but for a slow drift, m/s."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for name in ("one", "two"):
+        times = np.arange(0.0, 120.0, 0.1)
+        push = np.repeat(rng.choice([-0.4, 0.0, 0.4], 30), 40)
+        run = simulate_inputs(CART, times, inputs={"push": push}).outputs
+        drift = np.zeros(len(times))
+        for k in range(1, len(times)):
+            drift[k] = 0.99 * drift[k - 1] + slow * np.sqrt(1 - 0.99**2) * rng.standard_normal()
+        seen = run + (drift + FINE * rng.standard_normal(len(times)))[:, np.newaxis]
+        found.append(Record(name, times, push[:, np.newaxis], seen, CART.channels))
+    return found
+
+
+@pytest.mark.parametrize(("slow", "kind"), [(0.0, "adequate"), (0.08, "structure missing")])
+def test_slow_misfit_far_above_the_wiggles_is_no_noise(slow: float, kind: str) -> None:
+    """A third of the signal, ten times its finest wiggles, is named; the same sensor is not."""
+    one, two = runs(slow, 1)
+    found = improve(CART, Dataset((one,)), Dataset((two,)), candidates=[DRY], disturbances="none")
+    assert found.remains.kind == kind
+    assert bool(found.remains.drifting) == (slow > 0)
+    if slow:
+        assert found.remains.over_wiggles["u"] > 10
+        assert found.remains.shares["u"] > 0.2
+
+
+@pytest.mark.parametrize(
+    ("share", "ratio", "time", "kind"),
+    [
+        (0.3, 30.0, 40.0, "structure missing"),
+        (0.05, 30.0, 40.0, "adequate"),  # small against the signal
+        (0.3, 3.0, 1.0, "adequate"),  # colour as sensors have it
+        (0.3, 30.0, None, "adequate"),  # white: a coarse sensor
+        (0.6, 1.0, None, "structure missing"),
+    ],
+)
+def test_what_a_sensor_can_be(share: float, ratio: float, time: float | None, kind: str) -> None:
+    """Large, slow and far above the wiggles: all three."""
+    left = Remains(0.0, time, shares={"u": share}, over_wiggles={"u": ratio})
+    assert left.kind == kind
