@@ -282,3 +282,15 @@ def test_concerns_are_reported_and_stored() -> None:
     json.dumps(plain["concerns"], allow_nan=False)
     for concern in fit.concerns:
         assert concern.text in text
+
+
+def test_what_no_record_shows_and_has_left_its_scale_ran_away() -> None:
+    """A value far beyond its start whose own error is infinite is no estimate."""
+    fit = WHITE.fit(yaw_model(), yaw_data(10))
+    start = fit.extras["magnitudes"][fit.names[0]]
+    seen = replace(fit, estimates=np.array([1e5 * start, *fit.estimates[1:]]))
+    assert "runaway" not in [c.kind for c in judge(seen)]
+    covariance = fit.covariance.copy()
+    covariance[0, 0] = np.inf
+    unseen = replace(seen, covariance=covariance)
+    assert [c.kind for c in judge(unseen)] == ["runaway"]

@@ -149,10 +149,13 @@ def judge(fit: Estimate) -> tuple[Concern, ...]:
     Parameters
     ----------
     fit : Estimate
-        With trajectories; of one that diverged only the runaway values are named.
+        With trajectories; of one that diverged only the runaway values are named, and too few
+        samples, which may be why.
     """
     found = fatal(fit)
-    if any(concern.kind == "runaway" for concern in found) or not _has_numbers(fit):
+    if any(concern.kind == "runaway" for concern in found):
+        return (*found, *_few_samples(fit))
+    if not _has_numbers(fit):
         return found
     spikes = spike_concerns(fit)
     colours, swings = colour_concerns(fit), swing_concerns(fit)
