@@ -6,7 +6,8 @@ model; the second half validates them. Then the same question is put to a model 
 knows Torricelli's law already: does it lack the same things?
 
 One level of two is measured, so that a random force in a tank can do, from sample to sample, what
-an overflow does. Both questions are therefore put twice, without random forces and with them.
+an overflow does. Both questions are therefore put twice, without random forces and with them;
+where these leave structure missing, the search with them is made again without by itself.
 """
 
 from oed_sysid import load_problem
@@ -43,7 +44,7 @@ print()
 best = found["linear", "none"]
 print(
     f"Conclusion: from the linear model {', '.join(step.added for step in best.steps)} are added, "
-    f"and the verdict is '{best.remains.kind}'. With random forces allowed in both tanks these "
-    "do, from sample to sample, what an overflow does. The scoreboard's choice, by masked blocks "
-    "of the whole record, gets further."
+    f"and the verdict is '{best.remains.kind}'. With random forces allowed in both tanks the same "
+    "is found, once the search has been made again without them. The scoreboard's choice, by masked "
+    "blocks of the whole record, gets further."
 )
