@@ -68,3 +68,13 @@ def test_what_a_sensor_can_be(share: float, ratio: float, time: float | None, ki
     """Large, slow and far above the wiggles: all three."""
     left = Remains(0.0, time, shares={"u": share}, over_wiggles={"u": ratio})
     assert left.kind == kind
+
+
+@pytest.mark.parametrize(
+    ("share", "ratio", "kind"),
+    [(0.05, 5.0, "structure missing"), (0.05, 2.0, "adequate"), (0.005, 5.0, "adequate")],
+)
+def test_declared_noise_leaves_less_room(share: float, ratio: float, kind: str) -> None:
+    """Slow misfit of five times the declared noise is no sensor's, however large the signal."""
+    left = Remains(0.0, 30.0, shares={"psi": share}, over_wiggles={"psi": ratio}, declared=("psi",))
+    assert left.kind == kind

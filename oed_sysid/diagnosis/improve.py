@@ -28,7 +28,7 @@ from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.preparation import prepared
 from oed_sysid.diagnosis.propose import Proposals
 from oed_sysid.diagnosis.rank import Ranking, Refit, rank, threshold
-from oed_sysid.diagnosis.reconsider import on_all_samples, reviewed, with_effect
+from oed_sysid.diagnosis.reconsider import judged_anew, on_all_samples, reviewed, with_effect
 from oed_sysid.diagnosis.remainder import Remains, remains
 from oed_sysid.diagnosis.smoothers import ASKED, without_smoothers
 from oed_sysid.diagnosis.standing import BOUGHT, CONFIRMED, Standing, difference, own_error, rises
@@ -222,18 +222,17 @@ def _calmer(found: _Reached, calm: _Reached, notes: list[str]) -> _Reached:
     needed = max(more, 1) * threshold(len(study.candidates), 1, found.state.share)
     if fit is None or present.objective - fit.objective < needed:
         return found
-    if study.validation is not None and (
-        not difference(study.validate(present), study.validate(fit)) > CONFIRMED
-        or rises(study, present, fit)
-    ):
-        return found
+    if study.validation is not None:
+        gain = difference(study.validate(present), study.validate(fit))
+        if not gain > CONFIRMED or rises(study, present, fit, gain):
+            return found
     notes.append(
         "Random forces had grown over what is missing: it was searched for without them, and is "
         "likelier with them, too."
     )
     fit = study.settle(fit)
     state = replace(calm.state, study=study, fit=fit, path=(*calm.state.path[:-1], fit))
-    return replace(calm, state=state)
+    return replace(calm, state=judged_anew(state))
 
 
 def _astray(study: Study, found: FilteredSolution) -> bool:
@@ -310,7 +309,7 @@ def _choose(state: Standing, ranking: Ranking) -> tuple[Refit | None, float, lis
     before = study.validate(state.fit)
     for refit in hopeful:
         gain = difference(before, study.validate(refit.fit))
-        if gain > CONFIRMED and not rises(study, state.fit, refit.fit):
+        if gain > CONFIRMED and not rises(study, state.fit, refit.fit, gain):
             return refit, gain, refused
         refused.append(refit.name)
     return None, np.nan, refused
@@ -396,7 +395,13 @@ def _result(
         base_error=errors[0],
         final_error=errors[-1],
         location=location,
-        remains=replace(end.left, shares=shares, over_wiggles=ratios, suspect=_suspect(log, steps)),
+        remains=replace(
+            end.left,
+            shares=shares,
+            over_wiggles=ratios,
+            declared=tuple(n for n, e in zip(names, study.estimated, strict=True) if not e),
+            suspect=_suspect(log, steps),
+        ),
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
         yardstick=yardstick,

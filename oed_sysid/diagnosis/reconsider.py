@@ -30,7 +30,7 @@ def with_effect(
     """Add an effect, and estimate once more."""
     study = state.study
     fit = not_astray(study, study.settle(chosen.fit))
-    if study.validation is not None and rises(study, state.fit, fit):
+    if study.validation is not None and rises(study, state.fit, fit, validation_gain):
         fit = chosen.fit  # a better likelihood elsewhere, which the validation records refuse
     effect = chosen.score.effect
     group = ranking.claimed_with(effect.name)
@@ -120,6 +120,44 @@ def reviewed(state: Standing) -> Standing:
         )
         state = rebuilt(replace(state, added=(*others, new), fit=study.settle(chosen.fit)))
     return state
+
+
+def judged_anew(state: Standing) -> Standing:
+    """Every effect beside the others in the present likelihood: what gains too little is dropped.
+
+    For a set that was found under another noise: its gains are those of that noise.
+    """
+    study, left = state.study, dict[str, FilteredSolution]()
+    while state.added:
+        left = {}
+        for one in state.added:
+            without = study.estimate(
+                [other.effect for other in state.others(one)],
+                absent(state.fit, one.effect),
+                state.fit,
+                noise=study.loosened(state.fit.noise),
+                max_iterations=25,
+            )
+            if without is not None:
+                left[one.effect.name] = without
+        here = state
+        spare = [
+            one
+            for one in here.added
+            if one.effect.name in left
+            and left[one.effect.name].objective - here.fit.objective < here.needed(one.effect)
+        ]
+        if not spare:
+            break
+        least = min(spare, key=lambda one: left[one.effect.name].objective)
+        state = state.dropping(least, study.settle(left[least.effect.name]))
+    anew = tuple(
+        replace(one, gain=left[one.effect.name].objective - state.fit.objective)
+        if one.effect.name in left
+        else one
+        for one in state.added
+    )
+    return rebuilt(replace(state, added=anew))
 
 
 def on_all_samples(state: Standing, whole: Dataset) -> tuple[Standing, list[str]]:

@@ -25,8 +25,10 @@ REMAINDER_LIMIT = 14.0
 # Below this share of a signal's spread an error of the model is no reason to go on.
 RELEVANT = 0.01
 # Share of a signal's spread that cannot be noise of its sensor; and that which cannot be where it
-# is far above what the fastest wiggles show.
+# is slow and far above what the fastest wiggles show.
 ABSORBED, DRIFTING = 0.5, 0.1
+# Slow noise, over what was declared, that is no longer the declared sensor.
+LOUDER = 2.5
 # A level on other records that differs by more than this factor is tied to the manoeuvre.
 SAME_LEVEL = 2.0
 
@@ -89,7 +91,10 @@ class Remains:
     shares : mapping of str to float
         Error of the model on its own, as a share of each signal's spread.
     over_wiggles : mapping of str to float
-        The same error, over what the fastest wiggles of each signal show.
+        The same error, over the declared noise of each signal, or over what its fastest wiggles
+        show.
+    declared : tuple of str
+        Signals whose noise was declared.
     tied : tuple of str
         Terms or effects that would explain what is left but were not confirmed.
     suspect : str
@@ -101,6 +106,7 @@ class Remains:
     random: tuple[RandomForceFound, ...] = ()
     shares: Mapping[str, float] | None = None
     over_wiggles: Mapping[str, float] | None = None
+    declared: tuple[str, ...] = ()
     tied: tuple[str, ...] = ()
     suspect: str = ""
 
@@ -120,11 +126,12 @@ class Remains:
         if self.sensor_time is None or not self.over_wiggles:
             return ()
         shares = self.shares or {}
-        return tuple(
-            name
-            for name, ratio in self.over_wiggles.items()
-            if ratio > DRIFTS and shares.get(name, 0.0) > DRIFTING
-        )
+        found = []
+        for name, ratio in self.over_wiggles.items():
+            most, least = (LOUDER, RELEVANT) if name in self.declared else (DRIFTS, DRIFTING)
+            if ratio > most and shares.get(name, 0.0) > least:
+                found.append(name)
+        return tuple(found)
 
     @property
     def kind(self) -> str:
@@ -150,11 +157,9 @@ class Remains:
         )
         if self.kind == "structure missing" and (self.is_noise or not self.random):
             if self.drifting and not self.is_absorbed:
-                ratio = max((self.over_wiggles or {})[name] for name in self.drifting)
                 return (
                     f"structure missing: on its own the model misses {self._shares()}{colour}. "
-                    f"That is {ratio:.2g} times what the fastest wiggles of "
-                    f"{', '.join(self.drifting)} show: no sensor's noise, unless it drifts."
+                    f"That is {self._above()}: no noise of a sensor, unless it drifts."
                 )
             return (
                 f"structure missing: on its own the model misses {self._shares()}, which noise of "
@@ -178,6 +183,16 @@ class Remains:
         return (
             f"structure missing in {', '.join(f.place for f in self.random)} ({why}); on its own "
             f"the model misses {shares}."
+        )
+
+    def _above(self) -> str:
+        """How far slow misfit is above the noise of the sensors."""
+        ratios = self.over_wiggles or {}
+        return ", ".join(
+            f"{ratios[name]:.2g} times "
+            + ("the declared noise of " * (name in self.declared) or "the fastest wiggles of ")
+            + name
+            for name in self.drifting
         )
 
     def _shares(self) -> str:
