@@ -1,20 +1,21 @@
 r"""What a model leaves unexplained: noise of sensors, random forces, or structure.
 
 The likelihood with random forces is compared with that without, everything else estimated
-anew. A force is *random* where its level is the same on the validation records and no term of
-the dictionary explains it; *structure is missing* where something that repeats with the
-manoeuvre would. How much it matters is the error of the model on its own, beside the spread of
-each signal.
+anew. A force is *random* where its level is the same on the validation records, no term of the
+dictionary explains it and it does not follow the motion (:mod:`oed_sysid.diagnosis.repeats`);
+*structure is missing* where something that repeats with the manoeuvre would. How much it matters is
+the error of the model on its own, beside the spread of each signal.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from oed_sysid.diagnosis.repeats import Repeated, repeated
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.fitting.gauss_newton import FilteredSolution
 from oed_sysid.fitting.setting import DRIFTS
@@ -97,6 +98,8 @@ class Remains:
         Signals whose noise was declared.
     tied : tuple of str
         Terms or effects that would explain what is left but were not confirmed.
+    follows : tuple of Repeated
+        Forces taken for random that are functions of the motion.
     suspect : str
         Why the log contradicts itself; empty where it does not.
     """
@@ -108,6 +111,7 @@ class Remains:
     over_wiggles: Mapping[str, float] | None = None
     declared: tuple[str, ...] = ()
     tied: tuple[str, ...] = ()
+    follows: tuple[Repeated, ...] = ()
     suspect: str = ""
 
     @property
@@ -140,7 +144,8 @@ class Remains:
             return "log suspect"
         if self.is_noise or not self.random:
             return "structure missing" if self.is_absorbed or self.drifting else "adequate"
-        if self.tied or not all(force.is_the_same_elsewhere for force in self.random):
+        same = all(force.is_the_same_elsewhere for force in self.random)
+        if self.tied or self.follows or not same:
             small = self.shares and max(self.shares.values()) < RELEVANT
             return "adequate" if small else "structure missing"
         return "random forces"
@@ -175,11 +180,12 @@ class Remains:
             checked = not np.isnan(self.random[0].elsewhere)
             same = ", about the same on the validation records" if checked else ""
             return f"{listed}{same}; nothing in it repeats with the manoeuvre{colour}."
-        why = (
-            f"{', '.join(self.tied[:3])} would explain part of it but is not confirmed"
-            if self.tied
-            else "its level differs between training and validation records"
-        )
+        if self.follows:
+            why = "; ".join(one.text for one in self.follows)
+        elif self.tied:
+            why = f"{', '.join(self.tied[:3])} would explain part of it but is not confirmed"
+        else:
+            why = "its level differs between training and validation records"
         return (
             f"structure missing in {', '.join(f.place for f in self.random)} ({why}); on its own "
             f"the model misses {shares}."
@@ -221,6 +227,7 @@ class Remains:
             "shares": dict(self.shares or {}),
             "over_wiggles": dict(self.over_wiggles or {}),
             "tied": list(self.tied),
+            "follows": [asdict(one) for one in self.follows],
         }
 
 
@@ -257,7 +264,7 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
             other = elsewhere[index]
             found.append(RandomForceFound(name, units.get(name, ""), level, tau, gain, other))
     found.sort(key=lambda force: -force.gain)
-    return Remains(forces, time, tuple(found))
+    return Remains(forces, time, tuple(found), follows=repeated(study, fit) if found else ())
 
 
 def _without(study: Study, fit: FilteredSolution, kept: np.ndarray) -> FilteredSolution | None:
