@@ -25,8 +25,9 @@ from oed_sysid import (
     simulate,
     usual_effects,
 )
+from oed_sysid.compatibility import check
 from oed_sysid.diagnosis.sizes import sizes_of
-from oed_sysid.diagnosis.usual import equipped
+from oed_sysid.diagnosis.usual import equipped, settled
 from oed_sysid.errors import OedSysidError
 from oed_sysid.language.expressions import to_numpy
 from oed_sysid.testing import check_effect
@@ -274,3 +275,23 @@ def test_a_vehicle_that_nobody_prepared(hidden: str) -> None:
     assert found.remains.kind == "adequate"
     if hidden:
         assert found.base_error["test"] > 20
+
+
+def test_a_late_gyro_brings_a_candidate_of_its_own() -> None:
+    """What the check of the logs finds late is asked as a delay, and nothing else is."""
+    clean = records("auv_diving_plane", seed=3)
+    late = []
+    for record in clean:
+        outputs = record.outputs.copy()
+        q = record.channels.output_names.index("q")
+        outputs[5:, q] = record.outputs[:-5, q]
+        late.append(record.with_outputs(outputs))
+    model, data = load_problem("auv_diving_plane").model, Dataset(tuple(late))
+    usual, notes = settled(model, data, None, check(data, model))
+    (delay,) = [effect for effect in usual if effect.name.startswith("delay_")]
+    assert delay.name == "delay_q"
+    (size,) = delay.parameters
+    assert size.scale == pytest.approx(5 * late[0].sample_time, rel=0.1)
+    assert any("delay_q" in note for note in notes)
+    others, _ = settled(model, clean, None, check(clean, model))
+    assert not [effect for effect in others if effect.name.startswith("delay_")]

@@ -17,7 +17,7 @@ import numpy as np
 from oed_sysid.channels import Output
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.effects import Force
+from oed_sysid.effects import Effect, Force
 from oed_sysid.effects.derivatives import factor_of
 from oed_sysid.language import dimensions, expressions, notation
 from oed_sysid.language.units import Dimension, dimension
@@ -256,6 +256,9 @@ def terms(model: Model, signals: Sequence[Signal]) -> list[Term]:
     """
     products = _products([s for s in signals if s.kind == "motion"])
     thrusts = [s for s in signals if s.kind == "thrust"]
+    # A position on which a force depends, as a mooring's does: that may be no straight line.
+    springs = {name for effect in model.effects for name in _forces_depend_on(effect)}
+    angles = [s.name for s in signals if s.kind == "angle"]
     expressions = [((), "1"), *products]
     for thrust in thrusts:
         extra = (thrust.name, False)
@@ -271,11 +274,21 @@ def terms(model: Model, signals: Sequence[Signal]) -> list[Term]:
             expressions += [((), text) for text in texts]
         elif signal.kind == "position":
             expressions.append((((signal.name, False),), signal.name))
+            if signal.name in springs:
+                expressions += [item for item in _products([signal]) if len(item[0]) > 1]
+                expressions += [((), f"{signal.name}*sin({angle})") for angle in angles]
     return [
         Term(equation, text, factors)
         for equation in disturbed_equations(model)
         for factors, text in expressions
     ]
+
+
+def _forces_depend_on(effect: Effect) -> set[str]:
+    """Names in the force terms of an effect."""
+    if effect.stage != "force":
+        return set()
+    return {name for text in effect.terms.values() for name in expressions.names(text)}
 
 
 Factors = tuple[tuple[str, bool], ...]

@@ -19,7 +19,7 @@ import numpy as np
 
 from oed_sysid.batch.journal import Journal
 from oed_sysid.batch.threads import single_threaded
-from oed_sysid.compatibility import LogCheck, quick_check
+from oed_sysid.compatibility import LogCheck, check, quick_check
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.overlap import check_disjoint, together
 from oed_sysid.diagnosis.improvement import Improvement, Step, Term, Yardstick, parameter_table
@@ -116,11 +116,13 @@ def improve(
         check_channels(model, records)
     if test is not None:
         check_disjoint(train, test)
-    # Overlaps of training and validation records were refused above.
-    log = quick_check(train if test is None else together(train, test), model).without("duplicate")
+    # Where nobody named what may be wrong, the log itself is asked at length. Overlaps of training
+    # and validation records were refused above.
+    look = quick_check if candidates else check
+    log = look(train if test is None else together(train, test), model).without("duplicate")
     ready = prepared(train, test)
     train, test = ready.train, ready.validation
-    candidates, told = settled(model, train, candidates)
+    candidates, told = settled(model, train, candidates, log)
     settings = {
         "known_noise": known_noise,
         "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],

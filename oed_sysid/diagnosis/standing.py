@@ -91,7 +91,7 @@ def difference(before: float, after: float) -> float:
 
 
 def rises(
-    study: Study, before: FilteredSolution, after: FilteredSolution, gain: float = 0.0
+    study: Study, before: FilteredSolution, after: FilteredSolution, gain: float | None = None
 ) -> bool:
     """Whether the error of the model on its own on validation records rises or is infinite.
 
@@ -99,13 +99,16 @@ def rises(
     ----------
     study : Study
     before, after : FilteredSolution
-    gain : float
-        In twice the log-likelihood of the validation records.
+    gain : float, optional
+        In twice the log-likelihood of the validation records: with a named effect that gains
+        there, runs may wander under random forces.
     """
     assert study.validation is not None
     old, new = (own_error(study, fit, study.validation) for fit in (before, after))
     most = RISE
-    if after.noise.has_forces:
+    if gain is not None and after.noise.has_forces:
+        if not np.isfinite(own_error(study, after, study.train)):
+            return True
         most = WANDERING_FAR if gain > BEYOND_CHANCE else WANDERING
     return not np.isfinite(new) or new > most * old
 

@@ -79,7 +79,7 @@ def with_term(
     validation_gain = np.nan
     if study.validation is not None:
         validation_gain = difference(study.validate(state.fit), option.study.validate(found))
-        if validation_gain <= 0 or rises(option.study, state.fit, found, validation_gain):
+        if validation_gain <= 0 or rises(option.study, state.fit, found):
             return state, None, tied
     last = replace(option.added[-1], validation_gain=validation_gain)
     option = replace(option, added=(*option.added[:-1], last), fit=option.study.settle(found))

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
 
+from oed_sysid.compatibility import LogCheck
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.dictionary import HORIZONTAL
 from oed_sysid.diagnosis.sizes import Sizes, sizes_of
@@ -26,6 +27,8 @@ from oed_sysid.simulation import simulate
 
 # Share of an inertia that an effect makes.
 OF_INERTIA = 0.2
+# Longest delay of a signal that came late, over that which the check found.
+OF_DELAY = 2.0
 # What is steady in a record and another in the next: trims, currents and winds.
 FROM_DAY_TO_DAY = ("*_offset", "current*", "drift_*", "wind")
 
@@ -127,9 +130,15 @@ def equipped(problem: Problem, dataset: Dataset | None = None) -> Problem:
 
 
 def settled(
-    model: Model, dataset: Dataset, candidates: Sequence[Effect] | None
+    model: Model,
+    dataset: Dataset,
+    candidates: Sequence[Effect] | None,
+    log: LogCheck | None = None,
 ) -> tuple[tuple[Effect, ...], list[str]]:
-    """The candidates that were named, or usual ones and a note that says so."""
+    """The candidates that were named, or usual ones and a note that says so.
+
+    Signals that a check of the logs found late bring a candidate of their own.
+    """
     if candidates:
         return tuple(candidates), []
     usual = usual_effects(model, dataset)
@@ -138,7 +147,32 @@ def settled(
             "There is no candidate effect, and none can be made: the signals of these records do "
             "not move. Give records of a manoeuvre, or effects of your own."
         )
-    return usual, [
+    late = _late(dataset, log)
+    notes = [
         f"No candidates were named: {len(usual)} usual ones were made from the model's signals and "
         "the records' sizes. Where you know the vehicle's own physics, name it: that tells more."
     ]
+    if late:
+        names = ", ".join(effect.name for effect in late)
+        notes.append(f"The check of the logs finds signals that come late: {names} added to them.")
+    return (*usual, *late), notes
+
+
+def _late(dataset: Dataset, log: LogCheck | None) -> tuple[Effect, ...]:
+    """Delays of single sensors that a check found."""
+    step = min(record.sample_time for record in dataset)
+    measured = dataset.channels.output_names
+    found = []
+    for finding in () if log is None else log.serious:
+        size = finding.size or 0.0
+        if finding.kind != "delay" or len(finding.signals) > 1 or not size > 0.0:
+            continue
+        (signal,) = finding.signals
+        if signal in measured:
+            most = OF_DELAY * size + 2.0 * step
+            found.append(
+                sensors.sensor_delay(
+                    f"delay_{signal}", signal, max_delay=most, interval=step, scale=size
+                )
+            )
+    return tuple(found)
