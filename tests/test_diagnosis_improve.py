@@ -172,7 +172,7 @@ def test_a_term_is_proposed_where_no_known_effect_is_right() -> None:
     assert (term["expression"], term["equation"], term["unit"]) == ("q**3", "M", "kg m^2 s")
     # True value of the simulation, see the records' README.
     assert term["value"] == pytest.approx(-267.9, rel=0.05)
-    assert term["replaces"] == ["pitch_quadratic_damping"]
+    assert "pitch_quadratic_damping" in term["replaces"]
     assert found.final_error["test"] == pytest.approx(1.0, abs=0.05)
 
 

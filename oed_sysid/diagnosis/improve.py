@@ -116,13 +116,14 @@ def improve(
         check_channels(model, records)
     if test is not None:
         check_disjoint(train, test)
-    # Where nobody named what may be wrong, the log itself is asked at length. Overlaps of training
-    # and validation records were refused above.
-    look = quick_check if candidates else check
-    log = look(train if test is None else together(train, test), model).without("duplicate")
+    # Overlaps of training and validation records were refused above.
+    logs = train if test is None else together(train, test)
+    log = quick_check(logs, model).without("duplicate")
+    # Where nobody named what may be wrong, the log itself is asked at length.
+    asked = None if candidates else check(logs, model, inputs=False)
     ready = prepared(train, test)
     train, test = ready.train, ready.validation
-    candidates, told = settled(model, train, candidates, log)
+    candidates, told = settled(model, train, candidates, asked)
     settings = {
         "known_noise": known_noise,
         "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],

@@ -9,6 +9,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.diagnosis.improvement import RISE
 from oed_sysid.diagnosis.rank import FALSE_CLAIMS, FALSE_CLAIMS_BEFORE_TEST, Ranking, threshold
+from oed_sysid.diagnosis.repeats import repeated
 from oed_sysid.diagnosis.study import Study, total_error
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.gauss_newton import FilteredSolution
@@ -105,12 +106,17 @@ def rises(
     """
     assert study.validation is not None
     old, new = (own_error(study, fit, study.validation) for fit in (before, after))
-    most = RISE
-    if gain is not None and after.noise.has_forces:
-        if not np.isfinite(own_error(study, after, study.train)):
-            return True
-        most = WANDERING_FAR if gain > BEYOND_CHANCE else WANDERING
-    return not np.isfinite(new) or new > most * old
+    if not np.isfinite(new):
+        return True
+    if new <= RISE * old:
+        return False
+    if gain is None or not after.noise.has_forces:
+        return True
+    far = WANDERING_FAR if gain > BEYOND_CHANCE else WANDERING
+    if new > far * old or not np.isfinite(own_error(study, after, study.train)):
+        return True
+    # A force that follows the motion is structure, and under that no run wanders by chance.
+    return bool(repeated(study, after))
 
 
 def own_error(study: Study, found: FilteredSolution, dataset: Dataset) -> float:
