@@ -142,6 +142,7 @@ def _record(
     before = max(2, ahead // 2)
     first = np.arange(0, record.n_samples - before - ahead + 1, ahead)
     guess, scale = _guesses(model, record)
+    memories = _memories(compiled, record, values, guess[0])
     shape = (len(first), ahead, len(sigma))
     errors, expected = np.full(shape, np.nan), np.full(shape, np.nan)
     for row, begin in enumerate(first):
@@ -153,6 +154,7 @@ def _record(
             record.outputs[part],
             values,
             guess[begin],
+            None if memories is None else memories[begin],
             scale,
             sigma,
             before,
@@ -160,6 +162,17 @@ def _record(
         if found is not None:
             errors[row], expected[row] = found
     return record.times[first + before], errors, expected
+
+
+def _memories(
+    compiled: Kernel, record: Record, values: np.ndarray, own: np.ndarray
+) -> np.ndarray | None:
+    """What effects remember along the model's own run, ``(n_times, n_full - n_own)``."""
+    if compiled.n_full == compiled.n_own:
+        return None
+    z0, _ = compiled.start(own, record.inputs[0], values, record.times[0])
+    run = compiled.run(record.times, record.inputs, values, z0)
+    return run.states[:, compiled.n_own :] if run.ok else None
 
 
 def _guesses(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
@@ -181,6 +194,7 @@ def _forecast(
     outputs: np.ndarray,
     values: np.ndarray,
     own: np.ndarray,
+    memory: np.ndarray | None,
     scale: np.ndarray,
     sigma: np.ndarray,
     before: int,
@@ -190,6 +204,11 @@ def _forecast(
     best, kept = np.inf, None
     for _ in range(ITERATIONS):
         z0, dz = compiled.start(start, inputs[0], values, times[0])
+        if memory is not None:
+            # A play or a lag is where its commands have left it, not in rest at the present one;
+            # what follows from the states (a late sensor) is taken from these.
+            alone = ~dz[compiled.n_own :, : compiled.n_own].any(axis=1)
+            z0[compiled.n_own :][alone] = memory[alone]
         run = compiled.run(times, inputs, values, z0, sensitivities=True)
         if not run.ok or run.output_sensitivities is None:
             start = 0.5 * (start + own)
