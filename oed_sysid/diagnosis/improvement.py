@@ -295,8 +295,8 @@ class Improvement:
 
     @property
     def explained(self) -> bool:
-        """Whether what remains is noise: no disturbance is needed any more."""
-        return self.remains.is_noise
+        """Whether what remains is noise: no disturbance is needed, and no sensor has to drift."""
+        return self.remains.is_noise and self.remains.kind == "adequate"
 
     def at_step(self, count: int) -> Model:
         """Return the model after the first steps only: what came later is undone.
