@@ -16,9 +16,11 @@ from oed_sysid.cli.options import (
     PictureFile,
     ProblemName,
     Variant,
+    folder_place,
 )
 from oed_sysid.cli.terminal import answer, draw, note, progress, store
 from oed_sysid.errors import DataError
+from oed_sysid.files import make_folder
 
 
 def check(
@@ -36,6 +38,7 @@ def check(
             metavar="FOLDER",
             help="Write corrected copies of the records to FOLDER; the originals are left alone.",
             show_default=False,
+            callback=folder_place,
         ),
     ] = None,
 ) -> None:
@@ -75,7 +78,7 @@ def check(
                 f"The corrected copies would overwrite the records in {str(fix)!r}. Give another "
                 "folder to --fix."
             )
-        fix.mkdir(parents=True, exist_ok=True)
+        make_folder(fix)
         for record, target in zip(copies, targets, strict=True):
             write_csv(record, target)
             note(f"Written: {target}")

@@ -23,6 +23,7 @@ from oed_sysid.cli.options import (
     ProblemName,
     Validate,
     Variant,
+    file_place,
     noise_settings,
 )
 from oed_sysid.cli.terminal import (
@@ -67,6 +68,7 @@ def fit(
             help="Keep the whole fit, data included, for report, export, compare --with, design "
             "--after and Fit.load.",
             show_default=False,
+            callback=file_place,
         ),
     ] = None,
     kept_in: JournalFolder = None,
@@ -243,7 +245,10 @@ def report(
         ),
     ],
     out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="The report, one HTML file.")
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="The report, one HTML file.", callback=file_place
+        ),
     ] = Path("report.html"),
     validate: IfValidated = None,
     picture: PictureFile = None,

@@ -23,6 +23,7 @@ from oed_sysid.cli.options import (
     ToValidate,
     Variant,
     disturbances_of,
+    file_place,
 )
 from oed_sysid.cli.terminal import (
     Shown,
@@ -97,6 +98,7 @@ def improve(
             metavar="FILE",
             help="Keep the fit of the improved model, for report, export, compare --with and "
             "design --after.",
+            callback=file_place,
         ),
     ] = None,
     json_file: JsonFile = None,

@@ -18,7 +18,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import write_csv
 from oed_sysid.errors import FileError, ProblemError
-from oed_sysid.files import write_text
+from oed_sysid.files import make_folder, write_text
 from oed_sysid.problem.catalogue import FILE, load_problem
 from oed_sysid.problem.from_log import write_from_log
 from oed_sysid.simulation import simulate
@@ -120,7 +120,7 @@ def new_problem(
     words = {"name": name, "title": name.replace("_", " ").capitalize(), "folder": place.as_posix()}
     is_new = not place.exists()
     try:
-        place.mkdir(parents=True, exist_ok=True)
+        make_folder(place)
         # Made inside, hidden, and moved when all of it is there.
         with tempfile.TemporaryDirectory(dir=place, prefix=".") as made:
             if log is not None:
@@ -133,7 +133,9 @@ def new_problem(
         if is_new:
             with suppress(OSError):
                 place.rmdir()
-        if isinstance(error, OSError | FileError):
+        if isinstance(error, FileError):
+            raise ProblemError(str(error)) from None
+        if isinstance(error, OSError):
             raise ProblemError(f"{place} cannot be written: {error}") from None
         raise
     return place
