@@ -107,7 +107,7 @@ def design_experiment(
     constants : mapping of str to float, optional
         Values of the other inputs.
     neutral : mapping of str to float, optional
-        Command before the run, where it is not zero.
+        Command before the run; by default zero, or the middle of a range without zero.
     initial : mapping of str to float, optional
         Start state.
     end : mapping of str to (lower, upper), optional

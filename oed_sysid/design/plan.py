@@ -15,7 +15,7 @@ from oed_sysid.design.criteria import Criterion, Setting
 from oed_sysid.design.discrimination import ByShifts, Completing, Discriminate
 from oed_sysid.design.elimination import log_determinant
 from oed_sysid.design.objective import Objective, Score
-from oed_sysid.design.parametrisation import Grid, Levels, Shape
+from oed_sysid.design.parametrisation import Grid, Levels, Shape, neutral_within
 from oed_sysid.design.reference import as_piecewise
 from oed_sysid.design.reveal import Chance, Reveal
 from oed_sysid.design.robust import Robust, draw_models, draw_structures
@@ -377,8 +377,7 @@ def _grid(
             "duration of ten samples or more."
         )
     lower, upper = np.array([limits.inputs[n] for n in names]).T
-    rest = np.array([neutral.get(n, min(max(0.0, limits.inputs[n][0]), limits.inputs[n][1]))
-                     for n in names])  # fmt: skip
+    rest = np.array([neutral.get(n, neutral_within(*limits.inputs[n])) for n in names])
     if np.any(rest < lower) or np.any(rest > upper):
         raise DesignError("A neutral command lies outside the range of its input. Correct it.")
     n_steps = int(np.floor(duration / sample_time + 1e-9))
