@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -100,7 +101,8 @@ def new(
 
     made = new_problem(folder, template=template, log=log, inputs=tuple(inputs or ()))
     answer(f"Written: {made}")
-    say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {made}")
+    folder_word = shlex.quote(str(made))
+    say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {folder_word}")
 
 
 def simulate(

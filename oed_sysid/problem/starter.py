@@ -7,6 +7,7 @@ states. From a log, the template is written anew: see :mod:`oed_sysid.problem.fr
 from __future__ import annotations
 
 import re
+import shlex
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
@@ -112,12 +113,16 @@ def new_problem(
     name = _identifier(place.resolve().name)
     if place.exists() and (not place.is_dir() or any(place.iterdir())):
         raise ProblemError(
-            f"{place} exists already and is not an empty folder. Give a new name, or load it with "
-            "oed_sysid.load_problem."
+            f"{place} exists already and is not an empty folder. Give a new name, or go on with "
+            "it: oed-sysid problems FOLDER, in Python oed_sysid.load_problem(folder)."
         )
     if template not in TEMPLATES:
         raise ProblemError(f"No template is called {template!r}. Choose {', '.join(TEMPLATES)}.")
-    words = {"name": name, "title": name.replace("_", " ").capitalize(), "folder": place.as_posix()}
+    words = {
+        "name": name,
+        "title": name.replace("_", " ").capitalize(),
+        "folder": shlex.quote(place.as_posix()),
+    }
     is_new = not place.exists()
     try:
         make_folder(place)
