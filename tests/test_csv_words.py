@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from oed_sysid.channels import Channels, Input, Output
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.data.dataset import read_csv
 from oed_sysid.data.record import closest
-from oed_sysid.errors import DataError, ProblemError
+from oed_sysid.errors import DataError, ProblemError, UnitWarning
 from oed_sysid.problem import load_problem
 
 SHIP = Channels((Input("delta", "rad"),), (Output("psi", "rad"), Output("r", "rad/s")))
@@ -136,3 +137,51 @@ def test_commands_for_a_folder_with_a_space(tmp_path: Path, monkeypatch, capsys)
     assert "'my vehicle'" in (tmp_path / "my vehicle" / "README.md").read_text()
     assert main(["new", "my vehicle"]) == BAD_INPUT
     assert "oed-sysid problems FOLDER" in capsys.readouterr().err
+
+
+def milliseconds(folder: Path, unit: str, n: int = 400) -> str:
+    """A log of a turn with a sample every 100 ms."""
+    angles = np.where(np.arange(n) // 80 % 2, -0.2, 0.2)
+    rate, heading, lines = 0.0, 0.0, []
+    for i, angle in enumerate(angles):
+        lines.append(f"{100 * i},{angle},{heading:.6f}")
+        rate += 0.1 * (0.5 * angle - rate)
+        heading += 0.1 * rate
+    return str(written(folder, lines, f"t [{unit}],delta [rad],psi [rad]"))
+
+
+def test_milliseconds_as_seconds_are_refused(tmp_path: Path, capsys) -> None:
+    """A log a thousand times too long for its problem is refused, with the options that help."""
+    path = milliseconds(tmp_path, "s")
+    for command in ("check", "fit", "diagnose"):
+        assert main([command, "nomoto_sparse_heading", path, "--quiet"]) == BAD_INPUT
+        said = capsys.readouterr()
+        assert "its times seem to be milliseconds" in said.err
+        assert "--time-unit ms; if they are seconds, add --time-unit s." in said.err
+        assert not said.out
+    assert main(["check", "nomoto_sparse_heading", path, "--time-unit", "s"]) == DONE
+    assert "milliseconds" not in capsys.readouterr().err
+
+
+def test_time_unit_takes_precedence(tmp_path: Path, capsys) -> None:
+    """With --time-unit ms the wrong header reads as the right one; other words are refused."""
+    results = []
+    for unit, option in (("s", ["--time-unit", "ms"]), ("ms", [])):
+        stored = tmp_path / f"{unit}.json"
+        line = ["rank", "nomoto_sparse_heading", milliseconds(tmp_path, unit), *option]
+        assert main([*line, "--json", str(stored), "--quiet"]) == DONE
+        results.append(json.loads(stored.read_text())["ranking"])
+    assert results[0] == results[1]
+    path = milliseconds(tmp_path, "s")
+    assert main(["check", "nomoto_sparse_heading", path, "--time-unit", "weeks"]) == BAD_INPUT
+    assert "weeks" in capsys.readouterr().err
+
+
+def test_unlikely_units_are_said_although_quiet(tmp_path: Path, capsys) -> None:
+    """A unit that is most likely wrong is noted on standard error, --quiet or not."""
+    lines = [f"{0.1 * i:g},0,{i}" for i in range(60)]
+    path = str(written(tmp_path, lines))
+    main(["check", "nomoto_sparse_heading", path, "--quiet"])
+    assert "more than three turns" in capsys.readouterr().err
+    with pytest.warns(UnitWarning, match="steps by 100 s"):
+        read_csv(milliseconds(tmp_path, "s"), SHIP)

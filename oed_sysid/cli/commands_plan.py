@@ -28,6 +28,7 @@ from oed_sysid.cli.options import (
     file_place,
     folder_place,
 )
+from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.terminal import (
     answer,
     draw,
@@ -439,12 +440,10 @@ def _choice(what: str, name: str, choices: Mapping[str, Any]) -> Any:
 def _runs(
     problem: Problem, experiments: list[str], records: list[str]
 ) -> Dataset | list[Experiment]:
-    from oed_sysid.data.dataset import read_csv
-
     if records and experiments:
         raise ProblemError("Give either --experiment or records, not both.")
     if records:
-        return read_csv(records, problem.channels)
+        return read_records(records, problem)
     names = experiments or list(problem.experiments)
     if not names:
         raise ProblemError(

@@ -15,7 +15,7 @@ from oed_sysid.data.angles import TURN, clear_wraps
 from oed_sysid.data.csv_table import Table
 from oed_sysid.data.csv_times import time_complaint
 from oed_sysid.data.record import closest
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, UnitWarning
 from oed_sysid.language.units import dimension, parse_header, to_si
 
 TIME_NAMES = ("t", "time", "times", "timestamp")
@@ -58,7 +58,7 @@ class Columns:
 
     Attributes
     ----------
-    suspicions : list of str
+    suspicions : list of str or UnitWarning
         What is not wrong for certain, as warnings for the user.
     """
 
@@ -66,7 +66,7 @@ class Columns:
         self.table = table
         self.units = units
         self.parsed = [parse_header(header) for header in table.headers]
-        self.suspicions: list[str] = []
+        self.suspicions: list[str | UnitWarning] = []
         self._used: set[int] = set()
 
     @property
@@ -122,7 +122,7 @@ class Columns:
             return values
         times = self._convert(index, Input("time", "s"))
         first = values[0]
-        unit = self.parsed[index][1] or "s"
+        unit = self.units.get("time") or self.parsed[index][1] or "s"
         if not np.isfinite(first) or not np.all(np.isfinite(times)):
             return times
         seconds = to_si(1.0, unit)[0]
@@ -158,12 +158,15 @@ class Columns:
                 f"{(times[row] - times[row - 1]) / 3.156e7:.0f} years later: the clock was set. "
                 "Cut the log there, and read both parts."
             )
-        if step >= SUSPICIOUS_STEP and unit == "s":
-            self.suspicions.append(
+        if step >= SUSPICIOUS_STEP and unit == "s" and "time" not in self.units:
+            self._suspect_unit(
                 f"Column {header!r} of {self.path.name} steps by {step:.4g} s. If it is in "
                 f"milliseconds, write the header as 't [ms]'."
             )
         return times
+
+    def _suspect_unit(self, words: str) -> None:
+        self.suspicions.append(UnitWarning(words))
 
     def _cell(self, row: int, column: int) -> str:
         return f"{self.table.values[row, column]:.12g}"
@@ -329,7 +332,7 @@ class Columns:
         self._check_plausible(index, where)
         values, si_unit = to_si(self.table.values[:, index], unit)
         if si_unit == "rad" and unit == "rad" and np.any(np.abs(values) > SUSPICIOUS_ANGLE):
-            self.suspicions.append(
+            self._suspect_unit(
                 f"{where} reaches {np.nanmax(np.abs(values)):.3g} rad, more than three turns. If "
                 f"it is in degrees, write the header as '{name} [deg]'."
             )
@@ -337,7 +340,7 @@ class Columns:
         if si_unit == "rad/s" and isinstance(channel, Input):
             limit = None  # a propeller turns as fast as it likes
         if limit is not None and np.any(np.abs(values) > limit):
-            self.suspicions.append(
+            self._suspect_unit(
                 f"{where} reaches {np.nanmax(np.abs(values)):.3g} {si_unit}, which no vehicle "
                 f"does. Check that [{unit}] is its unit."
             )
