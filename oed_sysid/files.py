@@ -185,9 +185,10 @@ def _obstacle(folder: Path) -> str:
     """What keeps a folder from being made or written to, and what to do; empty if unknown."""
     found = _nearest(folder)
     if not found.is_dir():
-        what = "a file" if found.is_file() else "no folder"
+        if not found.is_file():
+            return f"{str(found)!r} is no folder, and one is needed there. Give another place."
         return (
-            f"{str(found)!r} is {what} where a folder is needed. Move it away, or give another "
+            f"{str(found)!r} is a file where a folder is needed. Move it away, or give another "
             "place."
         )
     if not os.access(found, os.W_OK | os.X_OK):

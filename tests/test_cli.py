@@ -222,3 +222,13 @@ def test_rank_of_records_equals_rank_of_their_experiments(ferry: Path, tmp_path,
     assert errors[0] == pytest.approx(errors[1], rel=0.05)
     arguments = ["rank", str(ferry), str(file), "--experiment", "zigzag_10"]
     assert main(arguments) == BAD_INPUT
+
+
+def test_advice_on_noise_names_the_option(ferry: Path, tmp_path: Path, capsys) -> None:
+    """A model whose noise is not known is simulated with the option that its error names."""
+    code = NOMOTO.replace(", noise_std=0.003", "").replace(", noise_std=0.001", "")
+    (ferry / "problem.py").write_text(code)
+    line = ["simulate", str(ferry), "--out", str(tmp_path / "runs")]
+    assert main(line) == BAD_INPUT
+    assert "--no-noise" in capsys.readouterr().err
+    assert main([*line, "--no-noise"]) == DONE

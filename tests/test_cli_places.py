@@ -127,3 +127,9 @@ def test_no_permission(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         check_place("folder/fit.json")
     with pytest.raises(FileError, match=r"'log\.csv' cannot be written: it is write-protected"):
         check_place("log.csv")
+
+
+def test_device_is_no_folder(place: Path) -> None:
+    """Files cannot be put below /dev/null."""
+    with pytest.raises(FileError, match="'/dev/null' is no folder, and one is needed there"):
+        check_place("/dev/null/x.csv")

@@ -184,7 +184,7 @@ class _Stand:
         if not names:
             raise DesignError(
                 f"Pattern {pattern.name!r} leaves no input with a range to command. Give "
-                "Limits(inputs={'rudder': (-0.3, 0.3)})."
+                "Limits(inputs={'rudder': (-0.3, 0.3)}), on the command line --limit rudder=-17:17."
             )
         self.model, self.limits, self.pattern = model, limits, pattern
         self.vehicles, self.kept = vehicles, kept

@@ -341,7 +341,8 @@ def _check_inputs(
 ) -> None:
     if not names:
         raise DesignError(
-            "No input is left to design. Give its range: Limits(inputs={'rudder': (-0.3, 0.3)})."
+            "No input is left to design. Give its range: Limits(inputs={'rudder': (-0.3, 0.3)}), "
+            "on the command line --limit rudder=-17:17."
         )
     for name in names:
         if name not in model.input_names:
@@ -353,13 +354,15 @@ def _check_inputs(
         if pair is None or not np.all(np.isfinite(pair)):
             raise DesignError(
                 f"The input {name!r} is to be designed but has no finite range. Give "
-                f"Limits(inputs={{{name!r}: (lower, upper)}})."
+                f"Limits(inputs={{{name!r}: (lower, upper)}}), on the command line "
+                f"--limit {name}=LOWER:UPPER."
             )
     for name in model.input_names:
         if name not in names and name not in held:
             raise DesignError(
                 f"The input {name!r} is neither designed nor constant. Give "
-                f"constants={{{name!r}: value}} or a range in the limits."
+                f"constants={{{name!r}: value}} or a range in the limits, on the command line "
+                f"--limit {name}=LOWER:UPPER or --like with an experiment that holds it."
             )
 
 
