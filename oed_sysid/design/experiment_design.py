@@ -363,8 +363,8 @@ def _infeasible(plan: Plan, found: Found) -> str:
     if not words and plan.caution is not None:
         raise DesignError(
             f"No manoeuvre was found that keeps all limits on {plan.caution.probability:.0%} of "
-            "the vehicles with other coefficients. Design a shorter run, do a gentle trial first and "
-            "design from its fit, or design in Python a closed loop, parametrisation=ZigZags(...)."
+            "the vehicles with other coefficients. Design a shorter run, do a gentle trial first "
+            "and design from its fit, or in Python a closed loop, parametrisation=ZigZags(...)."
         )
     if not words:
         words = ("for other values of the parameters the corridor is left",)
