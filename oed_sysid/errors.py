@@ -35,5 +35,9 @@ class DesignError(OedSysidError):
     """An experiment cannot be designed within the limits that were given."""
 
 
+class UnitWarning(UserWarning):
+    """A unit, of the time or of a signal, that is most likely not that of the numbers."""
+
+
 class PrecisionWarning(UserWarning):
     """A calculation has lost so many digits to rounding that its result is not to be trusted."""

@@ -92,10 +92,108 @@ def whole_file(path: str | Path, *, ending: str | None = None) -> Iterator[Path]
             with suppress(OSError):
                 part.unlink(missing_ok=True)
     except OSError as error:
+        words = _obstacle(real.parent) or (
+            f"{error.strerror or error}. Nothing was changed there. Make room, or give "
+            "another place."
+        )
+        raise FileError(f"{str(target)!r} cannot be written: {words}") from error
+
+
+def make_folder(folder: str | Path) -> Path:
+    """Make a folder and those above it that are missing.
+
+    Raises
+    ------
+    FileError
+        If it cannot be made; the message says what stands in the way.
+
+    Examples
+    --------
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     print(make_folder(Path(folder) / "trial" / "sea").is_dir())
+    True
+    """
+    place = Path(folder)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        words = _obstacle(place) or f"{error.strerror or error}. Give another place."
+        raise FileError(f"The folder {str(place)!r} cannot be made: {words}") from error
+    return place
+
+
+def check_place(path: str | Path, *, folder: bool = False) -> None:
+    """Raise if a file, or files in a folder, could not be written; nothing is left behind.
+
+    To be asked before a long calculation, whose result would have no place to go.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file or folder; neither has to exist.
+    folder : bool
+        Whether it is a folder.
+
+    Raises
+    ------
+    FileError
+        The message says what stands in the way, and what to do.
+
+    Examples
+    --------
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     note = Path(place) / "note"
+    ...     _ = note.write_text("in the way")
+    ...     check_place(note)
+    ...     try:
+    ...         check_place(note / "fit.json")
+    ...     except FileError as error:
+    ...         print(str(error).replace(os.path.realpath(place), "..."))
+    '.../note/fit.json' cannot be written: '.../note' is a file where a folder is needed. Move it \
+away, or give another place.
+    """
+    target = Path(path)
+    real = Path(os.path.realpath(target))
+    cannot = f"{str(target)!r} cannot be written: "
+    if not folder and real.exists():
+        if real.is_dir():
+            raise FileError(f"{cannot}it is a folder. Give a file in it.")
+        if not os.access(real, os.W_OK):
+            raise FileError(f"{cannot}it is write-protected. Give another place.")
+        if not real.is_file():
+            return  # a device or a pipe
+    home = real if folder else real.parent
+    words = _obstacle(home)
+    if words:
+        raise FileError(cannot + words)
+    try:  # What the permissions promise, a system of its own kind (/proc) need not keep.
+        tempfile.TemporaryFile(dir=_nearest(home)).close()
+    except OSError as error:
+        reason = error.strerror or error
         raise FileError(
-            f"{str(target)!r} cannot be written: {error.strerror or error}. Nothing was changed "
-            "there. Make room or give another place."
+            f"{cannot}nothing can be made in {str(_nearest(home))!r} ({reason}). Give another "
+            "place."
         ) from error
+
+
+def _nearest(folder: Path) -> Path:
+    """The folder, or what stands in its place or the nearest above it."""
+    return next((one for one in (folder, *folder.parents) if os.path.lexists(one)), folder)
+
+
+def _obstacle(folder: Path) -> str:
+    """What keeps a folder from being made or written to, and what to do; empty if unknown."""
+    found = _nearest(folder)
+    if not found.is_dir():
+        if not found.is_file():
+            return f"{str(found)!r} is no folder, and one is needed there. Give another place."
+        return (
+            f"{str(found)!r} is a file where a folder is needed. Move it away, or give another "
+            "place."
+        )
+    if not os.access(found, os.W_OK | os.X_OK):
+        return f"you have no permission to write in {str(found)!r}. Give another place."
+    return ""
 
 
 def _to_disk(path: Path) -> None:

@@ -140,6 +140,18 @@ def test_wrong_command_line_is_bad_input(capsys) -> None:
     assert "--nonsense" in capsys.readouterr().err
 
 
+def test_model_that_diverges_is_said(ferry: Path, tmp_path: Path, capsys) -> None:
+    """A model that runs off to 1e49 is bad input: its state, when, and what to look for."""
+    unstable = NOMOTO.replace("(K*rudder - r)/T", "(K*rudder + r*11)/T")
+    (ferry / "problem.py").write_text(unstable)
+    out = tmp_path / "runs"
+    assert main(["simulate", str(ferry), "--experiment", "zigzag_10", "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "'Nomoto' diverged between t = " in said
+    assert "Check signs of damping and stiffness" in said
+    assert not list(out.glob("*.csv"))
+
+
 def test_debug_shows_the_traceback(ferry: Path, capsys) -> None:
     """--debug works at any place and shows where the error arose."""
     assert main(["fit", str(ferry), "--debug", "missing.csv"]) == BAD_INPUT
@@ -210,3 +222,13 @@ def test_rank_of_records_equals_rank_of_their_experiments(ferry: Path, tmp_path,
     assert errors[0] == pytest.approx(errors[1], rel=0.05)
     arguments = ["rank", str(ferry), str(file), "--experiment", "zigzag_10"]
     assert main(arguments) == BAD_INPUT
+
+
+def test_advice_on_noise_names_the_option(ferry: Path, tmp_path: Path, capsys) -> None:
+    """A model whose noise is not known is simulated with the option that its error names."""
+    code = NOMOTO.replace(", noise_std=0.003", "").replace(", noise_std=0.001", "")
+    (ferry / "problem.py").write_text(code)
+    line = ["simulate", str(ferry), "--out", str(tmp_path / "runs")]
+    assert main(line) == BAD_INPUT
+    assert "--no-noise" in capsys.readouterr().err
+    assert main([*line, "--no-noise"]) == DONE

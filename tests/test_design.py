@@ -229,6 +229,48 @@ def test_design_keeps_limits_and_beats_zigzags(designed: Design) -> None:
     assert designed.value >= max(designed.start_values) - 1e-9
 
 
+def towed(**settings: object) -> Design:
+    """Small design for a towed body: the speed of tow has no zero in its range."""
+    model = Model(
+        "towed body",
+        (State("theta", "rad"), State("q", "rad/s", scale=0.1)),
+        (Input("V", "m/s"), Input("flap", "rad")),
+        (Output("theta", "rad", noise_std=5e-3),),
+        {"theta": "q", "q": "b*V*V*flap - d*V*q - k*theta"},
+        parameters=(Parameter("b", 0.1), Parameter("d", 0.3), Parameter("k", 0.5)),
+        step=0.25,
+    )
+    given: dict[str, object] = {"duration": 30.0, "sample_time": 0.5, "n_starts": 1}
+    given |= {"n_candidates": 8, "n_steps": 2, "rng": np.random.default_rng(0)}
+    return design_experiment(model, **(given | settings))  # type: ignore[arg-type]
+
+
+def test_range_without_zero_has_its_middle_as_neutral() -> None:
+    """A speed of 1.8 to 3.2 m/s begins at 2.5; the zigzag it is compared with moves the flap."""
+    ranges = {"V": (1.8, 3.2), "flap": (-0.3, 0.3)}
+    design = towed(limits=Limits(inputs=ranges))
+    speed, flap = design.trajectory.inputs.T
+    assert (speed[0], flap[0]) == (2.5, 0.0)
+    assert speed.min() >= 1.8
+    assert speed.max() <= 3.2
+    assert [one.name for one in design.references] == ["zigzag 5/5", "zigzag 10/10"]
+    for reference in design.references:
+        record = simulate(design.model, reference.experiment, noise=False)
+        assert np.all(record.input("V") == 2.5)
+        assert np.ptp(record.input("flap")) > 0.1
+
+
+@pytest.mark.parametrize("span", [(1.8, 3.2), (0.0, 3.2), (-3.2, 0.0)])
+def test_only_input_without_room_about_zero(span: tuple[float, float]) -> None:
+    """An input that zero leaves no room on one side is compared about the middle of its range."""
+    design = towed(limits=Limits(inputs={"V": span}), constants={"flap": 0.1})
+    assert np.isfinite(design.value)
+    middle = sum(span) / 2
+    for reference in design.references:
+        commands = simulate(design.model, reference.experiment, noise=False).input("V")
+        assert 0.0 < np.abs(commands - middle).max() < 0.2
+
+
 def test_design_predicts_the_information_of_its_experiment(designed: Design) -> None:
     """The stated errors are those of the exported experiment, found independently."""
     again = information_of(ship(), designed.experiment)

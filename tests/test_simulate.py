@@ -235,6 +235,40 @@ def test_batch_equals_loop(n_workers: int) -> None:
         np.testing.assert_array_equal(together[member], alone.outputs)
 
 
+def runaway(initial: float = 1.0, rate: float = 3.0) -> tuple[Model, Experiment]:
+    """A model that grows without bound, but stays a number in 40 s."""
+    model = Model(
+        "runaway", (State("w", "m/s"),), (Input("fin", "rad"),),
+        (Output("w", "m/s", noise_std=0.1),), {"w": f"{rate}*w + fin"},
+    )  # fmt: skip
+    return model, Experiment(
+        "hold", Constant("fin", 0.1), duration=40.0, sample_time=0.1, initial={"w": initial}
+    )
+
+
+def test_state_that_runs_away_is_no_simulation() -> None:
+    """A state of 1e49 m/s is a number, but divergence is said, with the state and the time."""
+    model, experiment = runaway()
+    with pytest.raises(
+        SimulationError, match=r"'runaway' diverged .* 9\.1 and 9\.2 s; the latter has w = 1e\+12"
+    ):
+        simulate(model, experiment, rng=np.random.default_rng(0))
+    times = np.linspace(0.0, 40.0, 401)
+    with pytest.raises(SimulationError, match="Check signs of damping"):
+        simulate_inputs(model, times, inputs={"fin": 0.1}, initial={"w": 1.0})
+    run = simulate_inputs(model, times, inputs={"fin": 0.1}, initial={"w": 1.0}, throw=False)
+    assert run.ok
+    assert run.signal("w")[-1] > 1e49
+    with pytest.raises(SimulationError, match="starts with w = 1e\\+13, which no vehicle has"):
+        simulate_inputs(model, times, inputs={"fin": 0.1}, initial={"w": 1e13})
+
+
+def test_large_numbers_are_no_divergence() -> None:
+    """A northing of 5e6 m and times since 1970 are far from the bound."""
+    model, experiment = runaway(initial=1.8e9, rate=0.0)
+    assert simulate(model, experiment, noise=False).output("w")[-1] > 1.8e9
+
+
 def test_batch_marks_divergence_and_checks_shapes() -> None:
     """A member that diverges is NaN from there; the others are not touched."""
     values = [[K, T], [K, 1e-1]]

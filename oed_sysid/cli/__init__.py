@@ -67,5 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
     """Print a warning as a sentence, without file and line of this package."""
     from oed_sysid.cli.terminal import note
+    from oed_sysid.errors import UnitWarning
 
-    note(f"Note: {message}")
+    if isinstance(message, UnitWarning):  # so likely wrong that --quiet does not hide it
+        print(f"Note: {message}", file=sys.stderr)
+    else:
+        note(f"Note: {message}")

@@ -20,6 +20,7 @@ from typer.core import TyperCommand
 OLDER = {"--test": "--validate", "--train": "", "--records": ""}
 # Keys under which a call keeps what the shared options say.
 QUIET = "oed_sysid.quiet"
+TIME_UNIT = "oed_sysid.time_unit"
 _LIMITS = "oed_sysid.limits"
 
 
@@ -86,7 +87,9 @@ class Command(TyperCommand):
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
-        self.params = [*self.params, *_parameters(_EVERY_COMMAND)]
+        reads = any(param.name in ("files", "validate") for param in self.params)
+        shared = (_OF_RECORDS if reads else {}) | _EVERY_COMMAND
+        self.params = [*self.params, *_parameters(shared)]
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Options of the command, and limits of the problem that its line names."""
@@ -122,6 +125,29 @@ def _set_quiet(ctx: typer.Context, value: bool) -> None:
     ctx.meta[QUIET] = value
 
 
+def _set_time_unit(ctx: typer.Context, value: str | None) -> None:
+    if value is not None and value not in TIME_UNITS:
+        raise typer.BadParameter(f"{value!r} is none of {', '.join(TIME_UNITS)}.")
+    ctx.meta[TIME_UNIT] = value
+
+
+TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
+_OF_RECORDS = {
+    "time_unit": (
+        Annotated[
+            str | None,
+            typer.Option(
+                "--time-unit",
+                metavar="|".join(TIME_UNITS),
+                help="Unit of the records' times, whatever their headers say.",
+                show_default=False,
+                callback=_set_time_unit,
+                expose_value=False,
+            ),
+        ],
+        None,
+    ),
+}
 _EVERY_COMMAND = {
     "quiet": (
         Annotated[

@@ -12,7 +12,7 @@ import typer
 
 from oed_sysid.cli.answers import of_benchmark, of_rates
 from oed_sysid.cli.arguments import Command
-from oed_sysid.cli.options import JsonFile, PictureFile
+from oed_sysid.cli.options import JsonFile, PictureFile, folder_place
 from oed_sysid.cli.terminal import answer, draw, note, progress, store, write
 from oed_sysid.errors import OedSysidError
 
@@ -68,7 +68,7 @@ def estimators(
             show_default="1",
         ),
     ] = None,
-    seeds: Annotated[int, typer.Option("--seeds", metavar="N", help="Repetitions.")] = 3,
+    seeds: Annotated[int, typer.Option("--seeds", metavar="N", min=1, help="Repetitions.")] = 3,
     jobs: Annotated[int, typer.Option("--jobs", metavar="N", help="Processes.")] = 2,
     out: Annotated[
         Path,
@@ -76,6 +76,7 @@ def estimators(
             "--out",
             metavar="FOLDER",
             help="Tables, picture and finished runs, which are never run again.",
+            callback=folder_place,
         ),
     ] = Path("out/benchmark"),
     json_file: JsonFile = None,
@@ -132,6 +133,7 @@ def missing_physics(
             metavar="FOLDER",
             help="Where finished cases are kept, and the table; by default the checkout's own.",
             show_default=False,
+            callback=folder_place,
         ),
     ] = None,
     json_file: JsonFile = None,

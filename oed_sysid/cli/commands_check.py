@@ -16,9 +16,12 @@ from oed_sysid.cli.options import (
     PictureFile,
     ProblemName,
     Variant,
+    folder_place,
 )
+from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.terminal import answer, draw, note, progress, store
 from oed_sysid.errors import DataError
+from oed_sysid.files import make_folder
 
 
 def check(
@@ -36,6 +39,7 @@ def check(
             metavar="FOLDER",
             help="Write corrected copies of the records to FOLDER; the originals are left alone.",
             show_default=False,
+            callback=folder_place,
         ),
     ] = None,
 ) -> None:
@@ -47,14 +51,14 @@ def check(
     """
     from oed_sysid.compatibility import check as look
     from oed_sysid.compatibility import corrected_copies
-    from oed_sysid.data.dataset import read_csv, write_csv
+    from oed_sysid.data.dataset import write_csv
     from oed_sysid.data.overlap import together
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
-    records = read_csv(files, chosen.channels)
+    records = read_records(files, chosen)
     if validate:  # a fault between the two, such as the same run in both, is found as well
-        records = together(records, read_csv(validate, chosen.channels))
+        records = together(records, read_records(validate, chosen))
     with progress("Checking"):
         result = look(records, chosen)
     answer(result.verdict, result.report())
@@ -75,7 +79,7 @@ def check(
                 f"The corrected copies would overwrite the records in {str(fix)!r}. Give another "
                 "folder to --fix."
             )
-        fix.mkdir(parents=True, exist_ok=True)
+        make_folder(fix)
         for record, target in zip(copies, targets, strict=True):
             write_csv(record, target)
             note(f"Written: {target}")

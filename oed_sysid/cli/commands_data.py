@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +12,7 @@ import typer
 from oed_sysid.cli.options import JsonFile, PictureFile, ProblemName, Variant
 from oed_sysid.cli.terminal import answer, draw, note, progress, quiet, say, store, table
 from oed_sysid.errors import DataError, OedSysidError, ProblemError
+from oed_sysid.files import check_place
 
 if TYPE_CHECKING:
     from oed_sysid.experiment import Experiment
@@ -99,7 +101,8 @@ def new(
 
     made = new_problem(folder, template=template, log=log, inputs=tuple(inputs or ()))
     answer(f"Written: {made}")
-    say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {made}")
+    folder_word = shlex.quote(str(made))
+    say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {folder_word}")
 
 
 def simulate(
@@ -123,7 +126,7 @@ def simulate(
         ),
     ] = None,
     model: Variant = None,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the measurement noise.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the measurement noise.")] = 0,
     no_noise: Annotated[bool, typer.Option("--no-noise", help="Without noise.")] = False,
     truth: Annotated[
         bool, typer.Option("--truth", help="Simulate the problem's truth, where it states one.")
@@ -144,13 +147,14 @@ def simulate(
     simulated = chosen.true_model() if truth else chosen.model
     wanted = _experiments(chosen, experiment or [])
     files = _files(wanted, out)
+    for file in files:
+        check_place(file)
     rng = np.random.default_rng(seed)
     records = []
     with progress("Simulating") as show:
         for number, (one, file) in enumerate(zip(wanted, files, strict=True)):
             show.say(f"simulating {one.name}")
             records.append(run(simulated, one, rng=rng, noise=not no_noise))
-            file.parent.mkdir(parents=True, exist_ok=True)
             write_csv(records[-1], file)
             show.share((number + 1) / len(wanted))
     for one, file in zip(wanted, files, strict=True):

@@ -23,8 +23,10 @@ from oed_sysid.cli.options import (
     ProblemName,
     Validate,
     Variant,
+    file_place,
     noise_settings,
 )
+from oed_sysid.cli.reading import read_records, read_records_of
 from oed_sysid.cli.terminal import (
     INTERRUPTED,
     answer,
@@ -67,6 +69,7 @@ def fit(
             help="Keep the whole fit, data included, for report, export, compare --with, design "
             "--after and Fit.load.",
             show_default=False,
+            callback=file_place,
         ),
     ] = None,
     kept_in: JournalFolder = None,
@@ -78,14 +81,13 @@ def fit(
     --validate dive_3.csv --save fit.json
     """
     from oed_sysid.compatibility import quick_check
-    from oed_sysid.data.dataset import read_csv
     from oed_sysid.data.overlap import check_disjoint
     from oed_sysid.diagnosis.compare import compare as compare_models
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
-    dataset = read_csv(files, chosen.channels)
-    validation = read_csv(validate, chosen.channels) if validate else None
+    dataset = read_records(files, chosen)
+    validation = read_records(validate, chosen) if validate else None
     if validation is not None:
         check_disjoint(dataset, validation)
     log = quick_check(dataset, chosen.model)
@@ -145,14 +147,13 @@ def compare(
     --validate dive_3.csv
     """
     from oed_sysid.compatibility import quick_check
-    from oed_sysid.data.dataset import read_csv
     from oed_sysid.data.overlap import check_disjoint, together
     from oed_sysid.diagnosis.compare import compare as compare_models
     from oed_sysid.diagnosis.usual import equipped
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
-    training, validation = (read_csv(given, chosen.channels) for given in (files, validate))
+    training, validation = (read_records(given, chosen) for given in (files, validate))
     models, kept = _models(equipped(chosen, training) if added else chosen, added or [])
     for used in (training, *(fit.dataset for fit in kept.values())):
         check_disjoint(used, validation)
@@ -243,7 +244,10 @@ def report(
         ),
     ],
     out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="The report, one HTML file.")
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="The report, one HTML file.", callback=file_place
+        ),
     ] = Path("report.html"),
     validate: IfValidated = None,
     picture: PictureFile = None,
@@ -252,7 +256,6 @@ def report(
 
     [bold]Example[/bold]: oed-sysid report fit.json --validate dive_3.csv --out fit.html
     """
-    from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.compare import compare as compare_models
     from oed_sysid.fitting.fit import Fit
     from oed_sysid.fitting.saved import is_numbers_of_fit, read_json, read_result
@@ -277,9 +280,7 @@ def report(
         note(f"Made by oed_sysid {made.get('version')}: {made['command']}")
     comparison = None
     if validate:
-        comparison = compare_models(
-            {kept.model.name: kept}, read_csv(validate, kept.model.channels)
-        )
+        comparison = compare_models({kept.model.name: kept}, read_records_of(validate, kept))
     answer(of_fit(kept, comparison), "" if comparison is None else comparison.verdict)
     note(f"Written: {fit_page(kept, comparison).write(out)}")
     draw(partial(_figure, kept, comparison), picture)

@@ -23,7 +23,9 @@ from oed_sysid.cli.options import (
     ToValidate,
     Variant,
     disturbances_of,
+    file_place,
 )
+from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.terminal import (
     Shown,
     answer,
@@ -52,12 +54,11 @@ def diagnose(
     [bold]Example[/bold]: oed-sysid diagnose remus_diving_plane dive_1.csv dive_2.csv
     """
     from oed_sysid.compatibility import quick_check
-    from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.diagnose import diagnose as look
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
-    records = read_csv(files, chosen.channels)
+    records = read_records(files, chosen)
     log = quick_check(records, chosen.model)
     with progress("Looking"):
         result = look(
@@ -97,6 +98,7 @@ def improve(
             metavar="FILE",
             help="Keep the fit of the improved model, for report, export, compare --with and "
             "design --after.",
+            callback=file_place,
         ),
     ] = None,
     json_file: JsonFile = None,
@@ -110,15 +112,14 @@ def improve(
     [bold]Example[/bold]: oed-sysid improve remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv --save better.json
     """
-    from oed_sysid.data.dataset import read_csv
     from oed_sysid.diagnosis.compare import compare
     from oed_sysid.diagnosis.improve import improve
     from oed_sysid.diagnosis.preparation import prepared
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
-    training = read_csv(files, chosen.channels)
-    validation = read_csv(validate, chosen.channels) if validate else None
+    training = read_records(files, chosen)
+    validation = read_records(validate, chosen) if validate else None
     with journal(kept_in, fresh) as keep:
         with progress("Starting") as show:
             result = improve(

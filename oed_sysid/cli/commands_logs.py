@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from oed_sysid.cli.options import JsonFile, PictureFile, Variant
+from oed_sysid.cli.options import JsonFile, PictureFile, Variant, file_place, folder_place
 from oed_sysid.cli.terminal import answer, draw, note, progress, say, store
 from oed_sysid.errors import DataError
+from oed_sysid.files import make_folder
 
 if TYPE_CHECKING:
     from oed_sysid.logs import Imported, Log, LogMapping
@@ -49,6 +50,7 @@ def import_(
             metavar="TOML",
             help="With --problem: write a first mapping from names and units, to be corrected.",
             show_default=False,
+            callback=file_place,
         ),
     ] = None,
     problem: Annotated[
@@ -62,7 +64,10 @@ def import_(
     ] = None,
     model: Variant = None,
     out: Annotated[
-        Path, typer.Option("--out", metavar="FOLDER", help="Where the records go, as CSV.")
+        Path,
+        typer.Option(
+            "--out", metavar="FOLDER", help="Where the records go, as CSV.", callback=folder_place
+        ),
     ] = Path("data"),
     json_file: JsonFile = None,
     picture: PictureFile = None,
@@ -155,7 +160,7 @@ def _written(
     files = [out / f"{record.name.replace('/', '_')}.csv" for record in result.dataset]
     if log.path.resolve() in {file.resolve() for file in files}:
         raise DataError(f"The records would overwrite {log.path}. Give another folder to --out.")
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     for record, file in zip(result.dataset, files, strict=True):
         write_csv(record, file)
     return result, files

@@ -24,7 +24,11 @@ from oed_sysid.cli.options import (
     ToReveal,
     ToTellApart,
     Variant,
+    ending_of,
+    file_place,
+    folder_place,
 )
+from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.terminal import (
     answer,
     draw,
@@ -100,6 +104,10 @@ def rank(
         note(f"Written: {page.write(html_file)}")
 
 
+def _card_place(value: Any) -> Any:
+    return ending_of(value, (".txt", ".html", ".pdf"), "a card")
+
+
 def design(
     problem: ProblemName,
     like: Annotated[
@@ -170,7 +178,11 @@ def design(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", metavar="CSV", help="Commands to play, one row per sample.", show_default=False
+            "--out",
+            metavar="CSV",
+            help="Commands to play, one row per sample.",
+            show_default=False,
+            callback=file_place,
         ),
     ] = None,
     card: Annotated[
@@ -181,6 +193,7 @@ def design(
             help="One page for those on board: .txt, .html or .pdf (these with the track and the "
             "sea room that it needs).",
             show_default=False,
+            callback=_card_place,
         ),
     ] = None,
     length: Annotated[
@@ -205,16 +218,21 @@ def design(
             metavar="CSV",
             help="Commands as servo pulses, to send as MAVLink RC_CHANNELS_OVERRIDE.",
             show_default=False,
+            callback=file_place,
         ),
     ] = None,
     bag: Annotated[
         Path | None,
         typer.Option(
-            "--bag", metavar="FOLDER", help="Commands as a ROS 2 bag to play.", show_default=False
+            "--bag",
+            metavar="FOLDER",
+            help="Commands as a ROS 2 bag to play.",
+            show_default=False,
+            callback=folder_place,
         ),
     ] = None,
     model: Variant = None,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the search.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the search.")] = 0,
     json_file: JsonFile = None,
     html_file: HtmlFile = None,
     picture: PictureFile = None,
@@ -296,7 +314,6 @@ def design(
                 found = replace(found, spread=keep.once("accuracy", other))
         answer(of_design(found), found.report() if card is not None else found.sea_trial_card())
         if out is not None:
-            out.parent.mkdir(parents=True, exist_ok=True)
             found.write_csv(out)
             note(f"Written: {out}")
         if card is not None and card.suffix.lower() in (".html", ".pdf"):
@@ -423,12 +440,10 @@ def _choice(what: str, name: str, choices: Mapping[str, Any]) -> Any:
 def _runs(
     problem: Problem, experiments: list[str], records: list[str]
 ) -> Dataset | list[Experiment]:
-    from oed_sysid.data.dataset import read_csv
-
     if records and experiments:
         raise ProblemError("Give either --experiment or records, not both.")
     if records:
-        return read_csv(records, problem.channels)
+        return read_records(records, problem)
     names = experiments or list(problem.experiments)
     if not names:
         raise ProblemError(

@@ -17,6 +17,7 @@ from oed_sysid.cli.options import (
     ToReveal,
     ToTellApart,
     Variant,
+    folder_place,
 )
 from oed_sysid.cli.terminal import answer, note, progress, store
 from oed_sysid.errors import DesignError
@@ -59,14 +60,16 @@ Uncertainty = Annotated[
         show_default=False,
     ),
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of the search.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the search.")]
 
 
 def programme(
     problem: ProblemName,
     runs: Annotated[
         int | None,
-        typer.Option("--runs", metavar="N", help="Largest number of runs.", show_default=False),
+        typer.Option(
+            "--runs", metavar="N", min=1, help="Largest number of runs.", show_default=False
+        ),
     ] = None,
     hours: Annotated[
         float | None,
@@ -98,7 +101,7 @@ def programme(
         ),
     ] = None,
     rounds: Annotated[
-        int, typer.Option("--rounds", metavar="N", help="Rounds of refined commands.")
+        int, typer.Option("--rounds", metavar="N", min=0, help="Rounds of refined commands.")
     ] = 1,
     after: Annotated[
         Path | None,
@@ -116,6 +119,7 @@ def programme(
             metavar="FOLDER",
             help="Commands of every run as tables to play.",
             show_default=False,
+            callback=folder_place,
         ),
     ] = None,
     model: Variant = None,
@@ -175,7 +179,10 @@ def campaign(
     folder: Annotated[
         Path,
         typer.Argument(
-            metavar="FOLDER", help="Where the journal of the trial is kept.", show_default=False
+            metavar="FOLDER",
+            help="Where the journal of the trial is kept.",
+            show_default=False,
+            callback=folder_place,
         ),
     ],
     problem: Annotated[

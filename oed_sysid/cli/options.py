@@ -8,6 +8,38 @@ from typing import Annotated, Any
 
 import typer
 
+from oed_sysid.errors import FileError
+from oed_sysid.files import check_place
+
+# Formats of --picture.
+PICTURES = (".png", ".pdf", ".svg")
+
+
+def file_place(value: Any) -> Any:
+    """Say before the work where a file could not be written; an option's callback."""
+    if value is not None:
+        check_place(value)
+    return value
+
+
+def folder_place(value: Any) -> Any:
+    """Say before the work where files of a folder could not be written; an option's callback."""
+    if value is not None:
+        check_place(value, folder=True)
+    return value
+
+
+def picture_place(value: Any) -> Any:
+    """As :func:`file_place`, of a picture; an option's callback."""
+    return ending_of(value, PICTURES, "a picture")
+
+
+def ending_of(value: Any, endings: tuple[str, ...], what: str) -> Any:
+    """As :func:`file_place`, of a file whose ending says how it is written."""
+    if value is not None and Path(value).suffix.lower() not in endings:
+        raise FileError(f"{str(value)!r} does not end as {what} does. Choose {', '.join(endings)}.")
+    return file_place(value)
+
 
 def _problems(incomplete: str) -> list[str]:
     """Shipped problems whose names begin so; folders are completed by the shell itself."""
@@ -114,7 +146,11 @@ Sea = Annotated[
 JsonFile = Annotated[
     Path | None,
     typer.Option(
-        "--json", metavar="FILE", help="Also write the result to FILE as JSON.", show_default=False
+        "--json",
+        metavar="FILE",
+        help="Also write the result to FILE as JSON.",
+        show_default=False,
+        callback=file_place,
     ),
 ]
 HtmlFile = Annotated[
@@ -124,6 +160,7 @@ HtmlFile = Annotated[
         metavar="FILE",
         help="Also write a report with pictures, one file that can be mailed.",
         show_default=False,
+        callback=file_place,
     ),
 ]
 PictureFile = Annotated[
@@ -133,6 +170,7 @@ PictureFile = Annotated[
         metavar="FILE",
         help="Also draw the result (PNG, PDF, SVG).",
         show_default=False,
+        callback=picture_place,
     ),
 ]
 KnownNoise = Annotated[
@@ -195,6 +233,7 @@ JournalFolder = Annotated[
         help="Where finished steps are kept until the command ends, so that it goes on from them "
         "when it is called again after an interruption.",
         show_default="in the user's cache",
+        callback=folder_place,
     ),
 ]
 Fresh = Annotated[

@@ -84,6 +84,12 @@ def quiet() -> bool:
     return context is not None and bool(context.meta.get(QUIET))
 
 
+def kept(key: str) -> str | None:
+    """What the command that is being worked on was told by a shared option; None if nothing."""
+    context = _context()
+    return None if context is None else context.meta.get(key)
+
+
 def say_log(log: LogCheck) -> None:
     """Print, above a result, what speaks against the log that it is made from."""
     warning = log.warning()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -10,9 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from oed_sysid.channels import Channels, Input, Output
+from oed_sysid.data.angles import TURN, clear_wraps
 from oed_sysid.data.csv_table import Table
-from oed_sysid.data.record import TIME_ADVICE, closest, time_fault
-from oed_sysid.errors import DataError
+from oed_sysid.data.csv_times import time_complaint
+from oed_sysid.data.record import closest
+from oed_sysid.errors import DataError, UnitWarning
 from oed_sysid.language.units import dimension, parse_header, to_si
 
 TIME_NAMES = ("t", "time", "times", "timestamp")
@@ -39,6 +42,8 @@ DAYS, DAY_STEP = ((25569.0, 73051.0, 25569.0), (719529.0, 767011.0, 719529.0)), 
 CLOCK_SET = 3.156e8
 # An angle beyond three turns that is declared in rad is most likely in degrees.
 SUSPICIOUS_ANGLE = 20.0
+# Names that are so alike count as a slip: psi and phsi, not psi and phi.
+ALIKE = 0.8
 
 
 class Columns:
@@ -53,7 +58,7 @@ class Columns:
 
     Attributes
     ----------
-    suspicions : list of str
+    suspicions : list of str or UnitWarning
         What is not wrong for certain, as warnings for the user.
     """
 
@@ -61,7 +66,7 @@ class Columns:
         self.table = table
         self.units = units
         self.parsed = [parse_header(header) for header in table.headers]
-        self.suspicions: list[str] = []
+        self.suspicions: list[str | UnitWarning] = []
         self._used: set[int] = set()
 
     @property
@@ -96,18 +101,13 @@ class Columns:
         if len(matches) != 1:
             what = "no" if not matches else "more than one"
             raise DataError(
-                f"{self.path.name} has {what} time column. {self.found} Call it 't [s]', or "
-                "name it with time=..."
+                f"{self.path.name} has {what} time column. {self.found} Call it 't [s]' in the "
+                "header, or, in Python, name it with time=..."
             )
         times = self._times(matches[0])
-        fault = time_fault(times)
-        if fault is not None:
-            index, what = fault
-            before = f" after {self._cell(index - 1, matches[0])}" if index else ""
-            raise DataError(
-                f"Row {self.table.row_numbers[index]} of {self.path.name}: time "
-                f"{self._cell(index, matches[0])}{before} {what}. {TIME_ADVICE}"
-            )
+        complaint = time_complaint(self.table, matches[0], times)
+        if complaint is not None:
+            raise DataError(complaint)
         return times
 
     def _times(self, index: int) -> np.ndarray:
@@ -122,7 +122,7 @@ class Columns:
             return values
         times = self._convert(index, Input("time", "s"))
         first = values[0]
-        unit = self.parsed[index][1] or "s"
+        unit = self.units.get("time") or self.parsed[index][1] or "s"
         if not np.isfinite(first) or not np.all(np.isfinite(times)):
             return times
         seconds = to_si(1.0, unit)[0]
@@ -158,12 +158,15 @@ class Columns:
                 f"{(times[row] - times[row - 1]) / 3.156e7:.0f} years later: the clock was set. "
                 "Cut the log there, and read both parts."
             )
-        if step >= SUSPICIOUS_STEP and unit == "s":
-            self.suspicions.append(
+        if step >= SUSPICIOUS_STEP and unit == "s" and "time" not in self.units:
+            self._suspect_unit(
                 f"Column {header!r} of {self.path.name} steps by {step:.4g} s. If it is in "
                 f"milliseconds, write the header as 't [ms]'."
             )
         return times
+
+    def _suspect_unit(self, words: str) -> None:
+        self.suspicions.append(UnitWarning(words))
 
     def _cell(self, row: int, column: int) -> str:
         return f"{self.table.values[row, column]:.12g}"
@@ -177,7 +180,7 @@ class Columns:
             raise DataError(
                 f"{self.path.name} has no column {wanted!r} for input {channel.name!r}. "
                 f"{self.found}{closest(wanted, names)} Rename the header, or set "
-                "Input(column=...)."
+                "Input(column=...) in the problem."
             )
         values = self._convert(index, channel)
         bad = np.flatnonzero(~np.isfinite(values))
@@ -194,7 +197,6 @@ class Columns:
         """Return an output in SI, shape ``(n_rows,)``; all NaN without a column."""
         index = self._find(channel)
         if index is None:
-            self._say_near(channel)
             return np.full(self.table.values.shape[0], np.nan)
         values = self._convert(index, channel)
         infinite = np.flatnonzero(np.isinf(values))
@@ -204,6 +206,7 @@ class Columns:
                 f"{self.table.headers[index]!r}: output {channel.name!r} is infinite "
                 f"({infinite.size} such rows). Leave the cell empty for a missing sample."
             )
+        self._check_wraps(index, channel, values)
         present = values[np.isfinite(values)]
         if present.size > 1 and np.ptp(present) == 0.0:
             self.suspicions.append(
@@ -212,21 +215,57 @@ class Columns:
             )
         return values
 
+    def _check_wraps(self, index: int, channel: Output, values: np.ndarray) -> None:
+        """Refuse an angle that jumps by full turns without being declared to."""
+        found = None if channel.wrap or channel.unit != "rad" else clear_wraps(values)
+        if found is None:
+            return
+        period, after = found
+        row, header, raw = int(after[0]), self.table.headers[index], self.table.values[:, index]
+        last = raw[:row][np.isfinite(raw[:row])][-1]
+        unit = self.units.get(channel.name) or self.parsed[index][1] or channel.unit
+        times = "once" if after.size == 1 else f"{after.size} times, first"
+        advice = f'declare Output("{channel.name}", "rad", wrap=True) in the problem'
+        raise DataError(
+            f"Column {header!r} of {self.path.name} jumps by a full turn {times} in row "
+            f"{self.table.row_numbers[row]}, from {last:.6g} to {raw[row]:.6g} {unit}. "
+            + (
+                f"The angle is wrapped: {advice}."
+                if period == TURN
+                else f"The jump is 360 {unit}, so these are degrees: write the header as "
+                f"'{self.parsed[index][0]} [deg]', and {advice}."
+            )
+        )
+
     def has(self, channel: Output) -> bool:
         """Whether an output has a column, be it empty."""
         return self._find(channel) is not None
 
-    def _say_near(self, channel: Output) -> None:
-        """Note a column that may be meant where an output has none."""
-        wanted = (channel.column or channel.name).lower()
-        for index, (name, _) in enumerate(self.parsed):
-            first = re.match(r"\w*", name.strip().lower())
-            if index not in self._used and first is not None and first.group() == wanted:
-                self.suspicions.append(
-                    f"{self.path.name} has no column {channel.column or channel.name!r}, but "
-                    f"{self.table.headers[index]!r}, which is not read. Names are compared letter "
-                    "by letter: rename it, or set Output(column=...)."
-                )
+    def near(self, channel: Output) -> str | None:
+        """Header of a column that no channel has asked for and that may be meant for this one."""
+        wanted = channel.column or channel.name
+        names = {
+            name.strip(): self.table.headers[index]
+            for index, (name, _) in enumerate(self.parsed)
+            if index not in self._used
+        }
+        same = (header for name, header in names.items() if _first_word(name) == wanted.lower())
+        found = next(same, None)
+        if found is None:
+            lower = {name.lower(): header for name, header in names.items()}
+            alike = difflib.get_close_matches(wanted.lower(), list(lower), n=1, cutoff=ALIKE)
+            found = lower[alike[0]] if alike else None
+        return found
+
+    def say_near(self, channel: Output) -> None:
+        """Note a column that may be meant where an output has none; after all were read."""
+        header = self.near(channel)
+        if header is not None:
+            self.suspicions.append(
+                f"{self.path.name} has no column {channel.column or channel.name!r}, but "
+                f"{header!r}, which is not read. Names are compared letter by letter: rename it, "
+                "or set Output(column=...)."
+            )
 
     def _find(self, channel: Input | Output) -> int | None:
         """Column of a channel: by whole header, then by name without unit."""
@@ -276,7 +315,8 @@ class Columns:
         if unit is None:
             raise DataError(
                 f"{where} has no unit. Write the header as '{header} [{channel.unit}]', or "
-                f"whichever unit it is in, or pass units={{{channel.name!r}: {channel.unit!r}}}."
+                f"whichever unit it is in, or, in Python, pass "
+                f"units={{{channel.name!r}: {channel.unit!r}}}."
             )
         try:
             found = dimension(unit)
@@ -292,7 +332,7 @@ class Columns:
         self._check_plausible(index, where)
         values, si_unit = to_si(self.table.values[:, index], unit)
         if si_unit == "rad" and unit == "rad" and np.any(np.abs(values) > SUSPICIOUS_ANGLE):
-            self.suspicions.append(
+            self._suspect_unit(
                 f"{where} reaches {np.nanmax(np.abs(values)):.3g} rad, more than three turns. If "
                 f"it is in degrees, write the header as '{name} [deg]'."
             )
@@ -300,7 +340,7 @@ class Columns:
         if si_unit == "rad/s" and isinstance(channel, Input):
             limit = None  # a propeller turns as fast as it likes
         if limit is not None and np.any(np.abs(values) > limit):
-            self.suspicions.append(
+            self._suspect_unit(
                 f"{where} reaches {np.nanmax(np.abs(values)):.3g} {si_unit}, which no vehicle "
                 f"does. Check that [{unit}] is its unit."
             )
@@ -340,3 +380,9 @@ class Columns:
                 f"units names {unused[0]!r}, which is neither a channel nor a column of "
                 f"{self.path.name}.{closest(unused[0], known)}"
             )
+
+
+def _first_word(name: str) -> str:
+    """First word of a name, in small letters."""
+    found = re.match(r"\w*", name.lower())
+    return found.group() if found else ""

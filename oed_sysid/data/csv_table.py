@@ -18,7 +18,7 @@ import numpy as np
 
 from oed_sysid import files
 from oed_sysid.data.csv_cells import complaint, number, time_stamp
-from oed_sysid.data.csv_text import lines_of
+from oed_sysid.data.csv_text import lines_of, remark_before
 from oed_sysid.errors import DataError
 from oed_sysid.language.units import dimension, parse_header
 
@@ -59,7 +59,8 @@ def read_table(path: Path, *, columns_of_text: bool = False) -> Table:
 
     Comma, semicolon and tab are understood as delimiters, and the decimal comma
     where the delimiter is another. An empty cell or ``nan`` is a missing sample.
-    Blank lines and lines that start with ``#`` are skipped. A column of times of
+    Blank lines and lines that start with ``#`` are skipped, but for headers that stand so above
+    the first numbers, as ``numpy.savetxt`` writes them. A column of times of
     day or ISO times becomes seconds since its first row.
 
     Parameters
@@ -77,6 +78,10 @@ def read_table(path: Path, *, columns_of_text: bool = False) -> Table:
         the message names row and column.
     """
     numbered = lines_of(path)
+    if numbered and _is_numbers(numbered[0][1]):
+        title = remark_before(path, numbered[0][0])
+        if title is not None and _is_title(title[1], numbered[0][1]):
+            numbered = [title, *numbered]
     if len(numbered) < 2:
         what = "is empty" if not numbered else "holds no rows of numbers"
         raise DataError(
@@ -136,6 +141,23 @@ def write_table(path: Path, headers: list[str], values: np.ndarray) -> None:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow(headers)
     files.write_text(path, text.getvalue() + "\n".join([*rows, ""]))
+
+
+def _is_numbers(line: str) -> bool:
+    """Whether a line holds a number in each cell, whatever the delimiter, and so is no header."""
+    cells = re.split(r"[;\t,]", line)
+    return all(number(cell, comma=True) is not None for cell in cells)
+
+
+def _is_title(remark: str, first: str) -> bool:
+    """Whether a remark holds one header for each cell of the first row of numbers."""
+    delimiter = max(_DELIMITERS, key=remark.count)
+    cells = _cells(remark, delimiter)
+    return (
+        remark.count(delimiter) == first.count(delimiter) > 0
+        and all(cell.strip() for cell in cells)
+        and any(parse_header(cell)[1] is not None for cell in cells)
+    )
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -280,8 +302,9 @@ def _rows(
                 else "Leave a cell empty for a missing sample, with its delimiter."
             )
             raise DataError(
-                f"Row {number_} of {path.name} has {len(cells)} cells, but the header has "
-                f"{len(headers)}. {cause}"
+                f"Row {number_} of {path.name} has {len(cells)} "
+                f"{'cell' if len(cells) == 1 else 'cells'}, but the header has {len(headers)}. "
+                f"{cause}"
             )
         if [cell.strip() for cell in cells] == headers:
             raise DataError(

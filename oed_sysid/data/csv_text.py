@@ -97,6 +97,15 @@ def text_lines(path: Path) -> list[tuple[int, str]]:
     ]
 
 
+def remark_before(path: Path, row: int) -> tuple[int, str] | None:
+    """Number and text of the remark (``#``) right above a row; None if there is none."""
+    for number, line in reversed(list(enumerate(_split(_text(path))[: row - 1], start=1))):
+        if line.strip():
+            text = line.lstrip()
+            return (number, text.lstrip("#").strip()) if text.startswith("#") else None
+    return None
+
+
 def _check_kind(path: Path, lines: list[tuple[int, str]]) -> None:
     """Refuse text that is no table, in words of what it is."""
     first = [line for _, line in lines[:2]]

@@ -62,7 +62,8 @@ class Dataset:
                 )
             if record.name in self.names[:index]:
                 raise DataError(
-                    f"Two records are called {record.name!r}. Give one another name with rename()."
+                    f"Two records are called {record.name!r}. Give each of them once, or rename "
+                    "one: the file, or in Python the record, with rename()."
                 )
             if record.channels != self.channels:
                 raise DataError(
@@ -315,6 +316,13 @@ def read_csv(
             f"One name, {name!r}, was given for {len(files)} files. Leave it out: "
             "records are named after their files."
         )
+    places = [file.resolve() for file in files]
+    twice = next((file for i, file in enumerate(files) if places[i] in places[:i]), None)
+    if twice is not None:
+        raise DataError(
+            f"{str(twice)!r} is given twice. Give every record once: a pattern or a folder may "
+            "name it already."
+        )
     stems = [file.stem for file in files]
     names = [
         stem if stems.count(stem) == 1 else f"{file.parent.name}/{stem}"
@@ -392,6 +400,9 @@ def _read_record(columns: Columns, name: str, channels: Channels, time: str | No
     times = columns.times(time)
     inputs = [columns.input(channel) for channel in channels.inputs]
     outputs = [columns.output(channel) for channel in channels.outputs]
+    for channel in channels.outputs:
+        if not columns.has(channel):
+            columns.say_near(channel)
     missing = [
         channel.name
         for channel, values in zip(channels.outputs, outputs, strict=True)
@@ -404,9 +415,11 @@ def _read_record(columns: Columns, name: str, channels: Channels, time: str | No
                 f"{columns.path.name} holds no sample of any output: all cells of {wanted} are "
                 "empty."
             )
+        near = next(filter(None, (columns.near(channel) for channel in channels.outputs)), None)
         raise DataError(
-            f"{columns.path.name} has none of the outputs {wanted}. {columns.found} "
-            "Rename a header, or set Output(column=...)."
+            f"{columns.path.name} has none of the outputs {wanted}. {columns.found}"
+            f"{f' Did you mean {near!r}?' if near else ''} Rename a header, or set "
+            "Output(column=...) in the problem."
         )
     columns.check_units_used(channels)
     return Record(

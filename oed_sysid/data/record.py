@@ -422,5 +422,7 @@ def time_fault(times: np.ndarray) -> tuple[int, str] | None:
 
 def closest(name: str, names: Iterable[str]) -> str:
     """Sentence that suggests the nearest name, empty if none is near."""
-    matches = difflib.get_close_matches(name, list(names), n=1)
-    return f" Did you mean {matches[0]!r}?" if matches else ""
+    # Letters that differ in size only are the nearest.
+    known = {one.lower(): one for one in names}
+    matches = difflib.get_close_matches(name.lower(), list(known), n=1)
+    return f" Did you mean {known[matches[0]]!r}?" if matches else ""

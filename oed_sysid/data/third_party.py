@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +24,7 @@ from oed_sysid.data.originals import (
 )
 from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError
+from oed_sysid.files import write_bytes
 
 Convert = Callable[[bytes], bytes]
 
@@ -158,10 +158,7 @@ def _fetch(file: DataFile, folder: Path) -> Path:
             f"{file.url} was downloaded, but does not give the registered {file.path}: its SHA-256 "
             f"differs. The source has changed; compare with {file.source}."
         )
-    place.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=place.parent, delete=False) as handle:
-        handle.write(content)
-    os.replace(handle.name, place)
+    write_bytes(place, content)
     return place
 
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from oed_sysid.data.csv_table import write_table
 from oed_sysid.errors import DesignError, FileError
+from oed_sysid.files import make_folder
 from oed_sysid.logs.libraries import library
 from oed_sysid.model import Model
 
@@ -167,6 +168,7 @@ def write_bag(path: str | Path, model: Model, times: np.ndarray, inputs: np.ndar
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     kind = "std_msgs/msg/Float64"
     message = store.types[kind]
+    make_folder(place.parent)
     with rosbag2.Writer(place, version=8) as writer:
         links = [
             writer.add_connection(f"{TOPIC}/{name}", kind, typestore=store)

@@ -107,7 +107,7 @@ def design_experiment(
     constants : mapping of str to float, optional
         Values of the other inputs.
     neutral : mapping of str to float, optional
-        Command before the run, where it is not zero.
+        Command before the run; by default zero, or the middle of a range without zero.
     initial : mapping of str to float, optional
         Start state.
     end : mapping of str to (lower, upper), optional
@@ -330,8 +330,8 @@ def _searched(
     if not first:
         raise DesignError(
             f"All {n_candidates} rough manoeuvres make model {plan.model.name!r} diverge: it "
-            "is unstable on its own. Design a closed loop, parametrisation=ZigZags(...), or "
-            "a shorter run."
+            "is unstable on its own. Design a shorter run, or in Python a closed loop, "
+            "parametrisation=ZigZags(...)."
         )
     found = search(objective, first, n_steps=n_steps, progress=progress, journal=keep)
     if found.best is None:
@@ -351,8 +351,8 @@ def _check_neutral(plan: Plan) -> None:
     at_start = Limits(signals=dict(plan.limits.signals)).violations(run.times[:1], first)
     if at_start:
         raise DesignError(
-            f"The start already breaks the limits: {'; '.join(at_start)}. Change initial or the "
-            "limits."
+            f"The start already breaks the limits: {'; '.join(at_start)}. Change the start "
+            "(initial, on the command line --like with another experiment) or the limits."
         )
 
 
@@ -363,9 +363,8 @@ def _infeasible(plan: Plan, found: Found) -> str:
     if not words and plan.caution is not None:
         raise DesignError(
             f"No manoeuvre was found that keeps all limits on {plan.caution.probability:.0%} of "
-            "the vehicles with other coefficients. Design a closed loop, "
-            "parametrisation=ZigZags(...), a shorter run, or do a gentle trial first and design "
-            "from its fit."
+            "the vehicles with other coefficients. Design a shorter run, do a gentle trial first "
+            "and design from its fit, or in Python a closed loop, parametrisation=ZigZags(...)."
         )
     if not words:
         words = ("for other values of the parameters the corridor is left",)

@@ -31,7 +31,7 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.corridor import Corridor
-from oed_sysid.design.parametrisation import Grid
+from oed_sysid.design.parametrisation import Grid, neutral_within
 from oed_sysid.design.reference import ATTITUDES, _side, as_piecewise
 from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
@@ -184,20 +184,20 @@ class _Stand:
         if not names:
             raise DesignError(
                 f"Pattern {pattern.name!r} leaves no input with a range to command. Give "
-                "Limits(inputs={'rudder': (-0.3, 0.3)})."
+                "Limits(inputs={'rudder': (-0.3, 0.3)}), on the command line --limit rudder=-17:17."
             )
         self.model, self.limits, self.pattern = model, limits, pattern
         self.vehicles, self.kept = vehicles, kept
         self.name = names[0]
         lower, upper = limits.inputs[self.name]
-        rest = min(max(0.0, lower), upper)
+        rest = neutral_within(lower, upper)
         n = int(np.floor(length / pattern.sample_time + 1e-9))
         one = np.ones(1)
         self.grid = Grid(
             np.arange(n + 1) * pattern.sample_time, (self.name,), lower * one, upper * one,
             rest * one, limits.rates.get(self.name, np.inf) * (1 - 1e-9) * one,
         )  # fmt: skip
-        others = {n: float(np.clip(0.0, *limits.inputs[n])) for n in names[1:]}
+        others = {n: neutral_within(*limits.inputs[n]) for n in names[1:]}
         self.held = held | others
         self.corridor = Corridor.of(model, limits, {}, kernel(model).n_full)
         self.turns = bool({"psi", "r"} & {*model.state_names, *model.output_names})
@@ -289,7 +289,7 @@ class _Stand:
         if attitude is None:
             return
         largest = self.reach
-        sign = _side(self.model, self.grid, attitude, self.held, dict(self.pattern.initial))
+        sign = self.side(attitude)
         equal = [[(share * angle, share * angle) for share in SHARES[:4]] for angle in ZIGZAGS]
         quick = [[(angle, share * angle) for share in _QUICK] for angle in ZIGZAGS[1:]]
         seen: set[tuple[float, float]] = set()
@@ -319,13 +319,13 @@ class _Stand:
         initial = dict(self.pattern.initial)
         begin = initial.get(attitude, 0.0)
         wide = min(upper - begin, begin - lower)
-        if not (np.isfinite(wide) and wide > 0) or _RATES[attitude] not in known:
+        if not (np.isfinite(wide) and wide > 0 and self.reach > 0) or _RATES[attitude] not in known:
             return
         largest = self.reach
         time = self.turning_time(attitude, begin, largest, 0.5 * wide)
         if time is None:
             return
-        sign = _side(self.model, self.grid, attitude, self.held, initial)
+        sign = self.side(attitude)
         kept, room = self.kept_depth(attitude, known)
         for control, share in product(_CONTROLS, _LEADS):
             size, lead = control * largest, float(f"{share * time:.2g}")
@@ -349,6 +349,11 @@ class _Stand:
         """Largest command to either side of the neutral one."""
         grid = self.grid
         return float(min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0]))
+
+    def side(self, attitude: str) -> int:
+        """+1 if a positive command lets the attitude grow."""
+        neutral, initial = float(self.grid.neutral[0]), dict(self.pattern.initial)
+        return _side(self.model, self.grid, 0, neutral, attitude, self.held, initial)
 
     def swings(
         self,

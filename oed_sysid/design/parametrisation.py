@@ -55,6 +55,19 @@ class Grid:
         return commands
 
 
+def neutral_within(lower: float, upper: float) -> float:
+    """Neutral command of a range: zero, or the middle of a range without zero.
+
+    At its limit an input could move to one side only.
+
+    Examples
+    --------
+    >>> neutral_within(-0.3, 0.3), neutral_within(1.75, 3.25)
+    (0.0, 2.5)
+    """
+    return 0.0 if lower <= 0.0 <= upper else 0.5 * (lower + upper)
+
+
 @runtime_checkable
 class Shape(Protocol):
     """A family on a grid; :class:`Levels` shows how to write another."""

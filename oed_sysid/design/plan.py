@@ -15,7 +15,7 @@ from oed_sysid.design.criteria import Criterion, Setting
 from oed_sysid.design.discrimination import ByShifts, Completing, Discriminate
 from oed_sysid.design.elimination import log_determinant
 from oed_sysid.design.objective import Objective, Score
-from oed_sysid.design.parametrisation import Grid, Levels, Shape
+from oed_sysid.design.parametrisation import Grid, Levels, Shape, neutral_within
 from oed_sysid.design.reference import as_piecewise
 from oed_sysid.design.reveal import Chance, Reveal
 from oed_sysid.design.robust import Robust, draw_models, draw_structures
@@ -341,7 +341,8 @@ def _check_inputs(
 ) -> None:
     if not names:
         raise DesignError(
-            "No input is left to design. Give its range: Limits(inputs={'rudder': (-0.3, 0.3)})."
+            "No input is left to design. Give its range: Limits(inputs={'rudder': (-0.3, 0.3)}), "
+            "on the command line --limit rudder=-17:17."
         )
     for name in names:
         if name not in model.input_names:
@@ -353,13 +354,15 @@ def _check_inputs(
         if pair is None or not np.all(np.isfinite(pair)):
             raise DesignError(
                 f"The input {name!r} is to be designed but has no finite range. Give "
-                f"Limits(inputs={{{name!r}: (lower, upper)}})."
+                f"Limits(inputs={{{name!r}: (lower, upper)}}), on the command line "
+                f"--limit {name}=LOWER:UPPER."
             )
     for name in model.input_names:
         if name not in names and name not in held:
             raise DesignError(
                 f"The input {name!r} is neither designed nor constant. Give "
-                f"constants={{{name!r}: value}} or a range in the limits."
+                f"constants={{{name!r}: value}} or a range in the limits, on the command line "
+                f"--limit {name}=LOWER:UPPER or --like with an experiment that holds it."
             )
 
 
@@ -377,8 +380,7 @@ def _grid(
             "duration of ten samples or more."
         )
     lower, upper = np.array([limits.inputs[n] for n in names]).T
-    rest = np.array([neutral.get(n, min(max(0.0, limits.inputs[n][0]), limits.inputs[n][1]))
-                     for n in names])  # fmt: skip
+    rest = np.array([neutral.get(n, neutral_within(*limits.inputs[n])) for n in names])
     if np.any(rest < lower) or np.any(rest > upper):
         raise DesignError("A neutral command lies outside the range of its input. Correct it.")
     n_steps = int(np.floor(duration / sample_time + 1e-9))

@@ -51,37 +51,39 @@ def zigzags(
     initial: dict[str, float],
     angles: tuple[float, ...] = (5.0, 10.0),
 ) -> list[tuple[str, Experiment, str]]:
-    """Return zigzags of the first designed input that keep the limits.
+    """Return zigzags of one designed input that keep the limits.
 
-    Without an attitude among the outputs or states, a square wave takes their
-    place. Amplitude and switching angle are made smaller together until all
-    limits are kept.
+    It is the first that is an angle and has room on both sides of its neutral value, as the
+    angles of a zigzag mean nothing for a speed; else the first with room, else the first about
+    the middle of its range. Without an attitude among the outputs or states, a square wave takes
+    their place. Amplitude and switching angle are made smaller together until all limits are kept.
 
     Returns
     -------
     list of (name, Experiment, note)
     """
-    name = grid.inputs[0]
+    column, neutral = _moved(model, grid)
+    name = grid.inputs[column]
     known = (*model.output_names, *model.state_names)
     attitude = next((a for a in ATTITUDES if a in known), None)
     held = constants | {
         other: float(grid.neutral[i]) for i, other in enumerate(grid.inputs) if other != name
     }
-    largest = min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0])
-    rate = None if not np.isfinite(grid.rates[0]) else float(grid.rates[0])
+    largest = float(min(grid.upper[column] - neutral, neutral - grid.lower[column]))
+    rate = float(grid.rates[column]) if np.isfinite(grid.rates[column]) else None
     found = []
     for angle in angles if attitude else (0.0,):
         for share in _SHARES:
             if attitude:
                 size = min(radians(angle) * share, largest)
-                sign = _side(model, grid, attitude, held, initial)
+                sign = _side(model, grid, column, neutral, attitude, held, initial)
                 manoeuvre: ZigZag | Piecewise = ZigZag(
                     name, size, radians(angle) * share, feedback=(attitude,), rate=rate, sign=sign,
-                    neutral=float(grid.neutral[0]),
+                    neutral=neutral,
                 )  # fmt: skip
                 title = f"zigzag {angle:g}/{angle:g}"
             else:
-                manoeuvre = _square(grid, share * largest)
+                manoeuvre = _square(grid, column, neutral, share * largest)
                 title = "square wave"
             try:
                 experiment = Experiment(
@@ -101,6 +103,18 @@ def zigzags(
     return found
 
 
+def _moved(model: Model, grid: Grid) -> tuple[int, float]:
+    """Column of the input that a standard manoeuvre moves, and the value that it moves about."""
+    room = np.minimum(grid.upper - grid.neutral, grid.neutral - grid.lower)
+    able = [column for column in range(len(grid.inputs)) if room[column] > 0.0]
+    units = {channel.name: channel.unit for channel in model.inputs}
+    angles = [column for column in able if units[grid.inputs[column]] == "rad"]
+    if not able:
+        return 0, float(0.5 * (grid.lower[0] + grid.upper[0]))
+    column = (angles or able)[0]
+    return column, float(grid.neutral[column])
+
+
 def _inside(model: Model, corridor: Corridor, states: np.ndarray, outputs: np.ndarray) -> bool:
     """Whether limits during the run are kept; what is asked of the end is waived."""
     n_states = len(state_names(model))
@@ -115,28 +129,32 @@ def _inside(model: Model, corridor: Corridor, states: np.ndarray, outputs: np.nd
 
 
 def _side(
-    model: Model, grid: Grid, attitude: str, held: dict[str, float], initial: dict[str, float]
+    model: Model,
+    grid: Grid,
+    column: int,
+    neutral: float,
+    attitude: str,
+    held: dict[str, float],
+    initial: dict[str, float],
 ) -> int:
     """+1 if a positive command lets the attitude grow."""
     n_times = min(len(grid.times), max(5, len(grid.times) // 10))
     times = grid.times[:n_times]
     ends = []
     for side in (-1.0, 1.0):
-        size = 0.2 * (
-            grid.upper[0] - grid.neutral[0] if side > 0 else grid.neutral[0] - grid.lower[0]
-        )
-        inputs = held | {grid.inputs[0]: float(grid.neutral[0] + side * size)}
+        size = 0.2 * (grid.upper[column] - neutral if side > 0 else neutral - grid.lower[column])
+        inputs = held | {grid.inputs[column]: float(neutral + side * size)}
         run = simulate_inputs(model, times, inputs=inputs, initial=initial, throw=False)
         ends.append(float(np.nan_to_num(run.signal(attitude)[-1])))
     return 1 if ends[1] >= ends[0] else -1
 
 
-def _square(grid: Grid, height: float) -> Piecewise:
+def _square(grid: Grid, column: int, neutral: float, height: float) -> Piecewise:
     """Square wave of eight half-periods, within the rate limit."""
     period = np.sign(np.sin(np.pi * np.arange(len(grid.times)) * 8 / len(grid.times)) + 1e-12)
     orders = np.broadcast_to(grid.neutral, (1, len(grid.times), len(grid.inputs))).copy()
-    orders[0, :, 0] += height * period
-    return as_piecewise(grid.inputs[0], grid.times, grid.limited(orders)[0, :, 0])
+    orders[0, :, column] = neutral + height * period
+    return as_piecewise(grid.inputs[column], grid.times, grid.limited(orders)[0, :, column])
 
 
 def as_piecewise(name: str, times: np.ndarray, values: np.ndarray) -> Piecewise:

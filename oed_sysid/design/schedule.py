@@ -17,6 +17,7 @@ from oed_sysid.design.library import Candidate
 from oed_sysid.design.quantities import percent
 from oed_sysid.design.reveal import Chance, missing_physics
 from oed_sysid.display import as_html
+from oed_sysid.files import make_folder
 from oed_sysid.information import Information
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
@@ -344,8 +345,7 @@ class Programme:
         -------
         tuple of Path
         """
-        place = Path(folder)
-        place.mkdir(parents=True, exist_ok=True)
+        place = make_folder(folder)
         written = []
         for number, run in enumerate(self.runs, start=1):
             record = simulate(self.model, run.experiment, noise=False)

@@ -95,7 +95,7 @@ def _find(name_or_folder: str | Path) -> Path:
         found = ", ".join(sorted(entry.name for entry in path.iterdir())[:8]) or "nothing"
         raise ProblemError(
             f"The folder {path} has no {FILE}; it holds {found}. Write one, or start from "
-            "oed_sysid.new_problem(folder)."
+            "one that works: oed-sysid new FOLDER, in Python oed_sysid.new_problem(folder)."
         )
     names = ", ".join(shipped) or "none"
     near = difflib.get_close_matches(path.name, shipped, n=3, cutoff=0.5)
@@ -108,7 +108,7 @@ def _find(name_or_folder: str | Path) -> Path:
     raise ProblemError(
         f"There is no problem {str(name_or_folder)!r}: it is not shipped, and there is {looked}."
         f"{hint} Shipped problems: {names}. A folder of your own is made by "
-        "oed_sysid.new_problem(folder)."
+        "oed-sysid new FOLDER, in Python oed_sysid.new_problem(folder)."
     )
 
 

@@ -240,8 +240,8 @@ class Problem:
             return self.others[name]
         if name not in self.models:
             raise ProblemError(
-                f"Problem {self.name!r} has no model {name!r}. It has {', '.join(self.variants)}."
-                + closest(name, self.variants)
+                f"Problem {self.name!r} has no model {name!r}. It has {', '.join(self.variants)} "
+                f"({DEFAULT} is the nominal one)." + closest(name, self.variants)
             )
         if name == DEFAULT:
             return self

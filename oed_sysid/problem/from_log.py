@@ -18,7 +18,7 @@ import numpy as np
 from oed_sysid.data.csv_columns import TIME_NAMES
 from oed_sysid.data.csv_table import read_table
 from oed_sysid.errors import DataError, ProblemError
-from oed_sysid.files import write_text
+from oed_sysid.files import make_folder, write_text
 from oed_sysid.language.expressions import CONSTANTS, FUNCTIONS
 from oed_sysid.language.units import parse_header, to_si
 from oed_sysid.problem.catalogue import FILE
@@ -66,7 +66,7 @@ def write_from_log(place: Path, log: Path, inputs: tuple[str, ...], words: dict[
     if not measured:
         raise ProblemError(f"All columns of {log.name} are commands; at least one is an output.")
     code = _problem(words, times, commands, measured, log.name)
-    (place / "data").mkdir(parents=True, exist_ok=True)
+    make_folder(place / "data")
     shutil.copyfile(log, place / "data" / f"{log.stem}.csv")
     write_text(place / FILE, code)
     listed = ", ".join(f"`{s.name}` [{s.unit}]" for s in (*commands, *measured))

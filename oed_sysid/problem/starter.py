@@ -7,6 +7,7 @@ states. From a log, the template is written anew: see :mod:`oed_sysid.problem.fr
 from __future__ import annotations
 
 import re
+import shlex
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
@@ -18,7 +19,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import write_csv
 from oed_sysid.errors import FileError, ProblemError
-from oed_sysid.files import write_text
+from oed_sysid.files import make_folder, write_text
 from oed_sysid.problem.catalogue import FILE, load_problem
 from oed_sysid.problem.from_log import write_from_log
 from oed_sysid.simulation import simulate
@@ -112,15 +113,19 @@ def new_problem(
     name = _identifier(place.resolve().name)
     if place.exists() and (not place.is_dir() or any(place.iterdir())):
         raise ProblemError(
-            f"{place} exists already and is not an empty folder. Give a new name, or load it with "
-            "oed_sysid.load_problem."
+            f"{place} exists already and is not an empty folder. Give a new name, or go on with "
+            "it: oed-sysid problems FOLDER, in Python oed_sysid.load_problem(folder)."
         )
     if template not in TEMPLATES:
         raise ProblemError(f"No template is called {template!r}. Choose {', '.join(TEMPLATES)}.")
-    words = {"name": name, "title": name.replace("_", " ").capitalize(), "folder": place.as_posix()}
+    words = {
+        "name": name,
+        "title": name.replace("_", " ").capitalize(),
+        "folder": shlex.quote(place.as_posix()),
+    }
     is_new = not place.exists()
     try:
-        place.mkdir(parents=True, exist_ok=True)
+        make_folder(place)
         # Made inside, hidden, and moved when all of it is there.
         with tempfile.TemporaryDirectory(dir=place, prefix=".") as made:
             if log is not None:
@@ -133,7 +138,9 @@ def new_problem(
         if is_new:
             with suppress(OSError):
                 place.rmdir()
-        if isinstance(error, OSError | FileError):
+        if isinstance(error, FileError):
+            raise ProblemError(str(error)) from None
+        if isinstance(error, OSError):
             raise ProblemError(f"{place} cannot be written: {error}") from None
         raise
     return place

@@ -100,7 +100,8 @@ def _draw_noise(
     if unknown:
         raise SimulationError(
             f"The noise of {', '.join(unknown)} is not known. Give Output(noise_std=...), "
-            f"Experiment(noise={{{unknown[0]!r}: ...}}), or simulate with noise=False."
+            f"Experiment(noise={{{unknown[0]!r}: ...}}), or simulate without noise (noise=False, "
+            "on the command line --no-noise)."
         )
     scales = np.array([stds[name] for name in model.output_names], dtype=float)
     if not scales.any():

@@ -15,6 +15,9 @@ from oed_sysid.model import Model
 
 # Real-axis limit of stability of the classical Runge-Kutta method.
 _STABLE_PRODUCT = 2.78
+# No vehicle gets there: a state beyond this many of its scales (or of its SI unit, where the scale
+# is smaller) has run away, although it is a number still.
+RUNAWAY = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +106,8 @@ def simulate_inputs(
     initial : mapping of str to float, or array_like (n_own,)
         Start values of the model's own states; those left out are zero.
     throw : bool
-        Raise if the trajectory diverges; otherwise see ``failed_at``.
+        Raise if the trajectory diverges, to no number or beyond 1e12 of a state's scale;
+        otherwise see ``failed_at``.
 
     Returns
     -------
@@ -142,9 +146,25 @@ def simulate_inputs(
         output_names=model.output_names,
         failed_at=run.failed_at,
     )
-    if throw and not trajectory.ok:
-        raise SimulationError(_divergence(model, trajectory))
+    if throw:
+        end = _runaway(model, trajectory)
+        if end >= 0:
+            raise SimulationError(_divergence(model, trajectory, end))
     return trajectory
+
+
+def _scales(model: Model, n_states: int) -> np.ndarray:
+    """Sizes of the states, those of effects 1."""
+    own = [state.scale for state in model.states]
+    return np.array(own + [1.0] * (n_states - len(own)))
+
+
+def _runaway(model: Model, trajectory: Trajectory) -> int:
+    """First sample at which the state is no number, or none that a vehicle has; -1 for none."""
+    states = trajectory.states[: trajectory.failed_at] if not trajectory.ok else trajectory.states
+    beyond = np.abs(states) > RUNAWAY * np.maximum(_scales(model, states.shape[1]), 1.0)
+    found = np.flatnonzero(beyond.any(axis=1))
+    return int(found[0]) if found.size else trajectory.failed_at
 
 
 def state_names(model: Model) -> tuple[str, ...]:
@@ -207,23 +227,22 @@ def start_array(model: Model, initial: Mapping[str, float] | ArrayLike | None) -
     return own
 
 
-def _divergence(model: Model, trajectory: Trajectory) -> str:
-    """Say which state grew, when, and what to do about it."""
-    last = trajectory.failed_at - 1
-    if last < 0:
+def _divergence(model: Model, trajectory: Trajectory, end: int) -> str:
+    """Say which state grew, when, and what to do about it; ``end`` is the first sample lost."""
+    last, is_number = end - 1, end != trajectory.failed_at
+    if last < 0 and not is_number:
         return (
             f"The start of model {model.name!r} is not a number. Look for a division by zero or a "
             "root of a negative number in its equations or initial expressions."
         )
-    state = trajectory.states[last]
-    extra = [1.0] * (len(state) - len(model.states))
-    scales = np.array([*(own.scale for own in model.states), *extra])
-    worst = int(np.argmax(np.abs(state) / scales))
-    text = (
-        f"Model {model.name!r} diverged between t = {trajectory.times[last]:g} and "
-        f"{trajectory.times[trajectory.failed_at]:g} s; the last finite sample has "
-        f"{trajectory.state_names[worst]} = {state[worst]:.4g}"
-    )
+    state = trajectory.states[end if is_number else last]
+    worst = int(np.argmax(np.abs(state) / _scales(model, len(state))))
+    value = f"{trajectory.state_names[worst]} = {state[worst]:.4g}"
+    if last < 0:
+        return f"Model {model.name!r} starts with {value}, which no vehicle has. Check its unit."
+    text = f"Model {model.name!r} diverged between t = {trajectory.times[last]:g} and "
+    text += f"{trajectory.times[end]:g} s; the {'latter' if is_number else 'last finite sample'} "
+    text += f"has {value}"
     fastest = _fastest_mode(model, trajectory)
     if fastest * model.step > _STABLE_PRODUCT:
         return (

@@ -1,0 +1,57 @@
+"""Records for a command: read with the channels of its problem, their clock looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from oed_sysid.cli.arguments import TIME_UNIT
+from oed_sysid.cli.terminal import kept
+from oed_sysid.errors import DataError
+
+if TYPE_CHECKING:
+    from oed_sysid.data.dataset import Dataset
+    from oed_sysid.fitting.fit import Fit
+    from oed_sysid.model import Model
+    from oed_sysid.problem import Problem
+
+# Milliseconds under [s] make a log a thousand times as long. A record is taken for such a log if
+# its interval is so many seconds, and so many times the usual one: a heading that is logged every
+# 3 s for a model with steps of 0.01 s is none.
+LONG_INTERVAL, LONG_SHARE = 5.0, 200.0
+
+
+def read_records(files: Sequence[str], problem: Problem) -> Dataset:
+    """Read records with the channels of a problem.
+
+    Raises
+    ------
+    DataError
+        If a file cannot be used, or its times seem to be milliseconds and no ``--time-unit`` says
+        what they are.
+    """
+    intervals = (run.sample_time for run in problem.experiments.values())
+    return _read(files, problem.model, intervals)
+
+
+def read_records_of(files: Sequence[str], fit: Fit) -> Dataset:
+    """Read records to be predicted by a fit; as :func:`read_records`."""
+    return _read(files, fit.model, (record.sample_time for record in fit.dataset))
+
+
+def _read(files: Sequence[str], model: Model, intervals: Iterable[float]) -> Dataset:
+    from oed_sysid.data.dataset import read_csv
+
+    unit = kept(TIME_UNIT)
+    dataset = read_csv(files, model.channels, units={"time": unit} if unit else None)
+    usual = max([model.step, *intervals])
+    for record in dataset:
+        interval = record.sample_time
+        if not unit and interval >= LONG_INTERVAL and interval >= LONG_SHARE * usual:
+            raise DataError(
+                f"Record {record.name!r} has a sample every {interval:.4g} s and lasts "
+                f"{record.duration / 3600:.3g} h, but {usual:.3g} s is usual for {model.name!r}: "
+                "its times seem to be milliseconds. Write the header as 't [ms]', or add "
+                "--time-unit ms; if they are seconds, add --time-unit s."
+            )
+    return dataset
