@@ -15,7 +15,9 @@ TWO_SIDED_95 = 1.96
 
 
 # Findings with which a fit must not be used whatever its residuals say.
-CONTRADICTIONS = ("sign", "unit", "swap", "frame", "offset", "dead", "duplicate", "clock")
+CONTRADICTIONS = (
+    "sign", "unit", "swap", "frame", "offset", "dead", "duplicate", "clock", "unexplained",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class Finding:
     kind : str
         What: ``sign``, ``unit``, ``swap``, ``frame``, ``bias``, ``scale``, ``delay``, ``lever``,
         ``misalignment``, ``drift``, ``spikes``, ``dropouts``, ``frozen``, ``saturated``, ``held``,
-        ``dead``, ``gap``, ``clock``, ``duplicate``, ``quantised``, ``noise`` …
+        ``dead``, ``gap``, ``clock``, ``duplicate``, ``quantised``, ``noise``, ``unexplained`` …
     signals : tuple of str
         Signals concerned.
     records : tuple of str
