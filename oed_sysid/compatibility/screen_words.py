@@ -26,7 +26,7 @@ SENTENCES = {
         True,
     ),
     "spikes": (
-        "{signal} has {n} isolated {samples} that {its} neighbours contradict.",
+        "{signal} has {n} {samples}, alone or in short groups, that {its} neighbours contradict.",
         "least squares follows the worst samples; errors are stated too small",
         BLANK,
         True,

@@ -7,8 +7,9 @@ Spikes are looked for in what a cubic through four neighbours does not explain,
 at 8.5 times the robust deviation of :math:`d`, globally and nearby: with normal noise one in
 :math:`10^{16}` samples. A kink, where a rudder starts to move say, changes the slope and is left
 alone: the deviation from both neighbours has to exceed 1.5 times the change of slope around it.
-Where chance would hardly put so many of them right after steps of the inputs, those there are no
-spikes but answers that are faster than the sampling.
+Groups of bad samples are found by :mod:`~oed_sysid.compatibility.bursts`. Where chance would hardly
+put so many of them right after steps of the inputs, those there are no spikes but answers that are
+faster than the sampling.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import bdtrc
 
+from oed_sysid.compatibility.bursts import bursts
 from oed_sysid.compatibility.traces import QUARTILE, Trace
 
 SPIKE = 8.5
@@ -129,8 +131,8 @@ def _faults(trace: Trace, name: str, noisy: bool) -> Iterator[Fault]:
 def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     """Faults of all records, and the records with what is faster than its samples marked.
 
-    Isolated samples of one signal that follow steps of the inputs more often than chance would have
-    it are its answers. Smaller steps are answered as fast, only less clearly: all are marked.
+    Samples of one signal that stand out and follow steps of the inputs more often than chance would
+    have it are its answers. Smaller steps are answered as fast, only less clearly: all are marked.
     """
     faults = [fault for trace in traces for fault in screen(trace)]
     after = {trace.name: trace.pushed for trace in traces}
@@ -138,18 +140,25 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     fast = set()
     for name in {fault.signal for fault in faults if fault.kind == "spikes"}:
         spikes = [f for f in faults if f.kind == "spikes" and f.signal == name]
-        number = sum(f.rows.size for f in spikes)
-        following = sum(int(after[f.record][f.rows].sum()) for f in spikes)
+        groups = [(f.record, rows) for f in spikes for rows in _together(f.rows)]
+        number = len(groups)
+        following = sum(bool(after[record][rows[0]]) for record, rows in groups)
         if following and bdtrc(following - 1, number, share) < CHANCE:
             fast.add(name)
     kept = []
     for fault in faults:
         if fault.kind == "spikes" and fault.signal in fast:
-            rows = fault.rows[~after[fault.record][fault.rows]]
+            left = [g for g in _together(fault.rows) if not after[fault.record][g[0]]]
+            rows = np.concatenate([np.empty(0, dtype=int), *left])
             fault = replace(fault, rows=rows, amount=float(rows.size))
         if fault.kind != "spikes" or fault.rows.size:
             kept.append(fault)
     return kept, [replace(trace, fast=frozenset(fast)) for trace in traces]
+
+
+def _together(rows: np.ndarray) -> list[np.ndarray]:
+    """Groups of consecutive samples."""
+    return np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if rows.size else []
 
 
 def _is_clipped(runs: Runs, flat: np.ndarray) -> bool:
@@ -202,7 +211,7 @@ def _deviation(series: np.ndarray) -> np.ndarray:
 
 
 def _spikes(times: np.ndarray, series: np.ndarray, taken: np.ndarray, coarse: bool) -> np.ndarray:
-    """Indices of isolated samples that their neighbours contradict."""
+    """Indices of samples, alone or in short groups, that their neighbours contradict."""
     y = series.copy()
     y[taken] = np.interp(np.flatnonzero(taken), np.flatnonzero(~taken), series[~taken])
     d = _deviation(y)
@@ -233,4 +242,7 @@ def _spikes(times: np.ndarray, series: np.ndarray, taken: np.ndarray, coarse: bo
             continue
         found.append(int(i))
         y[i] = middle
-    return np.sort(np.array(found, dtype=int))
+    known = taken.copy()
+    known[found] = True
+    groups = bursts(times, y, known, SPIKE, floor)
+    return np.sort(np.concatenate([np.array(found, dtype=int), *groups]))
