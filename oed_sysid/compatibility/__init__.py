@@ -11,8 +11,8 @@ rates. If they do not hold, a sensor, a unit, a sign or a clock is wrong, and no
 right. The check goes from what is obvious to what is subtle, and each step undoes what it found
 before the next one looks:
 
-0. single signals: spikes, drop-outs, frozen, cut-off, dead, held or coarse signals, gaps, copies
-   (:mod:`~oed_sysid.compatibility.screens`);
+0. single signals: spikes, steps, drop-outs, frozen, cut-off, dead, held or coarse signals, gaps,
+   copies (:mod:`~oed_sysid.compatibility.screens`);
 1. faults that are there or not: sign, unit, swapped columns, axes of the velocities
    (:mod:`~oed_sysid.compatibility.discrete`);
 2. faults with a size: bias, scale, delay, lever arm, misalignment, drift

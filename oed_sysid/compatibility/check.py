@@ -175,6 +175,7 @@ def _screened(
     traces = [Trace.of(r, spare_signals(r) if spare else {}) for r in dataset]
     faults, traces = screened(traces)
     findings = screen_findings(dataset, traces, faults)
+    jumps = [f.correction for f in findings if f.kind == "step" and f.correction is not None]
     clean = []
     for trace in traces:
         rows: dict[str, np.ndarray] = {}
@@ -182,7 +183,7 @@ def _screened(
             if fault.record == trace.name and fault.kind in BLANKED:
                 known = rows.get(fault.signal, np.empty(0, dtype=int))
                 rows[fault.signal] = np.union1d(known, fault.rows).astype(int)
-        clean.append(trace.blank(rows))
+        clean.append(undo(trace.blank(rows), jumps))
     dead = {fault.signal for fault in faults if fault.kind == "dead"}
     everywhere = set.intersection(*(set(trace.values) for trace in traces))
     standard = everywhere - set(model.output_names)

@@ -7,9 +7,9 @@ Spikes are looked for in what a cubic through four neighbours does not explain,
 at 8.5 times the robust deviation of :math:`d`, globally and nearby: with normal noise one in
 :math:`10^{16}` samples. A kink, where a rudder starts to move say, changes the slope and is left
 alone: the deviation from both neighbours has to exceed 1.5 times the change of slope around it.
-Groups of bad samples are found by :mod:`~oed_sysid.compatibility.bursts`. Where chance would hardly
-put so many of them right after steps of the inputs, those there are no spikes but answers that are
-faster than the sampling.
+Groups of bad samples are found by :mod:`~oed_sysid.compatibility.bursts`, lasting jumps by
+:mod:`~oed_sysid.compatibility.steps`. Where chance would hardly put so many of them right after
+steps of the inputs, those there are no faults but answers that are faster than the sampling.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ import numpy as np
 from scipy.special import bdtrc
 
 from oed_sysid.compatibility.bursts import bursts
+from oed_sysid.compatibility.steps import SMALL as SMALL_STEP
+from oed_sysid.compatibility.steps import steps
 from oed_sysid.compatibility.traces import QUARTILE, Trace
 
 SPIKE = 8.5
@@ -32,17 +34,32 @@ LEAST_SAMPLES = 20
 UNIQUE = 0.6
 # Probability below which spikes after steps of the inputs are none.
 CHANCE = 0.05
+# Faults that may be answers to the inputs.
+ANSWERS = ("spikes", "step")
 
 
 @dataclass(frozen=True)
 class Fault:
-    """Samples of one signal in one record that a screen stopped."""
+    """Samples of one signal in one record that a screen stopped; for steps, the size of each."""
 
     kind: str
     signal: str
     record: str
     rows: np.ndarray
     amount: float = 0.0
+    sizes: tuple[float, ...] = ()
+
+    def groups(self) -> list[np.ndarray]:
+        """Positions in ``rows`` of what happened at once."""
+        together = self.kind == "spikes"
+        apart = np.diff(self.rows) > 1 if together else np.ones(self.rows.size - 1, dtype=bool)
+        return np.split(np.arange(self.rows.size), np.flatnonzero(apart) + 1)
+
+    def only(self, chosen: np.ndarray) -> Fault:
+        """Return the fault with some of its rows only."""
+        sizes = tuple(self.sizes[k] for k in chosen) if self.sizes else ()
+        amount = max(sizes, key=abs, default=0.0) if self.sizes else float(chosen.size)
+        return replace(self, rows=self.rows[chosen], amount=amount, sizes=sizes)
 
 
 @dataclass(frozen=True)
@@ -123,9 +140,26 @@ def _faults(trace: Trace, name: str, noisy: bool) -> Iterator[Fault]:
             duration = float(runs.length[frozen].sum()) * trace.step
             yield Fault("frozen", name, trace.name, present[rows], duration)
     if not held:
-        rows = present[_spikes(trace.times[present], series, taken, coarse)]
+        rows = _spikes(trace.times[present], series, taken, coarse)
         if rows.size:
-            yield Fault("spikes", name, trace.name, rows, float(rows.size))
+            taken[rows] = True
+            yield Fault("spikes", name, trace.name, present[rows], float(rows.size))
+        least = max(SMALL_STEP * _reach(series[~taken]), 4.0 * _quantum(series) * coarse)
+        jumped = steps(trace.times[present], series, taken, least)
+        if jumped:
+            sizes = tuple(one.size for one in jumped)
+            rows = present[[one.row for one in jumped]]
+            yield Fault("step", name, trace.name, rows, max(sizes, key=abs), sizes)
+
+
+def _reach(series: np.ndarray) -> float:
+    """Range of a signal without its outermost samples."""
+    return float(np.subtract(*np.quantile(series, [0.98, 0.02])))
+
+
+def _quantum(series: np.ndarray) -> float:
+    """Smallest difference between two values of a signal."""
+    return float(np.min(np.diff(np.unique(series))))
 
 
 def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
@@ -138,27 +172,19 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     after = {trace.name: trace.pushed for trace in traces}
     share = float(np.concatenate([trace.pushed for trace in traces]).mean())
     fast = set()
-    for name in {fault.signal for fault in faults if fault.kind == "spikes"}:
-        spikes = [f for f in faults if f.kind == "spikes" and f.signal == name]
-        groups = [(f.record, rows) for f in spikes for rows in _together(f.rows)]
-        number = len(groups)
-        following = sum(bool(after[record][rows[0]]) for record, rows in groups)
-        if following and bdtrc(following - 1, number, share) < CHANCE:
+    for name in {fault.signal for fault in faults if fault.kind in ANSWERS}:
+        found = [f for f in faults if f.kind in ANSWERS and f.signal == name]
+        begins = [bool(after[f.record][f.rows[group[0]]]) for f in found for group in f.groups()]
+        if any(begins) and bdtrc(sum(begins) - 1, len(begins), share) < CHANCE:
             fast.add(name)
     kept = []
     for fault in faults:
-        if fault.kind == "spikes" and fault.signal in fast:
-            left = [g for g in _together(fault.rows) if not after[fault.record][g[0]]]
-            rows = np.concatenate([np.empty(0, dtype=int), *left])
-            fault = replace(fault, rows=rows, amount=float(rows.size))
-        if fault.kind != "spikes" or fault.rows.size:
+        if fault.kind in ANSWERS and fault.signal in fast:
+            left = [g for g in fault.groups() if not after[fault.record][fault.rows[g[0]]]]
+            fault = fault.only(np.concatenate([np.empty(0, dtype=int), *left]))
+        if fault.kind not in ANSWERS or fault.rows.size:
             kept.append(fault)
     return kept, [replace(trace, fast=frozenset(fast)) for trace in traces]
-
-
-def _together(rows: np.ndarray) -> list[np.ndarray]:
-    """Groups of consecutive samples."""
-    return np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if rows.size else []
 
 
 def _is_clipped(runs: Runs, flat: np.ndarray) -> bool:
@@ -217,10 +243,7 @@ def _spikes(times: np.ndarray, series: np.ndarray, taken: np.ndarray, coarse: bo
     d = _deviation(y)
     if d.size < LEAST_SAMPLES:
         return np.empty(0, dtype=int)
-    reach = float(np.subtract(*np.quantile(y, [0.98, 0.02])))
-    floor = SMALL * reach
-    if coarse:
-        floor = max(floor, 4.0 * float(np.min(np.diff(np.unique(series)))))
+    floor = max(SMALL * _reach(y), 4.0 * _quantum(series) * coarse)
     limit = max(SPIKE * float(np.median(np.abs(d))) / QUARTILE, floor)
     steps = np.diff(times)
     usual = float(np.median(steps))
