@@ -30,6 +30,9 @@ SPIKE = 8.5
 SMALL = 0.01
 LEAST_RUNS = 4
 FROZEN = 8
+# Shortest run of one value that may be a drop-out of its own, and the steps into it and out of it
+# in usual ones.
+LEAST_LOST, SUDDEN = 3, 3.0
 LEAST_SAMPLES = 20
 UNIQUE = 0.6
 # Probability below which spikes after steps of the inputs are none.
@@ -126,7 +129,7 @@ def _faults(trace: Trace, name: str, noisy: bool) -> Iterator[Fault]:
         long = np.flatnonzero(runs.length >= least)
         at_end = np.isin(runs.value, (series.max(), series.min()))
         flat = np.flatnonzero((runs.length >= 3) & at_end & ~taken[runs.first])
-        clipped = flat if _is_clipped(runs, flat) else np.empty(0, dtype=int)
+        clipped = flat if _is_clipped(series, runs, flat) else np.empty(0, dtype=int)
         left = [k for k in long if k not in clipped and not taken[runs.first[k]]]
         sudden = [int(k) for k in left if _is_sudden(series, runs, int(k))]
         frozen = np.array(sudden, dtype=int)
@@ -145,6 +148,9 @@ def _faults(trace: Trace, name: str, noisy: bool) -> Iterator[Fault]:
             taken[rows] = True
             yield Fault("spikes", name, trace.name, present[rows], float(rows.size))
         least = max(SMALL_STEP * _reach(series[~taken]), 4.0 * _quantum(series) * coarse)
+        # Beside samples that stand still a jump is the end of that, not a new level.
+        stuck = runs.rows(np.flatnonzero((runs.length >= LEAST_LOST) & (not coarse)))
+        taken[stuck] = True
         jumped = steps(trace.times[present], series, taken, least)
         if jumped:
             sizes = tuple(one.size for one in jumped)
@@ -187,12 +193,30 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     return kept, [replace(trace, fast=frozenset(fast)) for trace in traces]
 
 
-def _is_clipped(runs: Runs, flat: np.ndarray) -> bool:
-    """Whether flat stretches at the extremes are a limit: the same value in two or more."""
+def _is_clipped(series: np.ndarray, runs: Runs, flat: np.ndarray) -> bool:
+    """Whether flat stretches at the extremes are a limit.
+
+    Two or more have the same value, and the signal comes to it by steps of its usual size: what
+    falls there at once was not measured.
+    """
     if flat.size < 2:
         return False
     _, counts = np.unique(runs.value[flat], return_counts=True)
-    return bool(counts.max() >= 2)
+    into, out = _edges(runs)
+    nearer = np.fmin(into, out)[flat]
+    return bool(counts.max() >= 2 and np.nanmedian(nearer) <= SUDDEN * _usual_step(series))
+
+
+def _edges(runs: Runs) -> tuple[np.ndarray, np.ndarray]:
+    """Steps from the run before into each run, and from it to the next one; NaN at the ends."""
+    between = np.abs(np.diff(runs.value))
+    return np.concatenate([[np.nan], between]), np.concatenate([between, [np.nan]])
+
+
+def _usual_step(series: np.ndarray) -> float:
+    """What 95 in 100 changes from sample to sample stay below, where the signal changes."""
+    changes = np.abs(np.diff(series))
+    return float(np.quantile(changes[changes > 0.0], 0.95))
 
 
 def _is_sudden(series: np.ndarray, runs: Runs, k: int) -> bool:
@@ -227,7 +251,31 @@ def _dropouts(series: np.ndarray, runs: Runs, coarse: bool) -> np.ndarray:
         share = here.sum() / max(int((runs.value == value).sum()), 1)
         if extreme or (here.sum() >= LEAST_RUNS and share > 0.8 and not coarse):
             rows.append(runs.rows(np.flatnonzero(runs.value == value)))
-    return np.sort(np.concatenate(rows)) if rows else np.empty(0, dtype=int)
+    if not coarse:
+        rows.append(_lost(series, runs, least))
+    return np.unique(np.concatenate(rows)) if rows else np.empty(0, dtype=int)
+
+
+def _lost(series: np.ndarray, runs: Runs, least: float) -> np.ndarray:
+    """Samples of runs of one value that a signal falls to at once and leaves at once.
+
+    The value is that of two such runs or more, or beyond all others; a single run of an ordinary
+    value is a sensor that froze.
+    """
+    into, out = _edges(runs)
+    before = np.concatenate([[np.nan], runs.value[:-1]])
+    after = np.concatenate([runs.value[1:], [np.nan]])
+    jump = max(least, SUDDEN * _usual_step(series))
+    with np.errstate(invalid="ignore"):
+        same_side = (runs.value - before) * (runs.value - after) > 0.0
+        fallen = (runs.length >= LEAST_LOST) & (np.minimum(into, out) > jump) & same_side
+    chosen = [
+        k
+        for k in np.flatnonzero(fallen)
+        if (runs.value[fallen] == runs.value[k]).sum() > 1
+        or runs.value[k] in (series.min(), series.max())
+    ]
+    return runs.rows(np.array(chosen, dtype=int))
 
 
 def _deviation(series: np.ndarray) -> np.ndarray:
