@@ -168,3 +168,21 @@ def test_an_underwater_vehicle_whose_compass_was_reset() -> None:
     assert one.correction is not None
     assert all(rows == (150,) for rows in one.correction.rows.values())
     assert one.size == pytest.approx(np.pi / 2.0, abs=0.05)
+
+
+def test_a_heading_that_catches_up_is_not_shifted() -> None:
+    """A compass that coasted through a turn is right after its jump: nothing is subtracted."""
+    data = ships()
+    outputs = data[1].outputs.copy()
+    heading = outputs[:, data.channels.output_names.index("psi")]
+    turned = np.abs(heading[30:] - heading[:-30])
+    first = int(np.argmax(turned))
+    rng = np.random.default_rng(0)
+    heading[first : first + 30] = heading[first] + 0.004 * rng.standard_normal(30)
+    records = (data[0], data[1].with_outputs(outputs), data[2])
+    found = check(Dataset(records), SHIP.model, inputs=False)
+    one = found.named("step", "psi")
+    assert one is not None
+    assert one.size == pytest.approx(heading[first + 30] - heading[first], abs=0.05)
+    assert one.correction is None
+    assert "caught up" in one.says

@@ -17,7 +17,7 @@ from oed_sysid.compatibility.screen_words import screen_findings
 from oed_sysid.compatibility.screens import screened
 from oed_sysid.compatibility.spare import spare_signals
 from oed_sysid.compatibility.traces import Trace
-from oed_sysid.compatibility.unexplained import unexplained_findings
+from oed_sysid.compatibility.unexplained import judged_step, unexplained_findings
 from oed_sysid.compatibility.words import continuous_finding, discrete_finding
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.fitting.start_guess import check_channels
@@ -175,7 +175,6 @@ def _screened(
     traces = [Trace.of(r, spare_signals(r) if spare else {}) for r in dataset]
     faults, traces = screened(traces)
     findings = screen_findings(dataset, traces, faults)
-    jumps = [f.correction for f in findings if f.kind == "step" and f.correction is not None]
     clean = []
     for trace in traces:
         rows: dict[str, np.ndarray] = {}
@@ -183,13 +182,15 @@ def _screened(
             if fault.record == trace.name and fault.kind in BLANKED:
                 known = rows.get(fault.signal, np.empty(0, dtype=int))
                 rows[fault.signal] = np.union1d(known, fault.rows).astype(int)
-        clean.append(undo(trace.blank(rows), jumps))
+        clean.append(trace.blank(rows))
     dead = {fault.signal for fault in faults if fault.kind == "dead"}
     everywhere = set.intersection(*(set(trace.values) for trace in traces))
     standard = everywhere - set(model.output_names)
     missing = set.intersection(*(set(record.missing_outputs) for record in dataset)) | dead
     equations = relations(model, standard, missing)
-    return clean, equations, findings
+    findings = [f if f.kind != "step" else judged_step(f, clean, equations) for f in findings]
+    jumps = [f.correction for f in findings if f.kind == "step" and f.correction is not None]
+    return [undo(trace, jumps) for trace in clean], equations, findings
 
 
 def _ordered(findings: list[Finding]) -> list[Finding]:

@@ -22,11 +22,12 @@ second condition; noise that is correlated from sample to sample is larger than 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from oed_sysid.compatibility.blocks import partial
+from oed_sysid.compatibility.corrections import undo
 from oed_sysid.compatibility.discrete import Changes, changes
 from oed_sysid.compatibility.relations import Relation
 from oed_sysid.compatibility.result import Finding
@@ -110,6 +111,40 @@ def misfit(trace: Trace, relation: Relation) -> Misfit | None:
     louder = float(np.mean(rest**2)) > LOUDER * expected
     alone = abs(rest[largest]) > max(ALONE * usual, np.sqrt(LOUDER * expected))
     return Misfit(trace.name, share, float(times[largest])) if louder or alone else None
+
+
+def judged_step(
+    found: Finding, traces: Sequence[Trace], relations: tuple[Relation, ...]
+) -> Finding:
+    """Return a finding of a step, without its correction where the equations contradict that.
+
+    A signal that catches up with the motion after it was lost jumps as well, and is right
+    afterwards: with the jump subtracted the equations leave more, not less.
+    """
+    (signal,), fix = found.signals, found.correction
+    concerned = [one for one in relations if signal in (one.target, *one.signals)]
+    if fix is None or not concerned:
+        return found
+    touched = [trace for trace in traces if trace.name in fix.rows]
+    gain = 0.0
+    for relation in concerned:
+        before, after = (
+            [part.rest for trace in some for part in changes(trace, relation)]
+            for some in (touched, [undo(trace, (fix,)) for trace in touched])
+        )
+        if before and after:
+            powers = [float(np.mean(np.concatenate(rest) ** 2)) for rest in (before, after)]
+            if min(powers) > 0.0:
+                gain += sum(rest.size for rest in before) * np.log(powers[0] / powers[1])
+    if gain >= 0.0:
+        return found
+    return replace(
+        found,
+        says=f"{found.says.rsplit(':', 1)[0]}: the other signals say that the vehicle moved "
+        "there, so that it was lost before and caught up.",
+        fix="cut the record there with window(); nothing is subtracted in a corrected copy",
+        correction=None,
+    )
 
 
 def _expected(trace: Trace, relation: Relation, parts: list[Changes]) -> float:
