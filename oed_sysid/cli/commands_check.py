@@ -50,7 +50,7 @@ def check(
     [bold]Example[/bold]: oed-sysid check remus_diving_plane dive_*.csv --html check.html
     """
     from oed_sysid.compatibility import check as look
-    from oed_sysid.compatibility import corrected_copies
+    from oed_sysid.compatibility import corrected_copies, why_not_more
     from oed_sysid.data.dataset import write_csv
     from oed_sysid.data.overlap import together
     from oed_sysid.problem import load_problem
@@ -85,6 +85,9 @@ def check(
             note(f"Written: {target}")
         for line in done:
             note(f"Corrected in the copies: {line}")
+        reason = why_not_more(result)
+        if reason:
+            note(f"Not corrected: {reason}")
         if not done:
             note("Nothing to correct: the copies equal the records.")
     if result.suspect:

@@ -11,15 +11,17 @@ rates. If they do not hold, a sensor, a unit, a sign or a clock is wrong, and no
 right. The check goes from what is obvious to what is subtle, and each step undoes what it found
 before the next one looks:
 
-0. single signals: spikes, drop-outs, frozen, cut-off, dead, held or coarse signals, gaps, copies
-   (:mod:`~oed_sysid.compatibility.screens`);
+0. single signals: spikes, steps, drop-outs, frozen, cut-off, dead, held or coarse signals, gaps,
+   copies (:mod:`~oed_sysid.compatibility.screens`);
 1. faults that are there or not: sign, unit, swapped columns, axes of the velocities
    (:mod:`~oed_sysid.compatibility.discrete`);
 2. faults with a size: bias, scale, delay, lever arm, misalignment, drift
    (:mod:`~oed_sysid.compatibility.continuous`, on the residuals of
    :mod:`~oed_sysid.compatibility.blocks` with the noise of
    :mod:`~oed_sysid.compatibility.colour`);
-3. signs and units of inputs, against the nominal model and its priors
+3. equations that fail although all of this is undone
+   (:mod:`~oed_sysid.compatibility.unexplained`);
+4. signs and units of inputs, against the nominal model and its priors
    (:mod:`~oed_sysid.compatibility.inputs`).
 
 The equations come from the model's own text, or follow from standard names of signals
@@ -27,7 +29,7 @@ The equations come from the model's own text, or follow from standard names of s
 """
 
 from oed_sysid.compatibility.check import check, quick_check, signal_check
-from oed_sysid.compatibility.copies import corrected_copies
+from oed_sysid.compatibility.copies import corrected_copies, why_not_more
 from oed_sysid.compatibility.result import Balance, Correction, Finding, LogCheck
 
 __all__ = [
@@ -39,4 +41,5 @@ __all__ = [
     "corrected_copies",
     "quick_check",
     "signal_check",
+    "why_not_more",
 ]

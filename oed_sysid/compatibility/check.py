@@ -17,6 +17,7 @@ from oed_sysid.compatibility.screen_words import screen_findings
 from oed_sysid.compatibility.screens import screened
 from oed_sysid.compatibility.spare import spare_signals
 from oed_sysid.compatibility.traces import Trace
+from oed_sysid.compatibility.unexplained import judged_step, unexplained_findings
 from oed_sysid.compatibility.words import continuous_finding, discrete_finding
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.fitting.start_guess import check_channels
@@ -90,6 +91,7 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
         after = [undo(t, [one.correction for one in sizes], equations) for t in mended]
         balances = _balances(traces, after, equations)
         findings += clock_findings(after, equations)
+        findings += unexplained_findings(after, equations)
     open_points = unchecked(model, equations, traces)
     if inputs:
         fixes = [f.correction for f in findings if f.correction is not None]
@@ -186,7 +188,9 @@ def _screened(
     standard = everywhere - set(model.output_names)
     missing = set.intersection(*(set(record.missing_outputs) for record in dataset)) | dead
     equations = relations(model, standard, missing)
-    return clean, equations, findings
+    findings = [f if f.kind != "step" else judged_step(f, clean, equations) for f in findings]
+    jumps = [f.correction for f in findings if f.kind == "step" and f.correction is not None]
+    return [undo(trace, jumps) for trace in clean], equations, findings
 
 
 def _ordered(findings: list[Finding]) -> list[Finding]:

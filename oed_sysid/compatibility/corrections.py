@@ -17,8 +17,8 @@ from oed_sysid.data.record import Record
 PITCH_LIKE = 1.6
 # What happened last on the way from the vehicle to the log is undone first.
 ORDER = (
-    "blank", "swap", "sign", "unit", "offset", "frame", "delay", "bias", "scale", "misalignment",
-    "lever", "drift",
+    "blank", "step", "swap", "sign", "unit", "offset", "frame", "delay", "bias", "scale",
+    "misalignment", "lever", "drift",
 )  # fmt: skip
 
 
@@ -129,6 +129,10 @@ def _undone(
             result[name] = series.copy()
             result[name][list(one.rows.get(record, ()))] = np.nan
         return result
+    if one.kind == "step":
+        jumps = zip(one.rows.get(record, ()), one.sizes.get(record, ()), strict=True)
+        later = sum((size * (np.arange(times.size) >= row) for row, size in jumps), 0.0)
+        return {name: series - later for name, series in here.items()}
     if one.kind == "drift":
         return {name: series - one.value * (times - times[0]) for name, series in here.items()}
     if one.kind == "frame":

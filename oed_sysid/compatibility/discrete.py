@@ -103,6 +103,21 @@ class Ratios:
         return float(np.sum(self.counts * np.log(other.raw / self.raw)))
 
 
+@dataclass(frozen=True)
+class Changes:
+    """Changes from block to block over one piece of a record, ``(n_blocks - 1,)`` each.
+
+    ``times`` lie between the blocks, ``left`` are the changes of the left side, ``rest`` what the
+    right side leaves of them; a block has ``group`` samples and a ``length`` in s.
+    """
+
+    times: np.ndarray
+    left: np.ndarray
+    rest: np.ndarray
+    group: int
+    length: float
+
+
 def search(
     traces: list[Trace], relations: tuple[Relation, ...]
 ) -> tuple[list[Discrete], list[Trace]]:
@@ -183,13 +198,13 @@ def _fitted(
         products = np.zeros(3)
         for before, after in zip(bases, moved, strict=True):
             pairs = zip(
-                _increments(before, relations[index]),
-                _increments(after, relations[index]),
+                changes(before, relations[index]),
+                changes(after, relations[index]),
                 strict=True,
             )
-            for (_, rest), (_, other) in pairs:
-                change = other - rest
-                products += (rest @ change, change @ change, rest @ rest)
+            for base, turned in pairs:
+                change = turned.rest - base.rest
+                products += (base.rest @ change, change @ change, base.rest @ base.rest)
         if products[1] > 0.0:
             left = max(products[2] - products[0] ** 2 / products[1], 1e-9 * products[2])
             above -= products[0] / left
@@ -242,7 +257,7 @@ def ratios(
             continue
         sums = np.zeros(4)
         for trace in traces:
-            for left, rest in _increments(trace, relation):
+            for left, rest in ((part.left, part.rest) for part in changes(trace, relation)):
                 sums += (rest @ rest, left @ left, _spread(rest), _spread(left))
                 counts[i] += left.size
         if counts[i] and sums[1] > 0.0 and sums[3] > 0.0:
@@ -260,14 +275,20 @@ def _spread(values: np.ndarray) -> float:
     return float(np.sum((values - values.mean()) ** 2))
 
 
-def _increments(trace: Trace, relation: Relation) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Changes of a left side from block to block, and what is left of them."""
+def changes(trace: Trace, relation: Relation, *, every: int = 1) -> Iterator[Changes]:
+    """Changes of a left side from block to block, and what is left of them.
+
+    With ``every`` above one the right side is joined by straight lines between each so many
+    samples, which tells how well it is sampled.
+    """
     if any(name not in trace.values for name in (relation.target, *relation.signals)):
         return
     series, usable = trace.filled(relation.signals)
     if not series:
         return
     rate = relation(series, trace.times)
+    if every > 1:
+        rate = np.interp(trace.times, trace.times[::every], rate[::every])
     target = trace.values[relation.target]
     for piece in trace.pieces(usable, LEAST_BLOCKS):
         rows = np.flatnonzero(np.isfinite(target[piece])) + piece.start
@@ -281,7 +302,9 @@ def _increments(trace: Trace, relation: Relation) -> Iterator[tuple[np.ndarray, 
         rows = rows[: n * group]
         left = target[rows].reshape(n, group).mean(axis=1)
         right = inside[rows - piece.start].reshape(n, group).mean(axis=1)
-        yield np.diff(left), np.diff(left - right)
+        middle = trace.times[rows].reshape(n, group).mean(axis=1)
+        between = 0.5 * (middle[1:] + middle[:-1])
+        yield Changes(between, np.diff(left), np.diff(left - right), group, group * spacing)
 
 
 def hypotheses(traces: list[Trace], relations: tuple[Relation, ...]) -> Iterator[Hypothesis]:

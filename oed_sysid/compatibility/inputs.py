@@ -14,6 +14,9 @@ The evidence of a hypothesis :math:`h` about the inputs :math:`d` (another sign,
 with the variances estimated under it, so that physics which the model lacks widens all of them
 alike. Only parameters with a declared prior say anything here: with the others free, an input of
 the other sign is a coefficient of the other sign.
+
+A state whose sensor is dead or missing is taken from the kinematics where these give it at every
+sample; a record in which they do not is left out of the judgement.
 """
 
 from __future__ import annotations
@@ -53,6 +56,8 @@ FREE = 30.0
 # A declared prior is not trusted beyond this share of its mean.
 LEAST_PRIOR = 0.25
 SWEEPS = 4
+# What is left of a state's changes is not believed to be smaller than this share of them.
+EXACT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,10 @@ def input_findings(
     except OedSysidError:
         pieces = None
     if not pieces:
-        return [], "Signs and units of inputs: not all states of the model are measured."
+        return [], (
+            "Signs and units of inputs: not all states of the model are measured, or follow from "
+            "those that are."
+        )
     found: list[Finding] = []
     base = max(_evidence(run, model, pieces, None, 1.0, lag) for lag in LAGS)
     if not np.isfinite(base):
@@ -162,12 +170,16 @@ def _pieces(dataset: Dataset, model: Model) -> list[_Piecewise] | None:
         part = _beginning(record)
         measured = measured_states(model, part)
         whole = measured | {
-            k: guess.series for k, guess in kinematic_states(model, part, measured).items()
+            k: guess.series
+            for k, guess in kinematic_states(model, part, measured).items()
+            # A guess that is lost at some samples would be judged as a wild motion there.
+            if guess.rms < model.states[k].scale
         }
-        if len(whole) < len(model.states):
-            return None
-        states = np.column_stack([whole[k] for k in range(len(model.states))])
-        series.append((part, states))
+        if len(whole) == len(model.states):
+            states = np.column_stack([whole[k] for k in range(len(model.states))])
+            series.append((part, states))
+    if not series:
+        return None
     length = next((n for n in PIECES if _moves(series, model, n)), PIECES[-1])
     result = []
     for part, states in series:
@@ -229,7 +241,7 @@ def _evidence(
         ]
     )
     shift = np.array([(p.prior_mean - p.value) if p.prior_mean is not None else 0.0 for p in free])
-    rest, jacobian = [], []
+    rest, jacobian, moving = [], [], []
     for piece in pieces:
         record = piece.record
         inputs = np.array(record.inputs)
@@ -258,6 +270,7 @@ def _evidence(
         )
         ends, slopes = done.ends[:-1], np.asarray(done.end_sensitivities)[:-1]
         seen = piece.states[piece.starts[1:]]
+        moving.append(seen[:, columns])
         rest.append(seen[:, columns] - ends[:, columns])
         jacobian.append(slopes[:, columns, run.n_full :])
     e, a = np.concatenate(rest), np.concatenate(jacobian)
@@ -265,12 +278,17 @@ def _evidence(
         return -np.inf
     a = a * scale
     e = e - a @ (shift / scale)
-    variances = np.maximum(e.var(axis=0), 1e-300)
+    # The same under every hypothesis, so that a state that hardly moves decides nothing.
+    least = EXACT**2 * np.concatenate(moving).var(axis=0) + 1e-30
+    variances = np.maximum(e.var(axis=0), least)
     for _ in range(SWEEPS):
         weighted = a / variances[None, :, None]
         matrix = np.eye(len(scale)) + np.einsum("kip,kiq->pq", weighted, a)
-        eta = np.linalg.solve(matrix, np.einsum("kip,ki->p", weighted, e))
+        try:
+            eta = np.linalg.solve(matrix, np.einsum("kip,ki->p", weighted, e))
+        except np.linalg.LinAlgError:  # sensitivities so large that the unit matrix is lost
+            return -np.inf
         left = e - a @ eta
-        variances = np.maximum(np.mean(left**2, axis=0), 1e-300)
+        variances = np.maximum(np.mean(left**2, axis=0), least)
     n = len(e)
     return float(-n * np.sum(np.log(variances)) - eta @ eta - np.linalg.slogdet(matrix)[1])

@@ -15,7 +15,10 @@ TWO_SIDED_95 = 1.96
 
 
 # Findings with which a fit must not be used whatever its residuals say.
-CONTRADICTIONS = ("sign", "unit", "swap", "frame", "offset", "dead", "duplicate", "clock")
+CONTRADICTIONS = (
+    "sign", "unit", "swap", "frame", "offset", "dead", "duplicate", "clock", "step",
+    "unexplained",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,7 @@ class Correction:
     ----------
     kind : str
         ``sign``, ``unit``, ``swap``, ``frame``, ``offset``, ``bias``, ``scale``, ``delay``,
-        ``lever``, ``misalignment`` or ``blank``.
+        ``lever``, ``misalignment``, ``step`` or ``blank``.
     signals : tuple of str
         Signals that change.
     value : float
@@ -34,7 +37,10 @@ class Correction:
     other : tuple of str
         Signals that the change needs: the rate of a lever arm.
     rows : mapping
-        For ``blank``: record name to the indices of samples to leave out.
+        For ``blank``: record name to the indices of samples to leave out; for ``step``: to the
+        indices of the first samples after each jump.
+    sizes : mapping
+        For ``step``: record name to the jump at each of these indices, in the signal's SI unit.
     """
 
     kind: str
@@ -42,6 +48,7 @@ class Correction:
     value: float = 1.0
     other: tuple[str, ...] = ()
     rows: dict[str, tuple[int, ...]] = field(default_factory=dict, repr=False)
+    sizes: dict[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True)
@@ -53,7 +60,8 @@ class Finding:
     kind : str
         What: ``sign``, ``unit``, ``swap``, ``frame``, ``bias``, ``scale``, ``delay``, ``lever``,
         ``misalignment``, ``drift``, ``spikes``, ``dropouts``, ``frozen``, ``saturated``, ``held``,
-        ``dead``, ``gap``, ``clock``, ``duplicate``, ``quantised``, ``noise`` …
+        ``dead``, ``gap``, ``clock``, ``duplicate``, ``quantised``, ``noise``, ``step``,
+        ``unexplained`` …
     signals : tuple of str
         Signals concerned.
     records : tuple of str
@@ -118,7 +126,8 @@ class Finding:
         content = asdict(self)
         correction = content.pop("correction")
         if correction is not None:
-            correction["rows"] = {name: list(rows) for name, rows in correction["rows"].items()}
+            for key in ("rows", "sizes"):
+                correction[key] = {name: list(row) for name, row in correction[key].items()}
         return {"name": self.name, **content, "correction": correction}
 
 

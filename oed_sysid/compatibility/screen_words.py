@@ -26,7 +26,7 @@ SENTENCES = {
         True,
     ),
     "spikes": (
-        "{signal} has {n} isolated {samples} that {its} neighbours contradict.",
+        "{signal} has {n} {samples}, alone or in short groups, that {its} neighbours contradict.",
         "least squares follows the worst samples; errors are stated too small",
         BLANK,
         True,
@@ -71,6 +71,9 @@ def screen_findings(dataset: Dataset, traces: list[Trace], faults: list[Fault]) 
     result = []
     for kind, signal in dict.fromkeys((f.kind, f.signal) for f in faults):
         here = [f for f in faults if (f.kind, f.signal) == (kind, signal)]
+        if kind == "step":
+            result.append(_step(here, series, units[signal]))
+            continue
         rows = {f.record: tuple(int(i) for i in f.rows) for f in here}
         n = sum(len(r) for r in rows.values())
         amount = here[0].amount
@@ -100,6 +103,35 @@ def screen_findings(dataset: Dataset, traces: list[Trace], faults: list[Fault]) 
             )
         )
     return [*result, *_noise(dataset, traces), *_gaps(traces), *_copies(dataset)]
+
+
+def _step(faults: list[Fault], series: dict[str, Trace], unit: str) -> Finding:
+    """Words for the lasting jumps of one signal; the largest one stands for all."""
+    largest = max(faults, key=lambda one: abs(one.amount))
+    row = int(largest.rows[largest.sizes.index(largest.amount)])
+    time = float(series[largest.record].times[row])
+    value, shown = angle_aware(largest.amount, unit)
+    more = sum(fault.rows.size for fault in faults) - 1
+    others = f" (and {more} more {'jump' if more == 1 else 'jumps'})" * bool(more)
+    signal = largest.signal
+    return Finding(
+        "step",
+        (signal,),
+        tuple(fault.record for fault in faults),
+        f"{signal} jumps by {value:+.3g} {shown} from one sample to the next at t = {time:.6g} s "
+        f"of {largest.record} and stays there{others}: the sensor was set or reset.",
+        "a model cannot move at once, and explains the new level by offsets and forces",
+        f"cut the record there with window(), or subtract the jump from all later samples: {COPY}",
+        True,
+        size=largest.amount,
+        unit=unit,
+        correction=Correction(
+            "step",
+            (signal,),
+            rows={fault.record: tuple(int(k) for k in fault.rows) for fault in faults},
+            sizes={fault.record: fault.sizes for fault in faults},
+        ),
+    )
 
 
 def _noise(dataset: Dataset, traces: list[Trace]) -> list[Finding]:

@@ -28,10 +28,15 @@ NEWTON_STEPS = 5
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """Series of one state, shape ``(n_times,)``, and roughly how far it may be off."""
+    """Series of one state, shape ``(n_times,)``, and roughly how far it may be off.
+
+    ``std`` is that of the median sample, ``rms`` of all samples: a speed that follows from
+    ``z' = -u sin(theta)`` is good while the vehicle pitches and worthless where it is level.
+    """
 
     series: np.ndarray
     std: float
+    rms: float
 
 
 Equation = tuple[Callable[[dict[str, np.ndarray]], np.ndarray], frozenset[str], np.ndarray, float]
@@ -149,10 +154,11 @@ def _solve(
             if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
                 return {}
             values = values + np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
-    std = np.sqrt(np.median(np.linalg.inv(matrix), axis=0).diagonal())
+    variances = np.linalg.inv(matrix).diagonal(axis1=1, axis2=2)
+    std, rms = np.sqrt(np.median(variances, axis=0)), np.sqrt(np.mean(variances, axis=0))
     # A state that stayed as vague as before is left to simulation.
     return {
-        name: Guess(values[:, i], float(std[i]))
+        name: Guess(values[:, i], float(std[i]), float(rms[i]))
         for i, name in enumerate(wanted)
         if std[i] < 0.5 * vague[i]
     }
