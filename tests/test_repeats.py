@@ -76,6 +76,7 @@ def test_a_stop_is_no_sea(model: Model) -> None:
     """A force that no term holds is said to follow the depth."""
     found = improved(model, stop=60.0)
     assert found.remains.kind == "structure missing"
+    assert found.remains.follows is not None
     (force,) = found.remains.follows
     assert force.signals == ("z",)
     assert force.share > 0.4
@@ -86,7 +87,7 @@ def test_a_sea_follows_nothing(model: Model) -> None:
     found = improved(model, sea=3.0)
     assert not found.steps
     assert found.remains.kind == "random forces"
-    assert not found.remains.follows
+    assert found.remains.follows == ()
 
 
 def test_standard_error_of_a_correlation() -> None:

@@ -99,7 +99,7 @@ class Remains:
     tied : tuple of str
         Terms or effects that would explain what is left but were not confirmed.
     follows : tuple of Repeated
-        Forces taken for random that are functions of the motion.
+        Forces taken for random that are functions of the motion; None where that was not asked.
     suspect : str
         Why the log contradicts itself; empty where it does not.
     """
@@ -111,7 +111,7 @@ class Remains:
     over_wiggles: Mapping[str, float] | None = None
     declared: tuple[str, ...] = ()
     tied: tuple[str, ...] = ()
-    follows: tuple[Repeated, ...] = ()
+    follows: tuple[Repeated, ...] | None = None
     suspect: str = ""
 
     @property
@@ -179,6 +179,8 @@ class Remains:
         if self.kind == "random forces":
             checked = not np.isnan(self.random[0].elsewhere)
             same = ", about the same on the validation records" if checked else ""
+            if self.follows is None:
+                return f"{listed}{same}; no known effect or term explains it{colour}."
             return f"{listed}{same}; nothing in it repeats with the manoeuvre{colour}."
         if self.follows:
             why = "; ".join(one.text for one in self.follows)
@@ -227,7 +229,7 @@ class Remains:
             "shares": dict(self.shares or {}),
             "over_wiggles": dict(self.over_wiggles or {}),
             "tied": list(self.tied),
-            "follows": [asdict(one) for one in self.follows],
+            "follows": None if self.follows is None else [asdict(one) for one in self.follows],
         }
 
 
@@ -264,7 +266,7 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
             other = elsewhere[index]
             found.append(RandomForceFound(name, units.get(name, ""), level, tau, gain, other))
     found.sort(key=lambda force: -force.gain)
-    return Remains(forces, time, tuple(found), follows=repeated(study, fit) if found else ())
+    return Remains(forces, time, tuple(found), follows=repeated(study, fit) if found else None)
 
 
 def _without(study: Study, fit: FilteredSolution, kept: np.ndarray) -> FilteredSolution | None:

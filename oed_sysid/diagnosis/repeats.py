@@ -64,8 +64,10 @@ class Repeated:
         return f"{self.place} follows {' and '.join(self.signals)} ({100 * self.share:.0f} % of it)"
 
 
-def repeated(study: Study, fit: FilteredSolution) -> tuple[Repeated, ...]:
+def repeated(study: Study, fit: FilteredSolution) -> tuple[Repeated, ...] | None:
     """Random forces of a fit that repeat with the motion, one entry a force.
+
+    None where it cannot be asked: without validation records, or with commands that may answer.
 
     Parameters
     ----------
@@ -74,16 +76,16 @@ def repeated(study: Study, fit: FilteredSolution) -> tuple[Repeated, ...]:
         To the training records.
     """
     if study.validation is None or not _held(study.train) or not _held(study.validation):
-        return ()
+        return None
     other = study.on_records(fit, study.validation)
     if other is None:
-        return ()
+        return None
     try:
         parts = [*_series(fit, study.unit), *_series(other, study.unit)]
     except SimulationError:  # deviations grow beyond all bounds: nothing to be smoothed
-        return ()
+        return None
     if len(parts) < len(study.train.records) + len(study.validation.records):
-        return ()
+        return None
     names = set.intersection(*(set(signals) for _, signals in parts))
     known = [name for name in parts[0][1] if name in names]
     found = []
