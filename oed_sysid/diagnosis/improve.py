@@ -31,7 +31,15 @@ from oed_sysid.diagnosis.rank import Ranking, Refit, rank, threshold
 from oed_sysid.diagnosis.reconsider import judged_anew, on_all_samples, reviewed, with_effect
 from oed_sysid.diagnosis.remainder import Remains, remains
 from oed_sysid.diagnosis.smoothers import ASKED, without_smoothers
-from oed_sysid.diagnosis.standing import BOUGHT, CONFIRMED, Standing, difference, own_error, rises
+from oed_sysid.diagnosis.standing import (
+    BOUGHT,
+    CONFIRMED,
+    Standing,
+    confirmed,
+    difference,
+    own_error,
+    rises,
+)
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.diagnosis.unknown_term import with_term
 from oed_sysid.diagnosis.usual import settled
@@ -312,7 +320,9 @@ def _choose(state: Standing, ranking: Ranking) -> tuple[Refit | None, float, lis
     before = study.validate(state.fit)
     for refit in hopeful:
         gain = difference(before, study.validate(refit.fit))
-        if gain > CONFIRMED and not rises(study, state.fit, refit.fit, gain):
+        excess = refit.gain / ranking.needed(refit)
+        agreed = confirmed(study, state.fit, refit.fit, gain, excess)
+        if agreed and not rises(study, state.fit, refit.fit, gain):
             return refit, gain, refused
         refused.append(refit.name)
     return None, np.nan, refused

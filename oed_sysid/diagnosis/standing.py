@@ -21,6 +21,8 @@ BOUGHT = 2.0
 # wander under forces, and those of the better model may wander further. In seas a bias that was
 # there rose to 1.03 (gain on validation 127), a current to 1.24 (gain 384).
 WANDERING, WANDERING_FAR, BEYOND_CHANCE = 1.1, 1.5, 50.0
+# Training gain, over that needed, from which validation records that cannot tell need not confirm.
+ALONE = 2.0
 # Gain in twice the log-likelihood on validation records that confirms a claim.
 CONFIRMED = 2.0
 
@@ -89,6 +91,33 @@ def difference(before: float, after: float) -> float:
     if not np.isfinite(after):
         return -np.inf
     return before - after if np.isfinite(before) else np.inf
+
+
+def confirmed(
+    study: Study, before: FilteredSolution, after: FilteredSolution, gain: float, excess: float
+) -> bool:
+    r"""Whether validation records agree with an effect.
+
+    They do where they become more likely; and where they could not tell while the training records
+    leave no doubt. An effect that moves the runs by :math:`d` noise levels altogether is expected
+    to gain :math:`d^2 \pm 2d`: less than two deviations below that is no contradiction.
+
+    Parameters
+    ----------
+    study : Study
+    before, after : FilteredSolution
+    gain : float
+        On the validation records.
+    excess : float
+        Gain on the training records, over that needed.
+    """
+    assert study.validation is not None
+    if gain > CONFIRMED:
+        return True
+    if not (excess > ALONE and gain > -CONFIRMED):
+        return False
+    distance = study.apart(before, after, study.validation)
+    return gain > distance**2 - 4.0 * distance
 
 
 def rises(

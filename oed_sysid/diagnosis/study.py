@@ -408,6 +408,26 @@ class Study:
         kept.append((self, dataset, result))
         return result
 
+    def apart(self, one: FilteredSolution, other: FilteredSolution, dataset: Dataset) -> float:
+        """Distance of two models' own runs on records, in noise levels; infinite if one ends."""
+        runs = [self.alone(found, dataset) for found in (one, other)]
+        square = 0.0
+        for index, record in enumerate(dataset):
+            ends = []
+            for alone in runs:
+                if alone is None:
+                    return np.inf
+                problem, unknowns = alone.problem, alone.point.unknowns
+                values = problem.values(unknowns, index)
+                start = problem.initial_state(unknowns, index)
+                run = problem.kernel.simulate(record.times, record.inputs, values, start)
+                ends.append(run[0])
+            scaled = (ends[1] - ends[0])[np.isfinite(record.outputs)]
+            levels = np.broadcast_to(one.noise.sensors, record.outputs.shape)
+            scaled = scaled / levels[np.isfinite(record.outputs)]
+            square += float(scaled @ scaled)
+        return float(np.sqrt(square)) if np.isfinite(square) else np.inf
+
     def rms(self, found: FilteredSolution, dataset: Dataset) -> np.ndarray:
         """Errors of the model on its own, ``(n_outputs,)``, as `compare` finds them.
 
