@@ -44,7 +44,7 @@ print()
 best = found["linear", "none"]
 print(
     f"Conclusion: from the linear model {', '.join(step.added for step in best.steps)} are added, "
-    f"and the verdict is '{best.remains.kind}'. With random forces allowed in both tanks the same "
-    "is found, once the search has been made again without them. The scoreboard, by masked "
+    f"and the verdict is '{best.remains.kind}'. With random forces allowed in both tanks overflows "
+    "are found, too, if need be by a search made again without them. The scoreboard, by masked "
     "blocks of the whole record, goes further."
 )

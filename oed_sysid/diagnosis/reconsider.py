@@ -67,9 +67,10 @@ def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
 def reviewed(state: Standing) -> Standing:
     """Drop or replace effects that others, or a better fit, have made doubtful."""
     study = state.study
-    for position, old in enumerate(state.added):
+    # By identity: a swap puts what came instead at the end.
+    for old in state.added:
         needed = state.needed(old.effect)
-        is_last = position == len(state.added) - 1
+        is_last = old is state.added[-1]
         if is_last and _cost(state.fit, old.effect) > SURE * needed:
             continue
         others = state.others(old)
@@ -105,7 +106,7 @@ def reviewed(state: Standing) -> Standing:
         group = ranking.claimed_with(chosen.name)
         if chosen.name == old.effect.name:
             same = replace(old, ranking=ranking, group=group)
-            kept = tuple(same if i == position else one for i, one in enumerate(state.added))
+            kept = tuple(same if one is old else one for one in state.added)
             state = replace(state, added=kept)
             continue
         if study.validation is not None and study.validate(chosen.fit) > study.validate(state.fit):

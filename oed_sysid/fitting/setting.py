@@ -20,8 +20,9 @@ from oed_sysid.noise.model import NoiseModel
 LEAST_SEEN = 0.7
 # ... and the share of that where a sensor is coloured.
 COLOUR_SEEN = 0.1
-# Slow noise of a sensor, over what its fastest wiggles show, beyond which it drifts: noise with
-# correlation 0.9 from sample to sample is at 4, with 0.98 at 10.
+# Slow noise of a sensor, over what was declared or its fastest wiggles show, beyond which it is
+# none: noise with
+# correlation 0.9 from sample to sample is at 4 times its wiggles, with 0.98 at 10.
 DRIFTS = 10.0
 # Noise of a logged input, over what the fastest wiggles of the log show, that is believed.
 INPUT_SEEN = 2.0
@@ -97,7 +98,7 @@ class Setting:
             colour,
             tuple(place for place, _ in wiggling),
             np.array([level for _, level in wiggling]),
-            None if drifting else np.where(seen, np.maximum(DRIFTS * floor, white), np.inf),
+            None if drifting else np.where(seen, DRIFTS * np.maximum(floor, white), np.inf),
             tuple(known),
             known_starts,
         )
