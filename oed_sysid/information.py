@@ -162,16 +162,16 @@ def autocorrelation(series: np.ndarray, n_lags: int) -> np.ndarray:
     """
     present = np.isfinite(series)
     centred = np.where(present, series - np.nanmean(series), 0.0)
-    n = len(series)
-    size = 1 << int(np.ceil(np.log2(2 * n)))
-
-    def correlate(x: np.ndarray) -> np.ndarray:
-        spectrum = np.fft.rfft(x, size)
-        return np.fft.irfft(spectrum * spectrum.conj(), size)[: n_lags + 1]
-
-    pairs = np.maximum(np.round(correlate(present.astype(float))), 1.0)
-    covariance = correlate(centred) / pairs
+    pairs = np.maximum(np.round(lagged_products(present.astype(float), n_lags)), 1.0)
+    covariance = lagged_products(centred, n_lags) / pairs
     return covariance / covariance[0] if covariance[0] > 0 else np.eye(1, n_lags + 1)[0]
+
+
+def lagged_products(series: np.ndarray, n_lags: int) -> np.ndarray:
+    """Sums of products of a series with itself at lags ``0..n_lags``, ``(n_lags + 1,)``."""
+    size = 1 << int(np.ceil(np.log2(2 * len(series))))
+    spectrum = np.fft.rfft(series, size)
+    return np.fft.irfft(spectrum * spectrum.conj(), size)[: n_lags + 1]
 
 
 def effective_sample_size(series: np.ndarray) -> float:

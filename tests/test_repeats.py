@@ -8,8 +8,9 @@ from scipy.integrate import solve_ivp
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, improve
 from oed_sysid.diagnosis.improvement import Improvement
-from oed_sysid.diagnosis.repeats import _lagged, _standard_error
+from oed_sysid.diagnosis.repeats import _standard_error
 from oed_sysid.effects import Force, quadratic_drag
+from oed_sysid.information import lagged_products
 
 BODY = Model(
     "moored body",
@@ -108,4 +109,4 @@ def test_lagged_products() -> None:
     """Sums of products, as written out."""
     series = np.array([1.0, -2.0, 0.5, 3.0])
     expected = [series @ series, series[:-1] @ series[1:], series[:-2] @ series[2:]]
-    np.testing.assert_allclose(_lagged(series, 2), expected, atol=1e-12)
+    np.testing.assert_allclose(lagged_products(series, 2), expected, atol=1e-12)

@@ -328,14 +328,7 @@ def locate(
 
 def simulated(fit: FilteredSolution, index: int) -> np.ndarray:
     """Outputs of a fit's model on its own along one record, ``(n_times, n_outputs)``."""
-    problem, unknowns = fit.problem, fit.point.unknowns
-    record = problem.records[index]
-    return problem.kernel.simulate(
-        record.times,
-        record.inputs,
-        problem.values(unknowns, index),
-        problem.initial_state(unknowns, index),
-    )[0]
+    return fit.problem.alone(fit.point.unknowns, index)[0]
 
 
 def _weight(part: Evidence) -> float:

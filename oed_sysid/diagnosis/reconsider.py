@@ -74,13 +74,7 @@ def reviewed(state: Standing) -> Standing:
         if is_last and _cost(state.fit, old.effect) > SURE * needed:
             continue
         others = state.others(old)
-        without = study.estimate(
-            [one.effect for one in others],
-            absent(state.fit, old.effect),
-            state.fit,
-            noise=study.loosened(state.fit.noise),
-            max_iterations=25,
-        )
+        without = _without(state, old)
         if without is None:
             continue
         if without.objective - state.fit.objective < needed:
@@ -128,37 +122,32 @@ def judged_anew(state: Standing) -> Standing:
 
     For a set that was found under another noise: its gains are those of that noise.
     """
-    study, left = state.study, dict[str, FilteredSolution]()
-    while state.added:
-        left = {}
-        for one in state.added:
-            without = study.estimate(
-                [other.effect for other in state.others(one)],
-                absent(state.fit, one.effect),
-                state.fit,
-                noise=study.loosened(state.fit.noise),
-                max_iterations=25,
-            )
-            if without is not None:
-                left[one.effect.name] = without
-        here = state
+    while True:
+        judged = [(one, _without(state, one)) for one in state.added]
+        anew = [
+            one if without is None else replace(one, gain=without.objective - state.fit.objective)
+            for one, without in judged
+        ]
         spare = [
-            one
-            for one in here.added
-            if one.effect.name in left
-            and left[one.effect.name].objective - here.fit.objective < here.needed(one.effect)
+            (one, without)
+            for (one, without), seen in zip(judged, anew, strict=True)
+            if without is not None and seen.gain < state.needed(one.effect)
         ]
         if not spare:
-            break
-        least = min(spare, key=lambda one: left[one.effect.name].objective)
-        state = state.dropping(least, study.settle(left[least.effect.name]))
-    anew = tuple(
-        replace(one, gain=left[one.effect.name].objective - state.fit.objective)
-        if one.effect.name in left
-        else one
-        for one in state.added
+            return rebuilt(replace(state, added=tuple(anew)))
+        least, without = min(spare, key=lambda pair: pair[1].objective)
+        state = state.dropping(least, state.study.settle(without))
+
+
+def _without(state: Standing, one: Added) -> FilteredSolution | None:
+    """The fit with all effects but one."""
+    return state.study.estimate(
+        [other.effect for other in state.others(one)],
+        absent(state.fit, one.effect),
+        state.fit,
+        noise=state.study.loosened(state.fit.noise),
+        max_iterations=25,
     )
-    return rebuilt(replace(state, added=anew))
 
 
 def on_all_samples(state: Standing, whole: Dataset) -> tuple[Standing, list[str]]:

@@ -252,7 +252,8 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
     time = _sensor_time(study, fit)
     if forces < REMAINDER_LIMIT:
         return Remains(forces, time)
-    elsewhere = _levels_elsewhere(study, fit)
+    validated = None if study.validation is None else study.on_records(fit, study.validation)
+    elsewhere = np.full(len(noise.force), np.nan) if validated is None else validated.noise.force
     units = {place.name: place.unit for place in places(study.base)}
     found = []
     for index in np.flatnonzero(noise.force > 0):
@@ -266,7 +267,8 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
             other = elsewhere[index]
             found.append(RandomForceFound(name, units.get(name, ""), level, tau, gain, other))
     found.sort(key=lambda force: -force.gain)
-    return Remains(forces, time, tuple(found), follows=repeated(study, fit) if found else None)
+    follows = repeated(study, fit, validated) if found else None
+    return Remains(forces, time, tuple(found), follows=follows)
 
 
 def _without(study: Study, fit: FilteredSolution, kept: np.ndarray) -> FilteredSolution | None:
@@ -295,11 +297,3 @@ def _sensor_time(study: Study, fit: FilteredSolution) -> float | None:
         return None
     loudest = int(np.argmax(noise.colour / noise.white))
     return float(noise.colour_time[loudest])
-
-
-def _levels_elsewhere(study: Study, fit: FilteredSolution) -> np.ndarray:
-    """Levels of the disturbances on the validation records, parameters as they are."""
-    if study.validation is None:
-        return np.full(len(fit.noise.force), np.nan)
-    found = study.on_records(fit, study.validation)
-    return np.full(len(fit.noise.force), np.nan) if found is None else found.noise.force

@@ -25,6 +25,7 @@ from oed_sysid.diagnosis.locate import along_fit, residual_forces
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.errors import SimulationError
 from oed_sysid.fitting.gauss_newton import FilteredSolution
+from oed_sysid.information import lagged_products
 from oed_sysid.noise.model import NoiseModel
 
 # Classes of one signal, and of each of two; fewest samples in a class.
@@ -64,7 +65,9 @@ class Repeated:
         return f"{self.place} follows {' and '.join(self.signals)} ({100 * self.share:.0f} % of it)"
 
 
-def repeated(study: Study, fit: FilteredSolution) -> tuple[Repeated, ...] | None:
+def repeated(
+    study: Study, fit: FilteredSolution, other: FilteredSolution | None
+) -> tuple[Repeated, ...] | None:
     """Random forces of a fit that repeat with the motion, one entry a force.
 
     None where it cannot be asked: without validation records, or with commands that may answer.
@@ -74,11 +77,12 @@ def repeated(study: Study, fit: FilteredSolution) -> tuple[Repeated, ...] | None
     study : Study
     fit : FilteredSolution
         To the training records.
+    other : FilteredSolution or None
+        The same parameters on the validation records; None without these, or where it fails.
     """
-    if study.validation is None or not _held(study.train) or not _held(study.validation):
+    if study.validation is None or other is None:
         return None
-    other = study.on_records(fit, study.validation)
-    if other is None:
+    if not _held(study.train) or not _held(study.validation):
         return None
     try:
         parts = [*_series(fit, study.unit), *_series(other, study.unit)]
@@ -90,8 +94,7 @@ def repeated(study: Study, fit: FilteredSolution) -> tuple[Repeated, ...] | None
     known = [name for name in parts[0][1] if name in names]
     found = []
     for index, place in enumerate(study.unit.places):
-        level = dict(zip(fit.noise.places, fit.noise.force, strict=True)).get(place, 0.0)
-        if not level > 0 or not place.startswith("force"):
+        if not fit.noise.level(place)[0] > 0 or not place.startswith("force"):
             continue
         alone = max((_share(parts, index, (name,)), (name,)) for name in known)
         pair = max(
@@ -118,21 +121,18 @@ def _held(dataset: Dataset) -> bool:
 def _series(fit: FilteredSolution, unit: NoiseModel) -> list[Part]:
     """Smoothed forces, and the signals of the model's own run, per record; none if that fails."""
     linear, pieces = along_fit(fit, unit)
-    problem, unknowns = fit.problem, fit.point.unknowns
+    problem = fit.problem
     if len(pieces) != len(problem.records):
         return []
     forces = residual_forces(linear).series([record.times for record in pieces])
-    kernel, model = problem.kernel, problem.model
     result = []
     for index, record in enumerate(problem.records):
-        values = problem.values(unknowns, index)
-        start = problem.initial_state(unknowns, index)
-        _, states, ok = kernel.simulate(record.times, record.inputs, values, start)
+        _, states, ok = problem.alone(fit.point.unknowns, index)
         if not ok:
             return []
         signals = {
             state.name: _turned(states[:, column], state.unit)
-            for column, state in enumerate(model.states)
+            for column, state in enumerate(problem.model.states)
         }
         commands = zip(record.channels.input_names, record.inputs.T, strict=True)
         signals |= {name: series for name, series in commands if np.ptp(series) > 0}
@@ -190,14 +190,7 @@ def _standard_error(seen: Sequence[np.ndarray], said: Sequence[np.ndarray]) -> f
     variance, squares = 0.0, np.zeros(2)
     for one, other in zip(seen, said, strict=True):
         lags = max(int(LAGS * len(one)), 1)
-        own, its = (_lagged(series, lags) for series in (one, other))
+        own, its = (lagged_products(series, lags) for series in (one, other))
         variance += float(own[0] * its[0] + 2.0 * own[1:] @ its[1:]) / len(one)
         squares += own[0], its[0]
     return float(np.sqrt(max(variance, 0.0) / squares[0] / squares[1]))
-
-
-def _lagged(series: np.ndarray, lags: int) -> np.ndarray:
-    """Sums of products with itself up to a lag, ``(lags + 1,)``."""
-    size = 2 ** int(np.ceil(np.log2(2 * len(series))))
-    spectrum = np.fft.rfft(series, size)
-    return np.fft.irfft(np.abs(spectrum) ** 2, size)[: lags + 1]

@@ -145,7 +145,7 @@ def rises(
     if new > far * old or not np.isfinite(own_error(study, after, study.train)):
         return True
     # A force that follows the motion is structure, and under that no run wanders by chance.
-    return bool(repeated(study, after))
+    return bool(repeated(study, after, study.on_records(after, study.validation)))
 
 
 def own_error(study: Study, found: FilteredSolution, dataset: Dataset) -> float:

@@ -410,21 +410,13 @@ class Study:
 
     def apart(self, one: FilteredSolution, other: FilteredSolution, dataset: Dataset) -> float:
         """Distance of two models' own runs on records, in noise levels; infinite if one ends."""
-        runs = [self.alone(found, dataset) for found in (one, other)]
+        runs = [run for run in (self.alone(one, dataset), self.alone(other, dataset)) if run]
+        if len(runs) < 2:
+            return np.inf
         square = 0.0
         for index, record in enumerate(dataset):
-            ends = []
-            for alone in runs:
-                if alone is None:
-                    return np.inf
-                problem, unknowns = alone.problem, alone.point.unknowns
-                values = problem.values(unknowns, index)
-                start = problem.initial_state(unknowns, index)
-                run = problem.kernel.simulate(record.times, record.inputs, values, start)
-                ends.append(run[0])
-            scaled = (ends[1] - ends[0])[np.isfinite(record.outputs)]
-            levels = np.broadcast_to(one.noise.sensors, record.outputs.shape)
-            scaled = scaled / levels[np.isfinite(record.outputs)]
+            ends = [run.problem.alone(run.point.unknowns, index)[0] for run in runs]
+            scaled = ((ends[1] - ends[0]) / one.noise.sensors)[np.isfinite(record.outputs)]
             square += float(scaled @ scaled)
         return float(np.sqrt(square)) if np.isfinite(square) else np.inf
 
@@ -438,16 +430,10 @@ class Study:
         alone = self.alone(found, dataset)
         if alone is None:
             return np.where(measured, np.inf, np.nan)
-        problem, unknowns = alone.problem, alone.point.unknowns
         squares = np.zeros(len(self.base.outputs))
         count = np.zeros(len(squares))
         for index, record in enumerate(dataset):
-            outputs, _, ok = problem.kernel.simulate(
-                record.times,
-                record.inputs,
-                problem.values(unknowns, index),
-                problem.initial_state(unknowns, index),
-            )
+            outputs, _, ok = alone.problem.alone(alone.point.unknowns, index)
             residual = record.residuals(outputs)
             seen = np.isfinite(record.outputs)
             count += seen.sum(axis=0)

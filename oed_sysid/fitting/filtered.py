@@ -119,6 +119,12 @@ class Filtered:
         """The model's own initial states of one record, shape ``(n_own,)``."""
         return unknowns[self._columns[record][: self.layout.n_own]]
 
+    def alone(self, unknowns: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Outputs, full states and success of the undisturbed model along one record."""
+        run = self.records[record]
+        values, own = self.values(unknowns, record), self.initial_state(unknowns, record)
+        return self.kernel.simulate(run.times, run.inputs, values, own)
+
     def noise(self, unknowns: np.ndarray) -> NoiseModel:
         """Noise model at a point."""
         return self.levels.at(unknowns[self.layout.levels])

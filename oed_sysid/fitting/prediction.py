@@ -318,9 +318,7 @@ def _predict_disturbed(
         own[free] = layout.parameters(vector, 0)
         return own, problem.initial_state(vector, 0)
 
-    outputs, _, _ = problem.kernel.simulate(
-        record.times, record.inputs, problem.values(unknowns, 0), problem.initial_state(unknowns, 0)
-    )
+    outputs, _, _ = problem.alone(unknowns, 0)
     if not part.ok or part.rows is None:
         return np.full(record.outputs.shape, np.nan), blind, states, values
     jacobian = -part.rows * np.sqrt(part.variances)[:, :, None]

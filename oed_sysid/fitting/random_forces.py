@@ -369,9 +369,9 @@ def with_input_noise(found: FilteredSolution, setting: Setting) -> FilteredSolut
     again = moved(found, setting, begun, coloured, own_times=own, unit=unit)
     if again is None or found.objective - again.objective < WORTH_COLOUR:
         return found
-    most = dict(zip((place.name for place in setting.inputs), setting.most_input, strict=True))
-    levels = zip(again.noise.places, again.noise.force, strict=True)
     # Noise that the log does not show is something else that the inputs happen to explain.
+    most = setting.most_input
+    levels = zip(again.noise.places, again.noise.force, strict=True)
     return found if any(level > most.get(place, np.inf) for place, level in levels) else again
 
 

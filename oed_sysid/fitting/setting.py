@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,8 +21,7 @@ LEAST_SEEN = 0.7
 # ... and the share of that where a sensor is coloured.
 COLOUR_SEEN = 0.1
 # Slow noise of a sensor, over what was declared or its fastest wiggles show, beyond which it is
-# none: noise with
-# correlation 0.9 from sample to sample is at 4 times its wiggles, with 0.98 at 10.
+# none: noise with correlation 0.9 from sample to sample is at 4 times its wiggles, with 0.98 at 10.
 DRIFTS = 10.0
 # Noise of a logged input, over what the fastest wiggles of the log show, that is believed.
 INPUT_SEEN = 2.0
@@ -47,8 +46,8 @@ class Setting:
     inputs : tuple of Place
         Logged inputs, which may be noisy: white from sample to sample, let in where it pays. Left
         out are those whose log is held or smooth to the last digit.
-    most_input : ndarray (n_inputs,)
-        Level above which that noise would show in the log itself.
+    most_input : mapping of str to float
+        Place of each to the level above which that noise would show in the log itself.
     most_colour : ndarray (n_outputs,), optional
         Level above which slow noise of a sensor is none.
     known : tuple of str
@@ -63,7 +62,7 @@ class Setting:
     least_white: np.ndarray
     colour: bool = True
     inputs: tuple[Place, ...] = ()
-    most_input: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    most_input: Mapping[str, float] = field(default_factory=dict)
     most_colour: np.ndarray | None = None
     known: tuple[str, ...] = ()
     known_starts: KnownStarts | None = None
@@ -88,16 +87,15 @@ class Setting:
         """
         floor, seen = credible_levels(dataset)
         least = np.where(seen, LEAST_SEEN * np.minimum(floor, white), 0.0)
-        most = [INPUT_SEEN * shown_in_log(dataset, place.channel) for place in inputs]
-        wiggling = [(place, level) for place, level in zip(inputs, most, strict=True) if level > 0]
+        most = {p.name: INPUT_SEEN * shown_in_log(dataset, p.channel) for p in inputs}
         return cls(
             tuple(places),
             white,
             estimated,
             least,
             colour,
-            tuple(place for place, _ in wiggling),
-            np.array([level for _, level in wiggling]),
+            tuple(place for place in inputs if most[place.name] > 0),
+            most,
             None if drifting else np.where(seen, DRIFTS * np.maximum(floor, white), np.inf),
             tuple(known),
             known_starts,

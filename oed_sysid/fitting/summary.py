@@ -173,9 +173,8 @@ def summarise_filtered(
     free = np.array([layout.parameters(unknowns, i) for i in range(len(problem.records))])
     at = model.with_values(_means(model, layout.free_names, free))
     for index, record in enumerate(problem.records):
-        values = problem.values(unknowns, index)
         own = problem.initial_state(unknowns, index)
-        outputs, path, _ = problem.kernel.simulate(record.times, record.inputs, values, own)
+        outputs, path, _ = problem.alone(unknowns, index)
         predictions.append(outputs)
         states.append(path if problem.own is None else path[:, problem.own])
         residuals.append(record.outputs - outputs)
