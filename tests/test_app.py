@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid import Fit, load_problem, new_problem, read_csv
+from oed_sysid import Fit, load_problem, new_problem, read_csv, write_csv
 from oed_sysid.app import commands, plans, tasks
 from oed_sysid.app.jobs import Desk
 from oed_sysid.app.launch import orders, start
@@ -601,6 +601,29 @@ def test_check_page_names_a_wrong_log_and_offers_copies(ship: Path) -> None:
     assert "Log suspect" in app.error[0].value
     assert "swap" in app.error[0].value
     assert "Corrected copies (ZIP)" in {one.label for one in app.get("download_button")}
+    assert not app.warning
+
+
+def test_check_page_says_what_it_does_not_correct(ship: Path) -> None:
+    """A heading of another run is no fault that a copy could undo."""
+    from oed_sysid.app.visit import desk
+
+    channels = load_problem(ship).channels
+    runs = read_csv([ship / "data" / f"zigzag_{k}.csv" for k in ("10_10", "20_20")], channels)
+    n = min(len(run.times) for run in runs)
+    run = runs[0].window(runs[0].times[0], runs[0].times[n - 1])
+    outputs = run.outputs.copy()
+    psi = run.channels.output_names.index("psi")
+    outputs[:, psi] = runs[1].outputs[:n, psi][::-1]
+    wrong = ship / "wrong.csv"
+    write_csv(run.with_outputs(outputs), wrong)
+    app = opened(ship)
+    app.button_group[0].set_value("My CSV files").run()
+    app.file_uploader[0].set_value([("log.csv", wrong.read_bytes(), "text/csv")]).run()
+    app = following(app)
+    desk().wait()
+    app = app.run()
+    assert any(one.value.startswith("Not corrected: ") for one in app.warning)
 
 
 def _other_folder(ship: Path, folder: Path, mark: Path) -> Path:

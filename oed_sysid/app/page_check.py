@@ -11,6 +11,7 @@ from oed_sysid.app.panels import command, download, html_download, work
 from oed_sysid.app.panels import show as show_page
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
+from oed_sysid.compatibility import why_not_more
 
 
 def show(study: Study) -> None:
@@ -29,4 +30,7 @@ def show(study: Study) -> None:
         if outcome.result.suspect:
             copies = partial(tasks.corrected, study, outcome.result)
             download("Corrected copies (ZIP)", copies, "corrected.zip", "application/zip")
+            reason = why_not_more(outcome.result)
+            if reason:
+                st.warning(f"Not corrected: {reason}.")
     command(line)
