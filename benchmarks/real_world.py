@@ -49,10 +49,12 @@ NEAR = 1.10
 
 
 def table(rows: Sequence[Row], estimators: Sequence[str]) -> list[str]:
-    """One line per problem and world: errors of determined parameters, per cent."""
+    """One line per problem and world: errors of determined parameters and their bound, per cent."""
     lines = [
-        "| problem | world | seeds | " + " | ".join(estimators) + " | place | with a prior |",
-        "|" + "---|" * (len(estimators) + 5),
+        "| problem | world | seeds | determined | bound | "
+        + " | ".join(estimators)
+        + " | place | with a prior |",
+        "|" + "---|" * (len(estimators) + 7),
     ]
     for problem, world in dict.fromkeys((row.problem, row.world) for row in rows):
         found = {r.estimator: r for r in rows if (r.problem, r.world) == (problem, world)}
@@ -70,9 +72,13 @@ def table(rows: Sequence[Row], estimators: Sequence[str]) -> list[str]:
             least = min((told if name in BELIEVING else plain).values())
             cells.append((f"**{text}**" if errors[name] <= NEAR * least else text) + failed)
         seeds = max(row.n_runs for row in found.values())
+        any_row = next(iter(shown.values()))
+        known = f"{any_row.n_determined} of {any_row.n_parameters} | {100 * any_row.bound:.3g}"
         places = _place(plain, FAMILY), _place(told, BELIEVING_FAMILY)
         title = WORLDS[world].title
-        lines.append(f"| {problem} | {title} | {seeds} | " + " | ".join((*cells, *places)) + " |")
+        lines.append(
+            f"| {problem} | {title} | {seeds} | {known} | " + " | ".join((*cells, *places)) + " |"
+        )
     return lines
 
 

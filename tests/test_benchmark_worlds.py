@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,3 +123,37 @@ def test_models_with_actuators_are_pushed_too() -> None:
     moved = np.std(pushed.outputs - still.outputs, axis=0) / np.std(still.outputs, axis=0)
     assert (moved > 0.003).all()
     assert (moved < 1.0).all()
+
+
+def test_bounds_count_what_the_world_adds() -> None:
+    """Under random forces nobody can reach what white noise alone would allow.
+
+    The scatter of fits that look for forces themselves is that of the bound; the bound of white
+    noise, several times smaller, is not.
+    """
+    cells = [
+        Cell("auv_diving_plane", "multiple_shooting_disturbed", 1.0, seed=seed, world="forces_5")
+        for seed in range(8)
+    ]
+    pushed = [run_cell(cell) for cell in cells]
+    white = run_cell(replace(cells[0], world="ideal")).bounds
+    names = list(white)
+    errors = np.array([[run.errors[name] for name in names] for run in pushed])
+    bounds = np.array([[run.bounds[name] for name in names] for run in pushed])
+    ratio = np.sqrt(np.mean((errors / bounds) ** 2))
+    assert ratio == pytest.approx(1.0, abs=0.25)
+    assert np.sqrt(np.mean((errors / list(white.values())) ** 2)) > 2.5
+
+
+def test_noise_of_a_world_is_what_its_records_hold() -> None:
+    """Levels and times as drawn: forces by equation, colour beside white noise."""
+    scenario = load_scenario("remus_diving_plane")
+    model = scenario.with_noise(scenario.noise(1.0))
+    run = scenario.train[0]
+    two, ten = (WORLDS[name].noise(model, run) for name in ("forces_2", "forces_10"))
+    assert ten.force == pytest.approx(5 * two.force)
+    assert ten.places == ("force X", "force Z", "force M")
+    assert ten.force_time == pytest.approx(4 * run.sample_time)
+    mixed = WORLDS["all"].noise(model, run)
+    assert mixed.sensors == pytest.approx([output.noise_std for output in model.outputs])
+    assert mixed.colour == pytest.approx(mixed.white)

@@ -6,7 +6,7 @@ import hashlib
 import time
 import warnings
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -18,12 +18,14 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.experiment import Experiment
 from oed_sysid.fitting.fit import Fit
+from oed_sysid.information import Information
 from oed_sysid.model import Model
+from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity import information_of
 from oed_sysid.simulation import simulate, simulate_inputs
 
 # Raised whenever the same cell would give another result.
-FORMAT = 1
+FORMAT, WORLD_FORMAT = 1, 2
 # What numerical methods end with on hard data; everything else is a fault of a program, which
 # has no place in a table of methods.
 GAVE_UP = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)
@@ -68,7 +70,7 @@ class Cell:
         if self.world == IDEAL:  # as runs were named before there were worlds
             del fields["world"]
         else:
-            fields["world"] = world_by_name(self.world)
+            fields["world"] = (world_by_name(self.world), WORLD_FORMAT)
         content = f"{FORMAT} {fields} {load_scenario(self.problem).digest} {settings!r}"
         digest = hashlib.sha256(content.encode()).hexdigest()[:12]
         world = "" if self.world == IDEAL else f"{self.world} "
@@ -101,7 +103,8 @@ class Outcome:
         Whether the stated 95 % interval holds the truth; empty without noise.
     bounds : mapping of str to float
         Least relative standard error that these data allow (Cramér-Rao), start
-        states unknown; infinite where they say nothing.
+        states unknown, random forces and colour of the world counted as noise;
+        infinite where they say nothing.
     prediction : float
         Root mean square error of the model on the validation run, from the true
         start state and against the truth, in units of the noise (of 0.1 % of
@@ -138,7 +141,8 @@ def run_cell(cell: Cell) -> Outcome:
         dataset = Dataset(tuple(simulate(model, run, rng=rng, noise=noisy) for run in runs))
     else:
         dataset = Dataset(tuple(world.record(model, run, rng=rng, noise=noisy) for run in runs))
-    bounds = dict(zip(model.free_names, _bounds(model, dataset), strict=True))
+    noise = [world.noise(model, run) for run in runs]
+    bounds = dict(zip(model.free_names, _bounds(model, dataset, noise), strict=True))
     contestant = contestant_by_name(cell.estimator)
     handed = world.believed(_away(model, cell, world.start), cell.rng("known"))
     estimator, start = contestant.prepared(handed, scenario.start, cell.seed)
@@ -180,9 +184,14 @@ def _away(model: Model, cell: Cell, factor: float = 1.0) -> Model:
     return model.with_values(values)
 
 
-def _bounds(model: Model, dataset: Dataset) -> list[float]:
+def _bounds(model: Model, dataset: Dataset, noise: Sequence[NoiseModel]) -> list[float]:
+    """Relative standard errors that nobody can undercut who is told all that is random."""
     truth = np.array([abs(model.values[name]) for name in model.free_names])
-    return [float(x) for x in information_of(model, dataset, priors=None).std_errors / truth]
+    known: Information | None = None
+    for record, levels in zip(dataset, noise, strict=True):
+        known = information_of(model, record, noise=levels, priors=known)
+    assert known is not None
+    return [float(x) for x in known.std_errors / truth]
 
 
 def _errors(fit: Fit, truth: Mapping[str, float]) -> dict[str, float]:

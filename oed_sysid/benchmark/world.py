@@ -27,11 +27,14 @@ from oed_sysid.effects import Force
 from oed_sysid.errors import ProblemError
 from oed_sysid.experiment import Experiment
 from oed_sysid.model import Model
+from oed_sysid.noise.model import NoiseModel
 from oed_sysid.simulation import simulate, simulate_inputs
 
 # Correlation times, in samples.
 FORCE_TIME, NOISE_TIME = 4.0, 5.0
 SPIKE_SIZE = 20.0  # x noise
+# Least share of white noise, of the variance, where a bound is calculated: a filter needs some.
+LEAST_WHITE = 0.01
 # Steps per sample in which random forces are drawn and integrated.
 SUBSTEPS = 4
 
@@ -105,22 +108,8 @@ class World:
         self, model: Model, clean: Record, experiment: Experiment, rng: np.random.Generator
     ) -> Record:
         """The same commands with random forces on every equation of motion."""
-        places = tuple(model.axes) or tuple(
-            state.name
-            for state in model.states
-            if state.name in model.kinematics and state.unit in ("rad/s", "m/s")
-        )
-        if not places:
-            raise ProblemError(f"Model {model.name!r} has no equation of motion to push.")
-        start = {name: experiment.initial.get(name, 0.0) for name in model.state_names}
-        sums = (f'force("{key}")' if key in model.axes else f"dot({key})" for key in places)
-        probe = replace(
-            model,
-            outputs=tuple(Output(f"sum_{i}", "1", expression=text) for i, text in enumerate(sums)),
-            effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
-        )
-        run = simulate_inputs(probe, clean.times, inputs=clean.inputs, initial=start)
-        levels = self.forces * np.abs(run.outputs).max(axis=0)
+        levels = self._levels(model, clean, experiment)
+        places, start = tuple(levels), _start(model, experiment)
         pushes = [f"push_{i}" for i in range(len(places))]
         # Forces of a model with actuators see these, not its inputs.
         through = {name: name for name in pushes} if model.actuators else {}
@@ -142,10 +131,57 @@ class World:
             else:
                 held = np.searchsorted(clean.times, fine * (1 + 1e-12) + 1e-12, side="right") - 1
                 columns.append(values[np.clip(held, 0, n - 1)])
-        push = levels * _gauss_markov((len(fine), len(places)), FORCE_TIME * SUBSTEPS, rng)
+        push = np.array(list(levels.values())) * _gauss_markov(
+            (len(fine), len(places)), FORCE_TIME * SUBSTEPS, rng
+        )
         inputs = np.column_stack([*columns, push])
         path = simulate_inputs(pushed, fine, inputs=inputs, initial=start)
         return clean.with_outputs(path.outputs[::SUBSTEPS])
+
+    def _levels(self, model: Model, clean: Record, experiment: Experiment) -> dict[str, float]:
+        """Standard deviation of the random force on each equation of motion, by axis or state."""
+        places = tuple(model.axes) or tuple(
+            state.name
+            for state in model.states
+            if state.name in model.kinematics and state.unit in ("rad/s", "m/s")
+        )
+        if not places:
+            raise ProblemError(f"Model {model.name!r} has no equation of motion to push.")
+        sums = (f'force("{key}")' if key in model.axes else f"dot({key})" for key in places)
+        probe = replace(
+            model,
+            outputs=tuple(Output(f"sum_{i}", "1", expression=text) for i, text in enumerate(sums)),
+            effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
+        )
+        run = simulate_inputs(
+            probe, clean.times, inputs=clean.inputs, initial=_start(model, experiment)
+        )
+        largest = np.abs(run.outputs).max(axis=0)
+        return dict(zip(places, (self.forces * largest).tolist(), strict=True))
+
+    def noise(self, model: Model, experiment: Experiment) -> NoiseModel:
+        """Everything random of one run but spikes, as an estimator that knew it would be told.
+
+        Parameters
+        ----------
+        model : Model
+            At the truth; its outputs declare the true noise.
+        experiment : Experiment
+        """
+        std = np.array([output.noise_std for output in model.outputs], dtype=float)
+        levels = {}
+        if self.forces:
+            clean = simulate(model, experiment, noise=False)
+            levels = self._levels(model, clean, experiment)
+        return NoiseModel(
+            np.sqrt(max(1.0 - self.colour, LEAST_WHITE)) * std,
+            np.sqrt(self.colour) * std,
+            np.array(list(levels.values())),
+            NOISE_TIME * experiment.sample_time,
+            FORCE_TIME * experiment.sample_time,
+            model.output_names,
+            tuple(f"force {place}" for place in levels),
+        )
 
     def believed(self, model: Model, rng: np.random.Generator) -> Model:
         """The model as an estimator is handed it: levels as declared, known numbers nominal."""
@@ -160,6 +196,10 @@ class World:
         off = {p.name: p.value * (1 + self.wrong * rng.uniform(-1.0, 1.0)) for p in known}
         bounded = {p.name: float(np.clip(off[p.name], p.lower, p.upper)) for p in known}
         return model.with_values(bounded)
+
+
+def _start(model: Model, experiment: Experiment) -> dict[str, float]:
+    return {name: experiment.initial.get(name, 0.0) for name in model.state_names}
 
 
 def _gauss_markov(shape: tuple[int, ...], time: float, rng: np.random.Generator) -> np.ndarray:
