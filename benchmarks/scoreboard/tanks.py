@@ -25,8 +25,9 @@ BLOCKS = 8
 SHORTLIST = 3  # candidates of a round that are judged by masked blocks
 BEST = "0.191 V, Schoukens et al., results listed at nonlinearbenchmark.org"
 VALIDATION = "cascaded_tanks/validation.csv"
-# Overflow is quick beside the sampling of 4 s; its rate is not estimated.
-HARD = {"upper_overflow": ("E_upper_overflow", 0.3), "lower_overflow": ("E_lower_overflow", 0.5)}
+# A brim is hard: water above it spills at once, as near as short steps follow; 1/s.
+HARD = {"upper_overflow": "E_upper_overflow", "lower_overflow": "E_lower_overflow"}
+SPILL, STEP = 2.0, 0.5
 BEGIN = {"E_outflow_inertia": 2.0}  # s, away from zero, where the delay has no slope
 CANDIDATES = (
     "linear_input",
@@ -48,15 +49,25 @@ def read(path: str, model: Model) -> Record:
     return whole.with_outputs(np.where(level < FULL, level, np.nan)[:, np.newaxis])
 
 
+def begin() -> Model:
+    """Torricelli's law, in steps that a hard brim allows."""
+    return replace(load_problem("cascaded_tanks").variant("torricelli").model, step=STEP)
+
+
 def grow(model: Model, name: str) -> Model:
     """The model with one candidate more."""
     if name == "linear_input":
         return replace(model, inputs=(replace(model.inputs[0], interpolation="linear"),))
     effect = load_problem("cascaded_tanks").variant("torricelli").effect(name)
-    grown = model + effect
     if name in HARD:
-        amplitude, rate = HARD[name]
-        grown = grown.with_values({amplitude: rate}).fix(amplitude)
+        effect = replace(
+            effect,
+            parameters=tuple(
+                replace(p, value=SPILL, upper=SPILL, fixed=True) if p.name == HARD[name] else p
+                for p in effect.parameters
+            ),
+        )
+    grown = model + effect
     return grown.with_values({n: v for n, v in BEGIN.items() if n in effect.amplitude_names})
 
 
@@ -99,7 +110,7 @@ def rebuilt(names: set[str], record: Record) -> Fit:
     Brim, share, dead voltage and the law of the reading can replace one another: which minimum a
     fit ends in depends on the way that led there.
     """
-    found = fit(load_problem("cascaded_tanks").variant("torricelli").model, record)
+    found = fit(begin(), record)
     for name in [name for name in CANDIDATES if name in names]:
         found = fit(grow(found.model, name), record, start="near")
     return found
@@ -107,8 +118,7 @@ def rebuilt(names: set[str], record: Record) -> Fit:
 
 def choose(record: Record, *, tell=print) -> tuple[Fit, tuple[str, ...], float]:
     """Structure and fit from the estimation record alone, and its error on masked blocks."""
-    model = load_problem("cascaded_tanks").variant("torricelli").model
-    best = fit(model, record)
+    best = fit(begin(), record)
     error, chosen = masked(best, record), []
     while left := [name for name in CANDIDATES if name not in chosen]:
         trials = {}
@@ -153,8 +163,7 @@ def validation_error(found: Fit) -> float:
 def score() -> list[Row]:
     """Estimation, masked blocks, and the official validation record if it is there."""
     fetch("cascaded_tanks/estimation.csv")
-    base = load_problem("cascaded_tanks").variant("torricelli").model
-    record = read("cascaded_tanks/estimation.csv", base)
+    record = read("cascaded_tanks/estimation.csv", begin())
     best, chosen, error = choose(record)
     note = "Torricelli + " + ", ".join(chosen)
     rows = [
