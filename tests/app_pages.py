@@ -1,0 +1,107 @@
+"""The browser application in tests: pages as a user sees them, and a vehicle to visit them with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from oed_sysid import load_problem, new_problem
+from oed_sysid.app.study import Study
+
+testing = pytest.importorskip("streamlit.testing.v1", reason="needs the extra 'app'")
+PATIENCE = 300.0  # s, for a loaded computer; a free one needs a tenth
+
+
+def script(problem: str | None) -> None:
+    """What streamlit runs."""
+    from oed_sysid.app.frame import show
+
+    show(problem)
+
+
+def opened(problem: object):
+    """The application, first page drawn."""
+    app = testing.AppTest.from_function(
+        script, kwargs={"problem": str(problem)}, default_timeout=PATIENCE
+    )
+    return fine(app.run())
+
+
+def fine(app):
+    """The application, once nobody is told that anything is wrong."""
+    assert not app.exception
+    assert not app.error, [error.value for error in app.error]
+    return app
+
+
+def following(app):
+    """The next page."""
+    return fine(app.button(key="next").click().run())
+
+
+def at_fit(app):
+    """The page Fit, the check of the log behind it."""
+    from oed_sysid.app.visit import desk
+
+    app = following(app)
+    assert app.header[0].value == "Check the log"
+    desk().wait()
+    return following(fine(app.run()))
+
+
+def done(app, button: str):
+    """The page after the work behind a button."""
+    from oed_sysid.app.visit import desk
+
+    app.button(key=f"ask:{button}").click().run()
+    desk().wait()
+    return fine(app.run())
+
+
+def text_of(app) -> str:
+    """Everything that reports say on a page."""
+    return "\n".join(part.value for part in app.get("html") if "<style>" not in part.value)
+
+
+def typed(folder: Path):
+    """The application in a new session, in which the path of a problem has been typed."""
+    app = testing.AppTest.from_function(script, kwargs={"problem": None}, default_timeout=PATIENCE)
+    app.session_state["keep:source"] = str(folder)
+    return app.run()
+
+
+def reopened(app, problem: object = None):
+    """Another session at the address of a study, as after a reload."""
+    again = testing.AppTest.from_function(
+        script, kwargs={"problem": problem and str(problem)}, default_timeout=PATIENCE
+    )
+    again.query_params["study"] = app.session_state["study"]
+    return again.run()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def own_shelf(tmp_path_factory):
+    """Studies and results of these tests, not the user's."""
+    folder = tmp_path_factory.mktemp("private")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("oed_sysid.app.visit.private_cache", lambda: folder)
+        from oed_sysid.app.visit import desk
+
+        desk.clear()
+        yield
+        desk.clear()
+
+
+@pytest.fixture(name="ship", scope="module")
+def ship_folder(tmp_path_factory) -> Path:
+    """The folder that `oed-sysid new` writes."""
+    return new_problem(tmp_path_factory.mktemp("app") / "my_ship")
+
+
+@pytest.fixture(name="study")
+def study_of_ship(ship: Path) -> Study:
+    """Its records, the last one validation."""
+    problem = load_problem(ship)
+    train, test = problem.data().split(test="zigzag_20_20")
+    return Study(str(ship), "default", problem, train, test)
