@@ -44,17 +44,19 @@ def predicted(
     return found.outputs[0][:, 0], found.model_std[0][:, 0]
 
 
-def simulated(growth: float, start: float, spread: float = 0.0) -> np.ndarray:
+def simulated(
+    growth: float, start: float, spread: float = 0.0, *, force: float = FORCE
+) -> np.ndarray:
     """Many runs by Euler and Maruyama with a fine step, ``(n_runs, n_times)``."""
     rng, fine, n_runs = np.random.default_rng(5), 0.005, 4000
     x = start + spread * rng.standard_normal(n_runs)
-    w = FORCE * rng.standard_normal(n_runs)
+    w = force * rng.standard_normal(n_runs)
     found = []
     for k in range(len(TIMES) * round(STEP / fine)):
         if k % round(STEP / fine) == 0:
             found.append(x)
         x = x + fine * (growth * x - x**3 + w)
-        fresh = FORCE * np.sqrt(2 * fine / TIME) * rng.standard_normal(n_runs)
+        fresh = force * np.sqrt(2 * fine / TIME) * rng.standard_normal(n_runs)
         w = w - fine * w / TIME + fresh
     return np.array(found).T
 
@@ -68,6 +70,15 @@ def test_what_falls_to_either_side_has_a_band_of_both(start: float, spread: floa
     np.testing.assert_allclose(std[20:], expected[20:], rtol=0.12)
     assert np.mean(np.abs(runs - path) <= 1.96 * std) > 0.94
     assert std[-1] > 1.0  # to first order, what has been caught is known to 0.03
+
+
+def test_an_unknown_start_alone_has_a_band_of_both_sides() -> None:
+    """Without random forces, and with parameters that are known, the start decides the side."""
+    path, std = predicted(1.0, 0.01, 0.02, force=0.0)
+    runs = simulated(1.0, 0.01, 0.02, force=0.0)
+    expected = np.sqrt(np.mean((runs - path) ** 2, axis=0))
+    np.testing.assert_allclose(std[20:], expected[20:], rtol=0.12)
+    assert std[-1] > 0.9
 
 
 def test_what_is_damped_keeps_its_first_order_band() -> None:

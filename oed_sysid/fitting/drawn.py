@@ -20,6 +20,7 @@ from oed_sysid.simulation import simulate_batch
 
 # Draws that show whether a first-order band would mislead, draws of a band, and at once.
 N_PROBE, N_DRAWS, CHUNK = 20, 200, 20
+RUNAWAY = 1e100  # a draw beyond is no run of a vehicle
 # Mean over a run of drawn over first-order variances from which (or below whose inverse) it does;
 # three times the scatter of so few draws.
 MISLEADS = 2.0
@@ -70,12 +71,12 @@ class Spread:
     def mean_square(
         self, simulate: SimulateAll, outputs: np.ndarray, n_draws: int = N_DRAWS
     ) -> np.ndarray:
-        """Mean square about ``outputs`` of runs that stay finite, ``(n_times, n_outputs)``."""
+        """Mean square about ``outputs`` of runs that do not run away, ``(n_times, n_outputs)``."""
         rng = np.random.default_rng(0)  # the same draws for the same fit
         total, count = np.zeros_like(outputs), 0
         for done in range(0, n_draws, CHUNK):
             runs = simulate(self.draw(min(CHUNK, n_draws - done), rng), rng)
-            runs = runs[np.isfinite(runs).all(axis=(1, 2))]
+            runs = runs[(np.abs(runs) < RUNAWAY).all(axis=(1, 2))]
             total += ((runs - outputs) ** 2).sum(axis=0)
             count += len(runs)
         return total / count if count else np.full_like(outputs, np.inf)

@@ -231,9 +231,7 @@ def _predict(
         other_covariance = np.diag([*own_variance, *np.zeros(len(layout.local))])
     variance = _carry(by_other, other_covariance) + _carry_uncertain(by_shared, covariance)
     outputs = _outputs(shooting, point.unknowns)
-    if _poorly_known(model, layout.shared_names, covariance) and np.any(
-        variance > (MATTERS * sigma) ** 2
-    ):
+    if np.any(variance > (MATTERS * sigma) ** 2):
         gain = np.zeros((len(others), n_shared))
         if way == "fit":
             gain = inverse[:, : len(outer)] @ outer
@@ -250,8 +248,10 @@ def _predict(
         def simulated(unknowns: np.ndarray, _: np.random.Generator) -> np.ndarray:
             return np.array([_outputs(shooting, one) for one in unknowns])
 
-        drawn = spread.mean_square(simulated, outputs)
-        variance = np.where(np.isfinite(variance), drawn, variance)
+        doubtful = _poorly_known(model, layout.shared_names, covariance)
+        if doubtful or misleads(variance, spread.mean_square(simulated, outputs, N_PROBE)):
+            drawn = spread.mean_square(simulated, outputs)
+            variance = np.where(np.isfinite(variance), drawn, variance)
     return outputs, np.sqrt(variance), states, values
 
 
