@@ -90,3 +90,12 @@ def test_a_size_that_may_be_anything_is_not_stated(std_error: float, told: bool)
     claim = SimpleNamespace(**{**vars(step("drag")), "effect": effect})
     lines = advice([claim], RANKING, (row,), explained=True)
     assert any("size of E_drag" in line for line in lines) == (std_error > 1.0)
+
+
+def test_nothing_is_believed_of_a_log_that_contradicts_itself() -> None:
+    """What was found is listed under a condition, and there is no list of what to believe."""
+    lines = advice([step("drag")], RANKING, ESTIMATES, explained=False, suspect=True)
+    titles = [line for line in lines if not line.startswith(" ")]
+    assert titles[0] != advice([step("drag")], RANKING, ESTIMATES, explained=False)[0]
+    assert "Believe:" not in titles
+    assert any("drag is missing" in line for line in lines)

@@ -91,8 +91,9 @@ def of_improvement(result: Improvement) -> str:
             f"the {on} records {before[kind]:.3g} × noise."
         )
     names = " and ".join(step.added for step in result.steps)
+    goes = "falls" if after[kind] < before[kind] else "does not fall: it goes"
     return (
-        f"{result.base.name} lacks {names}: with it the error on the {on} records falls from "
+        f"{result.base.name} lacks {names}: with it the error on the {on} records {goes} from "
         f"{before[kind]:.3g} to {after[kind]:.3g} × noise; {result.remains.kind}."
     )
 

@@ -266,7 +266,7 @@ class Improvement:
     @property
     def verdict(self) -> str:
         """``missing``, ``unexplained`` (more than noise, no claim) or ``nothing_missing``."""
-        if self.steps:
+        if self.steps and self.remains.kind != "log suspect":
             return "missing"
         kinds = ("structure missing", "log suspect")
         return "unexplained" if self.remains.kind in kinds else "nothing_missing"
@@ -285,6 +285,7 @@ class Improvement:
             self.parameters,
             before=self.base_error["test"],
             explained=self.remains.kind in ("adequate", "random forces"),
+            suspect=self.remains.kind == "log suspect",
             commanded=bool(self.base.inputs),
         )
 
@@ -474,6 +475,7 @@ def advice(
     parameters: Sequence[Mapping[str, Any]],
     *,
     explained: bool,
+    suspect: bool = False,
     before: float = np.nan,
     commanded: bool = True,
 ) -> list[str]:
@@ -488,6 +490,8 @@ def advice(
         ``name``, ``value``, ``std_error`` and ``unit`` of every estimate.
     explained : bool
         Whether what remains is noise, or random forces that the standard errors hold.
+    suspect : bool
+        Whether the log contradicts itself, so that nothing found in it is to be believed.
     before : float
         Validation error of the nominal model, in units of the noise.
     commanded : bool
@@ -534,7 +538,7 @@ def advice(
     if not explained:
         doubt.append("standard errors of the parameters: more is missing than was found.")
     return [
-        *_listed("Believe", believe),
+        *_listed("Only if the log is right" if suspect else "Believe", believe),
         *_listed("Do not believe", doubt),
         *_listed("Next at sea", list(dict.fromkeys(sea))),
     ]

@@ -74,6 +74,8 @@ def improvement_verdict(improvement: Improvement) -> tuple[str, ...]:
         "the noise.",
     ]
     known = {score.effect.name for score in improvement.ranking.scores}
+    suspect = improvement.remains.kind == "log suspect"
+    lacks = "If the log were right, it would lack" if suspect else "It lacks"
     for step in improvement.steps:
         words = improvement.model.effect(step.added).description
         if step.added not in known:
@@ -83,12 +85,12 @@ def improvement_verdict(improvement: Improvement) -> tuple[str, ...]:
         rivals = [name for name in step.group if name != step.added]
         if rivals:
             says.append(
-                f"It lacks {step.added}{meaning}, or one of these, which the records cannot tell "
+                f"{lacks} {step.added}{meaning}, or one of these, which the records cannot tell "
                 f"from it: {', '.join(rivals)}."
             )
         else:
-            says.append(f"It lacks {step.added}{meaning}.")
-    if improvement.steps:
+            says.append(f"{lacks} {step.added}{meaning}.")
+    if improvement.steps and not suspect:
         says.append(f"Improved, its error is {after[which]:.3g} times the noise.")
     elif improvement.verdict == "unexplained":
         says.append(UNCONFIRMED)
