@@ -1,6 +1,6 @@
 """The check of logs: how often it names a fault, and how often it cries wolf.
 
-    python -m benchmarks.compatibility [spoilt measured clean faults speed] [--logs N]
+    python -m benchmarks.compatibility [spoilt measured clean faults single speed] [--logs N]
 
 Simulated logs come from kinematics alone, integrated ten times finer than they are sampled:
 velocities and rates are sums of sines with random phases or responses to random steps, positions
@@ -272,6 +272,51 @@ def faults(n_logs: int) -> None:
                 print("   missed:", line)
 
 
+def single(n_logs: int) -> None:
+    """A bias of two to six noise levels in one record of three, and nothing else said."""
+    for colour, title in ((0.0, "white"), (None, "coloured 0.4 to 0.95")):
+        named = sized = held = extra = 0
+        for seed in range(n_logs):
+            rng = np.random.default_rng((13, seed))
+            vehicle = VEHICLES[seed % 2]
+            level = rng.uniform(0.4, 0.95) if colour is None else colour
+            data = log(vehicle, motions(vehicle, rng), (), level, rng)
+            where, size, wrong = one_bias(data, vehicle, rng)
+            found = check(wrong, vehicle.model, inputs=False).serious
+            (signal,), (record,) = where
+            own = [one for one in found if one.kind == "bias" and one.records == (record,)]
+            hits = [one for one in own if one.signals == (signal,)]
+            also = f"bias of {signal} in {record}"
+            grouped = [one for one in own if any(also in words for words in one.alternatives)]
+            named += bool(hits or grouped)
+            sized += bool(hits)
+            held += any(one.interval is not None and _holds(one.interval, size) for one in hits)
+            extra += len(found) > 1
+        print(
+            f"a bias in one record, {title}: named in the group {named} of {n_logs}, 95 % "
+            f"intervals hold {held} of {sized}, something else said {extra}",
+            flush=True,
+        )
+
+
+def _holds(interval: tuple[float, float], size: float) -> bool:
+    return interval[0] <= size <= interval[1]
+
+
+def one_bias(
+    data: Dataset, vehicle: Vehicle, rng: np.random.Generator
+) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], float, Dataset]:
+    """Signal and record, size, and the log with a rate or velocity off in that record."""
+    rates = [name for name in vehicle.noise if name in ("u", "w", "v", "q", "r")]
+    name, number = str(rng.choice(rates)), int(rng.integers(len(data)))
+    size = float(rng.choice([-1, 1]) * rng.uniform(2.0, 6.0) * vehicle.noise[name])
+    outputs = data[number].outputs.copy()
+    outputs[:, data.channels.output_names.index(name)] += size
+    records = list(data.records)
+    records[number] = data[number].with_outputs(outputs)
+    return ((name,), (data[number].name,)), size, Dataset(tuple(records))
+
+
 def spoilt() -> None:
     """The spoilt copies of hidden-effect records, and the records as they are."""
     cases = hidden_effect_cases()
@@ -330,14 +375,15 @@ def main() -> None:
     parts = {"spoilt": spoilt, "measured": measured, "speed": speed}
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "parts", nargs="*", default=["spoilt", "measured", "clean", "faults", "speed"]
+        "parts", nargs="*", default=["spoilt", "measured", "clean", "faults", "single", "speed"]
     )
     parser.add_argument("--logs", type=int, default=100, help="simulated logs of each kind")
     options = parser.parse_args()
     for name in options.parts:
         print(f"\n-- {name}", flush=True)
-        if name in ("clean", "faults"):
-            {"clean": clean, "faults": faults}[name](options.logs)
+        many = {"clean": clean, "faults": faults, "single": single}
+        if name in many:
+            many[name](options.logs)
         else:
             parts[name]()
 

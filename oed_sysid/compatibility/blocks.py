@@ -51,6 +51,8 @@ class Candidate:
         Of the size.
     plausible, material : float
         Usual size, and the least that matters.
+    record : str
+        The only record that it acts in; empty for all of them.
     """
 
     kind: str
@@ -59,6 +61,7 @@ class Candidate:
     plausible: float
     material: float
     other: tuple[str, ...] = ()
+    record: str = ""
 
 
 @dataclass(frozen=True)
@@ -208,6 +211,8 @@ def _columns(
     slopes: _Slopes,
 ) -> tuple[np.ndarray | float, np.ndarray | float]:
     """What a unit of a fault adds to the left side, and to the integrand."""
+    if one.record not in ("", trace.name):
+        return 0.0, 0.0
     here = [name for name in one.signals if name in partials]
     left = relation.target in one.signals
     if one.kind == "bias":

@@ -19,7 +19,7 @@ against the fault and widens its interval.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,8 @@ CLOSE = 9.0
 # Intervals are wider than the linear theory says: noise levels are estimated, faults selected.
 WIDER = 1.15
 NUMERICAL = 3e-5
+# Biases of single records have to bring this much more, and are looked for in no more records.
+SINGLE, MOST_RECORDS = 26.0, 24
 # The noise of the equations is estimated anew in so many rounds, and kept from then on.
 SETTLING = 3
 
@@ -60,7 +62,7 @@ class Continuous:
     def correction(self) -> Correction:
         """How to undo it."""
         one = self.candidate
-        return Correction(one.kind, one.signals, self.size, one.other)
+        return Correction(one.kind, one.signals, self.size, one.other, record=one.record)
 
 
 @dataclass(frozen=True)
@@ -146,21 +148,35 @@ def search(
     system : System or None
         The last normal equations; None where nothing could be worked out.
     """
-    ends = [_search(traces, relations, begin) for begin in ((start, ()) if start else ((),))]
-    found, system, _ = min(ends, key=lambda end: end[2])
+    faults = candidates(traces, relations)
+    begins = (start, ()) if start else ((),)
+    ends = [_search(traces, relations, faults, begin) for begin in begins]
+    found, system, cost = min(ends, key=lambda end: end[2])
+    names = [trace.name for trace in traces]
+    if 1 < len(names) <= MOST_RECORDS:
+        # A gyro that was switched on anew has another bias.
+        single = [replace(f, record=n) for f in faults if f.kind == "bias" for n in names]
+        begin = [one.correction for one in found]
+        more, other, less = _search(traces, relations, (*faults, *single), begin)
+        if cost - less > SINGLE and any(one.candidate.record for one in more):
+            return more, other
     return found, system
 
 
 def _search(
-    traces: list[Trace], relations: tuple[Relation, ...], start: Sequence[Correction]
+    traces: list[Trace],
+    relations: tuple[Relation, ...],
+    faults: tuple[Candidate, ...],
+    start: Sequence[Correction],
 ) -> tuple[list[Continuous], System | None, float]:
     """Search from one start; also minus twice the log-likelihood, with a price for each fault."""
-    faults = candidates(traces, relations)
     sizes = np.zeros(len(faults))
     active: list[int] = []
     for one in start:
         for k, fault in enumerate(faults):
-            if (fault.kind, fault.signals, fault.other) == (one.kind, one.signals, one.other):
+            if (fault.kind, fault.signals, fault.other) == (one.kind, one.signals, one.other) and (
+                not fault.record
+            ):
                 active.append(k)
                 sizes[k] = one.value
     system, right = None, np.zeros(len(faults))
@@ -207,7 +223,13 @@ def _undone(
     relations: tuple[Relation, ...],
 ) -> list[Trace]:
     fixes = [
-        Correction(faults[k].kind, faults[k].signals, float(sizes[k]), faults[k].other)
+        Correction(
+            faults[k].kind,
+            faults[k].signals,
+            float(sizes[k]),
+            faults[k].other,
+            record=faults[k].record,
+        )
         for k in active
     ]
     return [undo(trace, fixes, relations) for trace in traces] if fixes else traces

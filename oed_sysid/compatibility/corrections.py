@@ -28,7 +28,8 @@ def undo(
     """Return a trace without the faults; ``relations`` are needed to turn frames only."""
     values, noise = dict(trace.values), dict(trace.noise)
     for one in sorted(corrections, key=lambda c: ORDER.index(c.kind)):
-        if all(name in values for name in (*one.signals, *one.other)):
+        here = one.record in ("", trace.name)
+        if here and all(name in values for name in (*one.signals, *one.other)):
             values |= _undone(trace.name, trace.times, values, trace.units, one, relations)
             noise |= _noise(noise, one)
     return replace(trace, values=values, noise=noise)

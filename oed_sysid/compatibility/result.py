@@ -41,6 +41,8 @@ class Correction:
         indices of the first samples after each jump.
     sizes : mapping
         For ``step``: record name to the jump at each of these indices, in the signal's SI unit.
+    record : str
+        The only record that changes; empty for all of them.
     """
 
     kind: str
@@ -49,6 +51,7 @@ class Correction:
     other: tuple[str, ...] = ()
     rows: dict[str, tuple[int, ...]] = field(default_factory=dict, repr=False)
     sizes: dict[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
+    record: str = ""
 
 
 @dataclass(frozen=True)

@@ -171,7 +171,7 @@ def say_candidate(one: Candidate, size: float) -> str:
         return f"misalignment of {names} ({number})"
     if one.kind == "drift":
         return f"current or drift along {names} ({number})"
-    return f"{one.kind} of {names} ({number})"
+    return f"{one.kind} of {names}{f' in {one.record}' if one.record else ''} ({number})"
 
 
 def _others(names: tuple[str, ...], relations: tuple[Relation, ...]) -> tuple[str, ...]:
@@ -223,9 +223,12 @@ def continuous_finding(
         changes = "lags of actuators and damping are wrong by as much"
         line = f'effect sensor_delay(...) of "{names[0]}", or shift it back: {COPY}'
     elif kind == "bias":
-        says = f"{both} has a constant error of {shown}."
+        where = f" in {fault.record}" if fault.record else ""
+        says = f"{both} has a constant error of {shown}{where}."
         changes = "offsets of actuators and asymmetries of the hull take its place"
         line = "effect " + SENSOR[kind].format(names[0], unit=fault.unit, size=abs(size))
+        if fault.record:
+            line, records = line[:-1] + ", per_record=True)", (fault.record,)
     elif kind == "scale":
         says = f"{both} is wrong by {shown} of its value."
         changes = f"coefficients of terms with {both} are wrong by about as much"
