@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Multiple of the noise up to which residuals say no more than noise would.
 NOISE = 1.2
+# And from which they are no measure: filtered logs have next to no noise.
+SMOOTHED = 100.0
 # Standard errors in half of a 95 % interval.
 HALF_WIDTH = 1.96
 # Probability from which an effect is said to show.
@@ -44,7 +46,12 @@ def of_fit(fit: Fit, comparison: Comparison | None = None) -> str:
         words += f", the least certain {worst} ± {share(errors[worst])} (95 %)"
     size = fit.normalised_rms
     words += f"; residuals are {size:.3g} × noise"
-    if not size < NOISE:
+    if size > SMOOTHED:
+        words += (
+            ": the model is far off, or the log was smoothed and shows no noise; read errors in"
+        )
+        words += " units"
+    elif not size < NOISE:
         words += ", so the model lacks something"
     if comparison is not None:
         words += f"; errors on the validation records {comparison.best.relative:.3g} × noise"
