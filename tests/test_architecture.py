@@ -52,6 +52,7 @@ LAYERS = (
     "demo",
     "app",
     "cli",
+    "__main__",
 )
 # These speak to the user and therefore use the public API, as a user does.
 USES_PUBLIC_API = ("testing", "demo", "app", "cli")

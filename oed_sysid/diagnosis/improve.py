@@ -113,7 +113,7 @@ def improve(
         repeat explain part of any misfit: where none act (calm water, long slow motion), an effect
         shows more clearly without them.
     max_effects : int
-        Most effects to add.
+        Most effects to add; a proposed term may come beside them.
     progress : callable, optional
         Told in words what is being done.
     journal : Journal, optional
