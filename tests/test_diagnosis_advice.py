@@ -99,3 +99,16 @@ def test_nothing_is_believed_of_a_log_that_contradicts_itself() -> None:
     assert titles[0] != advice([step("drag")], RANKING, ESTIMATES, explained=False)[0]
     assert "Believe:" not in titles
     assert any("drag is missing" in line for line in lines)
+
+
+def test_what_shows_in_one_amplitude_is_not_said_to_be_invisible() -> None:
+    """Of two amplitudes one is known to a hundredth of its size, the other not at all."""
+    sizes = tuple(Parameter(name, 0.0, "N", scale=1.0) for name in ("E_along", "E_across"))
+    effect = Force("wind", {"X": "E_along", "Y": "E_across"}, sizes)
+
+    def of(across: float, along: float) -> Score:
+        errors = {"E_along": along, "E_across": across}
+        return Score(effect, 1.0, 2, dict.fromkeys(errors, 0.0), errors, 0.5, np.ones((3, 2)))
+
+    assert not Ranking((of(9.0, 0.01),), (), np.ones(3)).undetectable()
+    assert set(Ranking((of(9.0, 9.0),), (), np.ones(3)).undetectable()) == {"wind"}

@@ -192,7 +192,9 @@ class Ranking:
             needed = self.needed_by(score) ** 0.5
             sizes = {p.name: p.magnitude for p in score.effect.parameters}
             limits = {name: needed * error for name, error in score.std_errors.items()}
-            if score.absorbed or any(limit > sizes[name] for name, limit in limits.items()):
+            # What would show in one of its amplitudes would show.
+            unseen = [limit > sizes[name] for name, limit in limits.items()]
+            if score.absorbed or (unseen and all(unseen)):
                 found[score.effect.name] = limits
         return found
 
