@@ -38,7 +38,7 @@ SLOWED, TOWED = 0.9, 0.1  # share of the speed at the beginning; m/s of the mode
 SWINGS = 5  # turning points of the least decay that tells something
 LARGEST = 1.0  # rad
 COLUMNS = {
-    "t_s": ("t", "time", "time_s"),
+    "t_s": ("t", "time", "time_s", ""),
     "x_m": ("x",),
     "y_m": ("y",),
     "phi_rad": ("phi",),
@@ -189,8 +189,8 @@ def _turning_points(file: str, phi: np.ndarray, step: float) -> np.ndarray:
     smooth = np.convolve(np.pad(phi, width, mode="edge"), np.ones(width) / width, mode="same")
     smooth = smooth[width:-width]
     prominence = max(0.05 * span, np.radians(0.3))
-    crests = [find_peaks(sign * smooth, prominence=prominence)[0] for sign in (1, -1)]
-    points = np.sort(np.concatenate(crests))
+    found = [find_peaks(sign * smooth, prominence=prominence)[0] for sign in (1, -1)]
+    points = _alternating(*found)
     if span / 2 < 1.5 * LEAST_ANGLE or len(points) < SWINGS:
         raise DataError(
             f"{file}: the roll angle spans {np.degrees(span):.2f} degrees with {len(points)} "
@@ -200,6 +200,15 @@ def _turning_points(file: str, phi: np.ndarray, step: float) -> np.ndarray:
     rest = float(np.median(phi[: points[0]])) if points[0] > round(5.0 / step) else 0.0
     release = int(np.argmax(np.abs(smooth[points] - rest)))
     return points[release + 1 :]
+
+
+def _alternating(crests: np.ndarray, troughs: np.ndarray) -> np.ndarray:
+    """Crests and troughs in turn; of neighbours of one kind (a flat top has two) the first."""
+    signs = np.concatenate([np.ones(len(crests)), -np.ones(len(troughs))])
+    points = np.concatenate([crests, troughs])
+    order = np.argsort(points)
+    points, signs = points[order], signs[order]
+    return points[np.diff(signs, prepend=0.0) != 0]
 
 
 def _ends(amplitudes: np.ndarray) -> int:

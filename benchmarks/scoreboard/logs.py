@@ -29,7 +29,8 @@ LIMITS: Mapping[int, tuple[str, float, str]] = {
 # Heading changes over a second may differ from the mean yaw rate by this, rms, rad/s, and share of
 # the rate's own size; in the twelve registered logs they differ by 0.003 to 0.013 rad/s.
 RATE_AWAY, RATE_SHARE = 0.02, 0.5
-# Mean velocities over ten seconds, of positions and of u, v and heading: likewise; 0.002 to 0.012 m/s.
+# Mean velocities over ten seconds, of positions and of u, v and heading, likewise: there by 0.002
+# to 0.012 m/s.
 TRACK_AWAY, TRACK_SHARE = 0.05, 0.2
 
 

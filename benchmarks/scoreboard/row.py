@@ -47,9 +47,7 @@ class Row:
             ours = f"{self.ours:{'.2f' if abs(self.ours) >= 100 else '.3g'}} {self.unit}".strip()
         texts = (self.what, ours, self.published, self.note)
         # A bar or a line's end within a text would end the cell.
-        what, ours, published, note = (
-            " ".join(text.split()).replace("|", "\\|") for text in texts
-        )
+        what, ours, published, note = (" ".join(text.split()).replace("|", "\\|") for text in texts)
         return what, ours, published, note
 
 

@@ -69,7 +69,7 @@ def read_original(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Variables V1 and V2 of a MATLAB file, V."""
     try:
         found = {name.upper(): value for name, value in loadmat(path).items()}
-    except (NotImplementedError, ValueError, TypeError, OSError) as error:
+    except Exception as error:  # of several types, by what is wrong with the file
         raise DataError(
             f"{path.name} cannot be read as a MATLAB file up to version 7 ({str(error)[:80]}). "
             f"Save it in this form, or put {Path(WHOLE).name} beside it."
@@ -83,9 +83,7 @@ def read_original(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return checked(columns[0], columns[1], path)
 
 
-def checked(
-    voltage: np.ndarray, response: np.ndarray, path: Path
-) -> tuple[np.ndarray, np.ndarray]:
+def checked(voltage: np.ndarray, response: np.ndarray, path: Path) -> tuple[np.ndarray, np.ndarray]:
     """The columns if they can be SNLS80mV: its length, in volts, V1 the input."""
     for name, column in (("V1", voltage), ("V2", response)):
         if len(column) != LENGTH:

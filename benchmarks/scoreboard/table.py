@@ -11,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from benchmarks.scoreboard.row import reason
 from oed_sysid.errors import DataError
 
 SEPARATORS = (",", ";", "\t")
@@ -136,8 +137,8 @@ def _lacking(file: str, name: str, columns: str, first: Sequence[str]) -> str:
             f"columns {columns}; write their names into the first line."
         )
     return (
-        f"{file} has no column {name}; its columns are {', '.join(cells)[:120]}. Expected {columns}, "
-        "in any order; rename them."
+        f"{file} has no column {name}; its columns are {', '.join(cells)[:120]}. Expected "
+        f"{columns}, in any order; rename them."
     )
 
 
@@ -163,7 +164,7 @@ def first_readable(
         if not path.is_file():
             continue
         try:
-            return read(path), "; ".join(f"{one}" for one in faults)
+            return read(path), "; ".join(map(reason, faults))
         except Exception as error:  # a library's own error types differ from file to file
             faults.append(error)
     raise faults[0] if faults else DataError(f"There is no {paths[0].name}.")

@@ -130,11 +130,14 @@ class Remembered:
         return known
 
 
+def remembering(structure: Structure) -> Structure:
+    """The structure, never fitted twice to the same records."""
+    return replace(structure, estimator=Remembered(structure.estimator))
+
+
 def prepared(train: Dataset) -> tuple[Structure, ...]:
-    """The candidates for these records, none fitted twice to the same of them."""
-    return tuple(
-        replace(one, estimator=Remembered(one.estimator)) for one in candidates(train)
-    )
+    """The candidates for these records, to be asked for several turns."""
+    return tuple(map(remembering, candidates(train)))
 
 
 def predicted(
