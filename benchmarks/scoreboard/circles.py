@@ -21,10 +21,12 @@ MEASURED = {
     ("tactical_diameter", "port"): (3.08, "+6.2 %"),
 }
 SOURCE = "Alexandersson et al. (2022), Ocean Eng. 266, against circles of MARIN"
+MODEL = "7 m model, table 4"
 # Columns side, quantity, lengths: indices of circles that are not part of this repository.
 JUDGES = "kvlcc2_circles/indices.csv"
-# No 35 degree circle of a full ship is outside; what is was not divided by the length.
-SMALLEST, LARGEST = 0.5, 20.0
+# Full ships turn within 4.5 to 5 lengths at most (IMO MSC.137(76)); what is far outside was not
+# divided by the length: the circles of a 3 m model are 9 to 10 m wide.
+SMALLEST, LARGEST = 0.5, 8.0
 SHORT = {"s": "starboard", "stbd": "starboard", "p": "port"}
 OTHER_BASIN = "KVLCC2 35 deg circles of another basin"
 
@@ -110,7 +112,7 @@ def score() -> list[Row]:
     )
     print(average.report(), flush=True)
     table = [
-        Index(quantity, side, value, published, "7 m model, table 4")
+        Index(quantity, side, value, published, MODEL)
         for (quantity, side), (value, published) in MEASURED.items()
     ]
     return rows + [row_of(one, average) for one in (*table, *further)]
@@ -124,6 +126,13 @@ def row_of(one: Index, average: StructureAverage) -> Row:
         f"predicted {average.values[name]:.2f} L, 95 % interval {low:.2f} to {high:.2f}; "
         f"measured {one.lengths:g} L ({one.source})"
     )
-    what = f"KVLCC2 35 deg circle, {one.quantity.replace('_', ' ')} to {one.side}, error"
+    which = f"{one.quantity.replace('_', ' ')} to {one.side}"
+    circle = "KVLCC2 35 deg circle" + ("" if one.source == MODEL else " of another basin")
     published = f"{one.published}, {SOURCE}" if one.published else "-"
-    return Row(what, 100 * (average.values[name] / one.lengths - 1), published, "%", note)
+    return Row(
+        f"{circle}, {which}, error",
+        100 * (average.values[name] / one.lengths - 1),
+        published,
+        "%",
+        note,
+    )
