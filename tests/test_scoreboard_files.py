@@ -11,10 +11,18 @@ import pytest
 from scipy.io import savemat
 
 from benchmarks.scoreboard import __main__ as board
-from benchmarks.scoreboard import circles, esso_osaka, logs, silverbox, tanks_record, turns
+from benchmarks.scoreboard import (
+    circles,
+    esso_osaka,
+    glider,
+    logs,
+    silverbox,
+    tanks_record,
+    turns,
+)
 from benchmarks.scoreboard.row import Row, attempted
 from benchmarks.scoreboard.table import read_table
-from oed_sysid import Dataset, load_problem
+from oed_sysid import Dataset, MultipleShooting, load_problem
 from oed_sysid.data.third_party import data_folder
 from oed_sysid.errors import DataError
 from oed_sysid.predictions.structures import Structure
@@ -324,3 +332,19 @@ def test_further_turns_are_scored(tmp_path: Path) -> None:
     assert row.instead == "cannot be scored"
     assert row.note.startswith("cannot be scored: turn_copy.csv: ")
     assert len(fitted) == before
+
+
+# -- glider ------------------------------------------------------------------------
+
+
+@MEASURED
+def test_a_search_that_did_not_end_is_said() -> None:
+    """The note names the inertia of the steady model and that its fit did not converge."""
+    problem = load_problem("slocum_glider")
+    one = Dataset((problem.data()[0],))
+    fit = MultipleShooting(disturbances="none", start="near", max_iterations=2).fit(
+        problem.model, one
+    )
+    note = glider.note_of(fit)
+    assert "inertia of 14 kg" in note
+    assert f"not converged after {fit.iterations} iterations" in note

@@ -33,9 +33,9 @@ PUBLISHED = "-"
 NOTE = "fitted to the large angles; the small ones confirmed the effects"
 AWAITED = {"21338": "0 kn", "21340": "15.5 kn"}
 ESTIMATOR = MultipleShooting(disturbances="none")
-# Two terms are separated if each differs from zero by its 95 % interval and their estimates do
-# not hang together more than this.
-TWO_SIDED_95, HANG_TOGETHER = 1.96, 0.97
+# Two terms are separated if each is outside its 95 % interval about zero, and the estimates
+# correlate by less than this.
+TWO_SIDED_95, MOST_CORRELATED = 1.96, 0.97
 
 
 def models() -> dict[str, Model]:
@@ -71,8 +71,8 @@ def damping(fit: Fit) -> str:
         if not abs(fit.values[name]) > TWO_SIDED_95 * fit.std_errors[name]
     ]
     weak += [f"{SYMBOLS[name]} feeds the roll" for name in free if fit.values[name] > 0]
-    if abs(correlation) > HANG_TOGETHER:
-        weak.append("the two hang together")
+    if abs(correlation) > MOST_CORRELATED:
+        weak.append(f"the estimates correlate by more than {MOST_CORRELATED:g}")
     if not fit.status.ok:
         weak.append(f"the fit did not converge ({fit.status.code})")
     verdict = f"not separated, because {' and '.join(weak)}" if weak else "separated"

@@ -149,8 +149,8 @@ def score() -> list[Row]:
     titles = [(f"Silverbox, {name}", f"{best}, {SOURCE}") for name, (_, best) in PARTS.items()]
     if not (place(WHOLE).is_file() or place(ORIGINAL).is_file()):
         form = (
-            f"SNLS80mV as two columns V1,V2 with a header ({LENGTH:,} rows), or SNLS80mV.mat "
-            "beside it,"
+            f"SNLS80mV as two columns V1,V2 with a header ({LENGTH:,} rows; SNLS80mV.mat is read "
+            "as well)"
         )
         return rows + [missing(what, published, WHOLE, form) for what, published in titles]
     try:

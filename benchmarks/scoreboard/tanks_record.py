@@ -15,8 +15,8 @@ VALIDATION = "cascaded_tanks/validation.csv"
 PUBLISHED = "cascaded_tanks/dataBenchmark.csv"
 ESTIMATION = "cascaded_tanks/estimation.csv"
 FORM = (
-    "the 1024 validation samples, in the form of estimation.csv (t_s,u_V,y_V), or the published "
-    "dataBenchmark.csv beside it,"
+    "the 1024 validation samples, in the form of estimation.csv (t_s,u_V,y_V; the published "
+    "dataBenchmark.csv is read as well)"
 )
 SAMPLES, SAMPLING = 1024, 4.0  # s
 LOWEST, HIGHEST = -1.0, 11.0  # V, of pump and level

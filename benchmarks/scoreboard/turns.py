@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.scoreboard.logs import further, pieces
-from benchmarks.scoreboard.row import Row, attempted
+from benchmarks.scoreboard.row import Row, attempted, refused
 from oed_sysid import Channels, Dataset, Fit, Model, MultipleShooting, Record, load_problem
 from oed_sysid.errors import DataError, OedSysidError, SimulationError
 from oed_sysid.manoeuvres.indices import turning_indices
@@ -190,13 +190,17 @@ def further_rows(
     path: Path, sources: Mapping[str, tuple[Sequence[Structure], Dataset]], channels: Channels
 ) -> list[Row]:
     """Rows of one further file, or why its turn cannot be scored."""
+    try:
+        longest = max(pieces(path, channels), key=lambda piece: piece.duration)
+        turns(Dataset((longest,)))  # before anything is fitted: is it a turn to 180 degrees?
+    except Exception as error:
+        return [refused(f"Esso Osaka, {path.stem}, turn", "-", path.name, error)]
     rows: list[Row] = []
     for what, (structures, train) in sources.items():
 
         def score_one(
             what: str = what, structures: Sequence[Structure] = structures, train: Dataset = train
         ) -> Sequence[Row]:
-            longest = max(pieces(path, channels), key=lambda piece: piece.duration)
             return _rows(what, predicted(structures, train, Dataset((longest,))))
 
         rows += attempted(f"Esso Osaka, {path.stem}, turn from {what}", "-", path.name, score_one)
