@@ -93,6 +93,12 @@ def test_the_free_decay_is_cut_out(tmp_path: Path) -> None:
     stand_in(path, AT_SPEED, degrees=9.0, duration=110.0, speed=0.967)
     found = decays.read_decay(path, channels)
     assert 0.2 <= found.last / found.first < 0.25
+    table = np.genfromtxt(path, delimiter=",", skip_header=1)
+    table[:, 4] += np.radians(0.5)
+    np.savetxt(path, table, delimiter=",", header=HEADER, comments="")
+    heeled = decays.read_decay(path, channels)
+    assert heeled.first == pytest.approx(found.first)
+    assert "a heel of 0.50 deg" in heeled.text
     still = tmp_path / "model_test_21340.csv"
     stand_in(still, AT_SPEED, degrees=9.0, duration=70.0)
     found = decays.read_decay(still, channels)

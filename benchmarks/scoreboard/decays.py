@@ -37,6 +37,7 @@ GROWTH = 1.1
 SLOWED, TOWED = 0.9, 0.1  # share of the speed at the beginning; m/s of the model
 SWINGS = 5  # turning points of the least decay that tells something
 LARGEST = 1.0  # rad
+TOLD_HEEL = 0.05  # deg; above it the note says that the models have none
 COLUMNS = {
     "t_s": ("t", "time", "time_s", ""),
     "x_m": ("x",),
@@ -138,6 +139,10 @@ def read_decay(path: Path, channels: Channels) -> Decay:
         knots = stated or 0.0
         if stated:
             remark = f"speed as stated, positions show {own:.2f} m/s"
+    used = phi[points[inside]]
+    heel = float(np.degrees(np.mean(0.5 * (used[1:] + used[:-1]))))
+    if abs(heel) > TOLD_HEEL:
+        remark = "; ".join(filter(None, (remark, f"about a heel of {heel:.2f} deg, not modelled")))
     thin = max(1, round(SAMPLING / step))
     rows = slice(begin, end + 1, thin)
     record = Record(
