@@ -87,7 +87,9 @@ def test_held_back_tanks_are_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         np.savetxt(
             tmp_path / tanks.VALIDATION, table, delimiter=",", header="t_s,u_V,y_V", comments=""
         )
-        assert tanks.validation_error(found) == pytest.approx(shift, abs=1e-3)
+        validation, name = tanks.read_validation(model.channels)
+        assert name == "validation.csv"
+        assert tanks.validation_error(found, validation) == pytest.approx(shift, abs=1e-3)
     grown = tanks.fit(tanks.grow(found.model, "level_zero"), record, start="near")
     assert grown.rms["level"] < found.rms["level"]
 

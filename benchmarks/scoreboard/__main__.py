@@ -17,8 +17,7 @@ from benchmarks.scoreboard import (
     tanks,
     turns,
 )
-from benchmarks.scoreboard.row import Row
-from oed_sysid.errors import DataError
+from benchmarks.scoreboard.row import Row, attempted
 
 BOARDS: dict[str, Callable[[], list[Row]]] = {
     "silverbox": silverbox.score,
@@ -35,7 +34,8 @@ HEAD = """# Scoreboard
 
 Public benchmarks with their official splits, beside the published figures. Each section is written
 by `python -m benchmarks.scoreboard NAME`, all of them without a name. What says *missing* is
-scored as soon as its file lies in the data folder (`OED_SYSID_DATA`). No parameter was
+scored as soon as its file lies in the data folder (`OED_SYSID_DATA`); what is wrong with a file
+that cannot be scored stands in its row, and all other rows are as without it. No parameter was
 fitted to a record that is scored as a test, and official test records chose no structure either;
 where a validation part of our own confirmed the effects (`improve`), the note says so.
 """
@@ -66,10 +66,7 @@ def main(arguments: list[str] | None = None) -> None:
     for name in given.names or BOARDS:
         began = time.perf_counter()
         print(f"{name}:", flush=True)
-        try:
-            found = BOARDS[name]()
-        except DataError as error:
-            found = [Row(name, None, "-", note=str(error).splitlines()[0][:200])]
+        found = attempted(name, "-", f"the board {name}", BOARDS[name])
         for row in found:
             print("  " + " | ".join(row.cells()), flush=True)
         print(f"  ({time.perf_counter() - began:.0f} s)", flush=True)

@@ -1,11 +1,15 @@
-"""One line of the table, and the files that a line needs."""
+"""One line of the table, the files that a line needs, and what to say of a file at fault."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from oed_sysid.data.third_party import data_folder
+from oed_sysid.errors import OedSysidError
+
+LONGEST_REASON = 400  # characters
 
 
 @dataclass(frozen=True)
@@ -17,13 +21,15 @@ class Row:
     what : str
         Quantity and the records that it is taken on.
     ours : float or None
-        Measured here; None if a file is missing.
+        Measured here; None if a file is missing or at fault.
     published : str
         Best or reference figure in the literature, with its source; ``"-"`` if there is none.
     unit : str
         Of ``ours``.
     note : str
-        What was fitted to what, or which file is missing.
+        What was fitted to what, or which file is missing, or what is wrong with it.
+    instead : str
+        What stands in place of a figure that is None.
     """
 
     what: str
@@ -31,14 +37,18 @@ class Row:
     published: str
     unit: str = ""
     note: str = ""
+    instead: str = "missing"
 
     def cells(self) -> tuple[str, str, str, str]:
         """Cells of the Markdown table."""
-        ours = "missing"
+        ours = self.instead
         if self.ours is not None:
             # Three digits tell; of a likelihood those behind the point do.
             ours = f"{self.ours:{'.2f' if abs(self.ours) >= 100 else '.3g'}} {self.unit}".strip()
-        return self.what, ours, self.published, self.note
+        texts = (self.what, ours, self.published, self.note)
+        # A bar or a line's end within a text would end the cell.
+        what, ours, published, note = (" ".join(text.split()).replace("|", "\\|") for text in texts)
+        return what, ours, published, note
 
 
 def place(path: str) -> Path:
@@ -51,6 +61,31 @@ def missing(what: str, published: str, path: str, content: str) -> Row:
     return Row(what, None, published, note=f"put {content} at `{path}` in the data folder")
 
 
-def wanted(what: str, published: str, path: str, content: str) -> Row | None:
-    """The row that says so if a file is missing; None if it is there."""
-    return None if place(path).is_file() else missing(what, published, path, content)
+def reason(error: Exception) -> str:
+    """What went wrong, in words and without the place of the data folder."""
+    text = " ".join(str(error).split()).replace(str(data_folder()), "the data folder")
+    if not isinstance(error, OedSysidError):
+        text = (
+            f"unforeseen {type(error).__name__}: {text or 'no text'}; compare the file with the "
+            "form that its missing row or its problem's README asks for"
+        )
+    return text if len(text) <= LONGEST_REASON else text[: LONGEST_REASON - 3] + "..."
+
+
+def refused(what: str, published: str, file: str, error: Exception) -> Row:
+    """Row of a file that cannot be scored, and why."""
+    note = f"cannot be scored: {file}: {reason(error)}"
+    return Row(what, None, published, note=note, instead="cannot be scored")
+
+
+def attempted(
+    what: str, published: str, file: str, score: Callable[[], Iterable[Row]]
+) -> list[Row]:
+    """The rows of one file, or the row that says why there are none.
+
+    Whatever is wrong with a file must not take the other rows with it, so every error is caught.
+    """
+    try:
+        return list(score())
+    except Exception as error:
+        return [refused(what, published, file, error)]

@@ -11,13 +11,17 @@ python -m benchmarks.scoreboard.turns says what the same structures reach when t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
-from benchmarks.scoreboard.row import Row
-from oed_sysid import Dataset, Fit, MultipleShooting, Record, load_problem
-from oed_sysid.errors import DataError, SimulationError
+from benchmarks.scoreboard.logs import further, pieces
+from benchmarks.scoreboard.row import Row, attempted, refused
+from oed_sysid import Channels, Dataset, Fit, Model, MultipleShooting, Record, load_problem
+from oed_sysid.errors import DataError, OedSysidError, SimulationError
 from oed_sysid.manoeuvres.indices import turning_indices
+from oed_sysid.predictions.jackknife import Estimator
 from oed_sysid.predictions.structures import (
     Structure,
     StructureAverage,
@@ -106,11 +110,43 @@ def turns(dataset: Dataset) -> tuple[Callable[[Fit], Mapping[str, float]], dict[
     return purpose, measured
 
 
-def predicted(train: Dataset, test: Dataset) -> tuple[StructureAverage, dict[str, float]]:
+@dataclass(frozen=True)
+class Remembered:
+    """An estimator that fits the same records once: several turns are asked of the same fits."""
+
+    estimator: Estimator
+    found: dict[tuple[str, ...], Fit | OedSysidError] = field(default_factory=dict)
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """The fit of these records, made before or now; one model only."""
+        if dataset.names not in self.found:
+            try:
+                self.found[dataset.names] = self.estimator.fit(model, dataset)
+            except OedSysidError as error:
+                self.found[dataset.names] = error
+        known = self.found[dataset.names]
+        if isinstance(known, OedSysidError):
+            raise known
+        return known
+
+
+def remembering(structure: Structure) -> Structure:
+    """The structure, never fitted twice to the same records."""
+    return replace(structure, estimator=Remembered(structure.estimator))
+
+
+def prepared(train: Dataset) -> tuple[Structure, ...]:
+    """The candidates for these records, to be asked for several turns."""
+    return tuple(map(remembering, candidates(train)))
+
+
+def predicted(
+    structures: Sequence[Structure], train: Dataset, test: Dataset
+) -> tuple[StructureAverage, dict[str, float]]:
     """The rule applied: turns of ``test`` from the records of ``train``, and what was measured."""
     purpose, measured = turns(test)
     average = average_structures(
-        candidates(train),
+        structures,
         train,
         purpose=purpose,
         strength=peak_input("delta"),
@@ -121,14 +157,53 @@ def predicted(train: Dataset, test: Dataset) -> tuple[StructureAverage, dict[str
 
 
 def score() -> list[Row]:
-    """Errors of two turns that nothing was fitted to, from zigzags alone and with other turns."""
+    """Errors of turns that nothing was fitted to, from zigzags alone and with other turns.
+
+    Turns of further files, whose names begin with ``turn``, are predicted one by one from the
+    zigzags, and from these and all registered turns.
+    """
     data = load_problem("esso_osaka").data()
-    test = Dataset(tuple(r for r in data if r.name in VALIDATION and r.name.startswith("turn")))
-    ahead = [r for r in data if not r.name.startswith("random") and r.name not in test.names]
-    zigzags = [r for r in ahead if r.name.startswith("zigzag")]
+    held = [r.name for r in data if r.name in VALIDATION and r.name.startswith("turn")]
+    test = Dataset(tuple(data[name] for name in held))
+    manoeuvres = [r for r in data if not r.name.startswith("random")]
+    zigzags = Dataset(tuple(r for r in manoeuvres if r.name.startswith("zigzag")))
+    others = Dataset(tuple(r for r in manoeuvres if r.name not in held))
+    from_zigzags = prepared(zigzags)
+    rows = [
+        *_rows("zigzags", predicted(from_zigzags, zigzags, test)),
+        *_rows("zigzags and two other turns", predicted(prepared(others), others, test)),
+    ]
+    paths = [path for path in further() if path.stem.startswith("turn")]
+    if not paths:
+        return rows
+    every = Dataset(tuple(manoeuvres))
+    sources = {
+        "zigzags": (from_zigzags, zigzags),
+        "zigzags and the four turns": (prepared(every), every),
+    }
+    for path in paths:
+        rows += further_rows(path, sources, data[0].channels)
+    return rows
+
+
+def further_rows(
+    path: Path, sources: Mapping[str, tuple[Sequence[Structure], Dataset]], channels: Channels
+) -> list[Row]:
+    """Rows of one further file, or why its turn cannot be scored."""
+    try:
+        longest = max(pieces(path, channels), key=lambda piece: piece.duration)
+        turns(Dataset((longest,)))  # before anything is fitted: is it a turn to 180 degrees?
+    except Exception as error:
+        return [refused(f"Esso Osaka, {path.stem}, turn", "-", path.name, error)]
     rows: list[Row] = []
-    for what, runs in (("zigzags", zigzags), ("zigzags and two other turns", ahead)):
-        rows += _rows(what, predicted(Dataset(tuple(runs)), test))
+    for what, (structures, train) in sources.items():
+
+        def score_one(
+            what: str = what, structures: Sequence[Structure] = structures, train: Dataset = train
+        ) -> Sequence[Row]:
+            return _rows(what, predicted(structures, train, Dataset((longest,))))
+
+        rows += attempted(f"Esso Osaka, {path.stem}, turn from {what}", "-", path.name, score_one)
     return rows
 
 
@@ -137,7 +212,7 @@ def _rows(what: str, found: tuple[StructureAverage, Mapping[str, float]]) -> Seq
     rows = []
     for name, value in measured.items():
         low, high = average.interval(name)
-        quantity, run = name.split()
+        quantity, run = name.split(maxsplit=1)
         note = (
             f"95 % interval {100 * (low / value - 1):+.0f} to {100 * (high / value - 1):+.0f} %; "
             f"measured {value:.2f} L"

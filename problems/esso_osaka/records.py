@@ -18,7 +18,22 @@ from oed_sysid.errors import DataError
 
 FOLDER = "esso_osaka/"
 SAMPLES_PER_STEP = 5  # 10 Hz to 2 Hz
-COLUMNS = 13
+LEAST_ROWS = 2 * SAMPLES_PER_STEP
+HEADER = (
+    "t [s]",
+    "x_position_mid [m]",
+    "u_velo [m/s]",
+    "y_position_mid [m]",
+    "vm_velo [m/s]",
+    "psi_hat [rad]",
+    "r_angvelo [rad/s]",
+    "n_prop [rps]",
+    "delta_rudder [rad]",
+    "wind_velo_relative_mid [m/s]",
+    "wind_dir_relative_mid [rad]",
+    "wind_velo_true [m/s]",
+    "wind_dir_true [rad]",
+)
 # Nothing was fitted to these five; they hold one of each kind of turn, two zigzags, one random run.
 VALIDATION = (
     "zigzag_12_30",
@@ -44,6 +59,47 @@ NAMES = {
 }
 
 
+def load(path: Path) -> np.ndarray:
+    """Rows of one log that are complete, ``(n, 13)``, columns in the published order.
+
+    Columns are found by their names where the header has all of them, by their places otherwise.
+
+    Raises
+    ------
+    DataError
+        If there are other than 13 columns, or fewer than two steps of complete rows.
+    """
+    with path.open(encoding="utf-8-sig", errors="replace") as lines:
+        header = [cell.strip().strip('"') for cell in lines.readline().split(",")]
+        # A text whose rows are read by commas, so that a row too long or too short is missing.
+        rows = [line.strip().split(",") for line in lines if line.strip(" \t\r\n,")]
+    while header and not header[-1]:
+        header.pop()
+    if len(header) != len(HEADER):
+        raise DataError(
+            f"{path.name} has {len(header)} columns; expected the {len(HEADER)} of the published "
+            f"logs, separated by commas, from {HEADER[0]!r} to {HEADER[-1]!r}."
+        )
+    order = [header.index(name) for name in HEADER] if set(header) == set(HEADER) else None
+    table = np.array([_numbers(row) for row in rows]).reshape(-1, len(HEADER))
+    table = table[np.isfinite(table).all(axis=1)]
+    if len(table) < LEAST_ROWS:
+        raise DataError(
+            f"{path.name} is too short: {len(table)} complete rows of numbers; expected at least "
+            f"{LEAST_ROWS}, ten a second. Put a longer log there."
+        )
+    return table if order is None else table[:, order]
+
+
+def _numbers(row: list[str]) -> list[float]:
+    """The cells of a row; all missing if one is."""
+    try:
+        numbers = [float(cell) for cell in row[: len(HEADER)]]
+    except ValueError:
+        numbers = []
+    return numbers if len(numbers) == len(HEADER) else [np.nan] * len(HEADER)
+
+
 def read(path: Path, channels: Channels, *, name: str = "") -> Record:
     """Read one log; its empty rows at the end are left out.
 
@@ -56,26 +112,17 @@ def read(path: Path, channels: Channels, *, name: str = "") -> Record:
     name : str
         Name of the record; that of the file if empty.
     """
-    table = np.genfromtxt(path, delimiter=",", skip_header=1)
-    if table.ndim != 2 or table.shape[1] != COLUMNS:
-        raise DataError(
-            f"{path} has {table.shape[-1]} columns; expected the {COLUMNS} of the published logs, "
-            "from t to the true wind's direction."
-        )
-    table = table[np.isfinite(table).all(axis=1)]
+    return record_of(load(path), channels, name or NAMES.get(path.stem, path.stem), str(path))
+
+
+def record_of(table: np.ndarray, channels: Channels, name: str, source: str = "") -> Record:
+    """The record of complete rows in the published order, ``(n, 13)``."""
     times, psi = table[:, 0] - table[0, 0], np.unwrap(table[:, 5])
     speed, comes_from = table[:, 11], table[:, 12]
     inputs = [table[:, 8], table[:, 7], -speed * np.cos(comes_from), -speed * np.sin(comes_from)]
     signals = np.column_stack([*inputs, table[:, 2], table[:, 4], table[:, 6], psi])
     means, rows = _means(signals), slice(None, None, SAMPLES_PER_STEP)
-    return Record(
-        name or NAMES.get(path.stem, path.stem),
-        times[rows],
-        means[rows, :4],
-        means[rows, 4:],
-        channels,
-        str(path),
-    )
+    return Record(name, times[rows], means[rows, :4], means[rows, 4:], channels, source)
 
 
 def _means(signals: np.ndarray) -> np.ndarray:
