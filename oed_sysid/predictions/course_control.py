@@ -268,15 +268,15 @@ class CourseControl:
         followed = fit.followed
         left = followed.residuals
         n_levels = len(followed.law) - 2
-        levels = ("neutral",) if series is not None else ()
-        levels = levels or tuple(f"level {i}" for i in range(n_levels))
+        levels = ["neutral"] if series is not None else []
+        levels = levels or [f"level {i}" for i in range(n_levels)]
         evidence = CourseEvidence(
             ("gain", "damping", *levels, "rate", "limit"),
             np.array([*followed.law, followed.rate, followed.limit]),
             followed.covariance,
             fit.explained,
             float(np.sqrt(np.mean(left**2))),
-            float(np.corrcoef(left[1:], left[:-1])[0, 1]) if np.ptp(left) > 0 else 0.0,
+            followed.memory,
         )
         times = record.times - record.times[0]
         # A change lies between two samples.

@@ -16,17 +16,19 @@ they explain half of the rest, with a gain that turns the ship back.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
-from oed_sysid.predictions.rudder_machine import Followed, fit_machine, follow
+from oed_sysid.predictions.rudder_machine import Followed, fit_machine, follow, variance
 from oed_sysid.predictions.smooth_heading import SmoothHeading, rudder_noise, smooth_heading
 
 # Share of what changes of course leave that heading and yaw rate have to explain.
 LEAST_EXPLAINED = 0.5
+# Share of the variance that changes alone have to leave; a zigzag's rudder is all changes.
+LEAST_LEFT = 0.1
 # Standard errors from which on a sign is one.
 SIGNIFICANT = 2.0
 # Share of the largest rate from which on a start value counts a sample as limited.
@@ -34,8 +36,9 @@ AT_RATE = 0.75
 # Samples that a course is held at least, and that a law needs.
 LEAST_HELD = 16
 LEAST_SAMPLES = 20
-# A change of course has to lower the sum of squares by this share.
-LEAST_GAIN = 0.05
+# A change of course has to lower the sum of squares by this share, and by this of the rudder's.
+LEAST_GAIN = 0.25
+LEAST_OF_RUDDER = 1e-3
 # A rudder that moves less than this is constant, rad.
 CONSTANT = 1e-4
 # Times at which a change is sought, at most.
@@ -101,6 +104,14 @@ def fit_course_law(
         followed, changes = _fit(columns, times, rudder, 0 if courses is not None else most_changes)
         found.append((followed.criterion(len(changes)), sees_noise, followed, changes))
     _, sees_noise, followed, changes = min(found, key=lambda one: one[0])
+    if not sees_noise:
+        measured = np.column_stack([record.output(heading), record.output(yaw_rate)])
+        ordered = np.zeros((len(times), 2))
+        if courses is not None:
+            ordered[:, 0] = courses
+        followed = _instrumented(
+            followed, changes, ordered - measured, ordered - smooth.others, times, rudder
+        )
     # Changes alone: the same number of them and a rate, without heading and yaw rate.
     nothing = np.empty((len(times), 0)) if courses is None else courses[:, None]
     alone, _ = _fit(nothing, times, rudder, len(changes), all_of_them=True)
@@ -113,6 +124,13 @@ def fit_course_law(
         1 - followed.squares / alone.squares,
         smooth,
     )
+    if alone.squares < LEAST_LEFT * whole:
+        raise DataError(
+            f"{len(changes)} steps of the rudder alone explain "
+            f"{100 * (1 - alone.squares / whole):.0f} % of {input!r} in record {record.name!r}: it "
+            "was stepped, as in a zigzag or an open-loop manoeuvre, and no helmsman held a course "
+            "there. Use ZigzagControl, or replay the logged input."
+        )
     _check(fit, record, input, rudder)
     return fit
 
@@ -131,7 +149,13 @@ def _check(fit: CourseFit, record: Record, input: str, rudder: np.ndarray) -> No
     side = math.copysign(1.0, fit.smooth.effect)
     errors = np.sqrt(np.diag(fit.followed.covariance)[:2])
     (gain, damping), (gain_error, damping_error) = side * fit.followed.law[:2], errors
-    if gain < SIGNIFICANT * gain_error:
+    if abs(gain) < SIGNIFICANT * gain_error:
+        raise DataError(
+            f"The gain {where} is {fit.followed.law[0]:.3g} with a standard error of "
+            f"{gain_error:.2g}: the record does not determine it. Take one in which the course is "
+            "changed, or give the law."
+        )
+    if gain <= 0:
         raise DataError(
             f"The gain {where} is {fit.followed.law[0]:.3g} with a standard error of "
             f"{gain_error:.2g}: this rudder does not turn the ship back to a course. {advice}"
@@ -144,6 +168,44 @@ def _check(fit: CourseFit, record: Record, input: str, rudder: np.ndarray) -> No
         )
 
 
+def _instrumented(
+    followed: Followed,
+    changes: tuple[int, ...],
+    measured: np.ndarray,
+    others: np.ndarray,
+    times: np.ndarray,
+    rudder: np.ndarray,
+) -> Followed:
+    """Law by instrumental variables where the rudder is off its limits.
+
+    The measured columns hold noise that the law did not see; the instruments, smoothed from
+    other samples, do not, and so do not attenuate, however good the smoother's model is
+    (Soderstrom & Stoica, *System Identification*, 1989, chapter 8).
+    """
+    table, instruments = _levels(measured, changes), _levels(others, changes)
+    orders = rudder - followed.residuals
+    _, origin, _ = follow(
+        _levels(others, changes) @ followed.law,
+        times,
+        followed.first,
+        followed.rate,
+        followed.limit,
+    )
+    off = (origin == np.arange(len(times))) & np.isfinite(measured).all(axis=1)
+    off &= np.abs(orders) < 0.99 * followed.limit
+    if off.sum() < LEAST_SAMPLES or np.linalg.matrix_rank(instruments[off]) < table.shape[1]:
+        return followed
+    table, instruments = table[off], instruments[off]
+    inverse = np.linalg.pinv(instruments.T @ table)
+    law = inverse @ (instruments.T @ rudder[off])
+    covariance = followed.covariance.copy()
+    n = len(law)
+    covariance[:n] = covariance[:, :n] = 0.0
+    spread = variance(rudder[off] - table @ law, n)
+    covariance[:n, :n] = spread * inverse @ (instruments.T @ instruments) @ inverse.T
+    return replace(followed, law=law, covariance=covariance)
+
+
 def _fit(
     columns: np.ndarray,
     times: np.ndarray,
@@ -154,11 +216,12 @@ def _fit(
 ) -> tuple[Followed, tuple[int, ...]]:
     """Fit with the rate limit that explains the rudder best, or none."""
     starts = _rates(times, rudder)
-    found = []
+    sought = []
     for changes in {_seek_changes(columns, rudder, off, most_changes) for _, off in starts}:
         followed = _best_rate(columns, times, rudder, changes, starts)
-        found.append(_refine(columns, times, rudder, changes, followed))
-    followed, changes = min(found, key=lambda one: one[0].squares)
+        sought.append(_refine(columns, times, rudder, changes, followed))
+    followed, changes = min(sought, key=lambda one: one[0].squares)
+    whole = float(((rudder - rudder.mean()) ** 2).sum())
     best = (followed.criterion(len(changes)), followed, changes)
     while changes and not all_of_them:
         # Without the change that matters least.
@@ -169,7 +232,9 @@ def _fit(
         followed = min(followed, again, key=lambda one: one.squares)
         followed, changes = _refine(columns, times, rudder, changes, followed)
         value = followed.criterion(len(changes))
-        if value <= best[0] or followed.squares * (1 - LEAST_GAIN) < best[1].squares:
+        lost = followed.squares - best[1].squares
+        negligible = lost < LEAST_GAIN * followed.squares or lost < LEAST_OF_RUDDER * whole
+        if value <= best[0] or negligible:
             best = (value, followed, changes)
     followed, changes = best[1:]
     limit = float(np.abs(rudder).max()) - rudder_noise(rudder)
@@ -228,7 +293,12 @@ def _rates(times: np.ndarray, rudder: np.ndarray) -> list[tuple[float, np.ndarra
         off = free.copy()
         for k in at:
             off[k + 1 : k + width + 1] = False
-        if (rate, width) not in [(r, width) for r, _ in rates] and rate * step > noise / 3 and off.sum() > LEAST_SAMPLES and rate > 0:
+        if (
+            (rate, width) not in [(r, width) for r, _ in rates]
+            and rate * step > noise / 3
+            and off.sum() > LEAST_SAMPLES
+            and rate > 0
+        ):
             rates.append((rate, off))
     return rates
 

@@ -6,8 +6,9 @@ r"""A rudder that follows its order at a limited rate and angle, fitted to a log
         \delta_{k-1} \pm \dot\delta_\mathrm{max} (t_k - t_{k-1})\big) ,
 
 with the regressors :math:`\Phi` of the law. :math:`\beta`, the first rudder, the rate and the
-limit make the sum of squares of logged minus followed rudder least. Standard errors are those of
-correlated residuals (Newey & West, Econometrica 55(3), 1987).
+limit make the sum of squares of logged minus followed rudder least. Standard errors are raised by
+:math:`\sqrt{(1 + \rho) / (1 - \rho)}` for residuals with the correlation :math:`\rho` from sample
+to sample.
 """
 
 from __future__ import annotations
@@ -55,6 +56,11 @@ class Followed:
         """How many numbers were fitted."""
         return len(self.law) + 1 + math.isfinite(self.rate) + math.isfinite(self.limit)
 
+    @property
+    def memory(self) -> float:
+        """Correlation of the residuals from sample to sample."""
+        return correlation(self.residuals)
+
     def criterion(self, n_changes: int = 0) -> float:
         """Bayesian information criterion; each time of a change is one more number."""
         n = len(self.residuals)
@@ -82,7 +88,7 @@ def follow(
         origin = np.arange(len(times))
         origin[0] = -1
         return rudder, origin, np.zeros(len(times))
-    rudder, origin, moved = [first], [-1], [0.0]
+    reached, origins, moved = [first], [-1], [0.0]
     last, since, total = first, -1, 0.0
     steps = np.diff(times).tolist()
     for k, (order, step) in enumerate(zip(wanted[1:].tolist(), steps, strict=True), start=1):
@@ -92,10 +98,10 @@ def follow(
         else:
             ahead = math.copysign(step, change)
             last, total = last + rate * ahead, total + ahead
-        rudder.append(last)
-        origin.append(since)
+        reached.append(last)
+        origins.append(since)
         moved.append(total)
-    return np.array(rudder), np.array(origin), np.array(moved)
+    return np.array(reached), np.array(origins), np.array(moved)
 
 
 def fit_machine(
@@ -172,17 +178,24 @@ def fit_machine(
 
 
 def _covariance(jacobian: np.ndarray, residuals: np.ndarray) -> np.ndarray:
-    """Covariance of least squares with correlated residuals; large where nothing is known."""
-    n, count = jacobian.shape
+    """Covariance of least squares with correlated residuals."""
+    count = jacobian.shape[1]
     size = np.sqrt((jacobian**2).sum(axis=0))
     size = np.where(size > 0, size, 1.0)
     scaled = jacobian / size
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
-    scores = scaled * residuals[:, None]
-    middle = scores.T @ scores
-    lags = min(int(4 * (n / 100) ** (2 / 9)) + 4, n - 1)
-    for lag in range(1, lags + 1):
-        product = scores[lag:].T @ scores[:-lag]
-        middle += (1 - lag / (lags + 1)) * (product + product.T)
-    whole = inverse @ middle @ inverse * n / max(n - count, 1)
-    return whole / np.outer(size, size)
+    return variance(residuals, count) * inverse / np.outer(size, size)
+
+
+def variance(residuals: np.ndarray, n_parameters: int) -> float:
+    """Variance of residuals, raised as if fewer of them were independent: AR(1)."""
+    n = len(residuals)
+    whole = float((residuals**2).sum()) / max(n - n_parameters, 1)
+    memory = np.clip(correlation(residuals), 0.0, 0.95)
+    return whole * float((1 + memory) / (1 - memory))
+
+
+def correlation(residuals: np.ndarray) -> float:
+    """Correlation of residuals from sample to sample."""
+    size = float((residuals**2).sum())
+    return float(residuals[1:] @ residuals[:-1]) / size if size > 0 else 0.0

@@ -3,12 +3,14 @@ r"""Heading and yaw rate of a record without the noise of their sensors.
 The two are smoothed together, since one is the derivative of the other:
 
 .. math::
-    \dot\psi = r, \qquad \dot r = -\alpha r + \kappa \delta + b, \qquad \dot b = w, \qquad
+    \dot\psi = r, \qquad \dot r = -\alpha r + \kappa \delta + b, \qquad
+    \dot b = -\gamma b + \lambda \delta + w, \qquad
     \psi^m_k = \psi(t_k) + e_k, \qquad r^m_k = r(t_k) + f_k ,
 
-white :math:`w` of density :math:`q` for all that the rudder :math:`\delta` does not do. The
-levels of :math:`e, f, w` and :math:`\alpha, \kappa` are those of the largest likelihood; the smoothed series is the mean of :math:`\psi, r` given all measurements
-(Rauch, Tung & Striebel, AIAA Journal 3(8), 1965), here from the banded normal equations. What is
+white :math:`w` of density :math:`q` for all that the rudder :math:`\delta` does not do; without
+:math:`w` it is Nomoto's equation of second order. The levels of :math:`e, f, w` and
+:math:`\alpha, \kappa, \gamma, \lambda` are those of the largest likelihood; the smoothed series
+is the mean of :math:`\psi, r` given all measurements (Rauch, Tung & Striebel, AIAA Journal 3(8), 1965), here from the banded normal equations. What is
 regressed on such a mean is not attenuated by the sensors' noise (Carroll et al., *Measurement
 Error in Nonlinear Models*, 2006, chapter 4).
 """
@@ -18,7 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cho_solve_banded, cholesky_banded, expm
 from scipy.optimize import minimize
 
 from oed_sysid.data.record import Record
@@ -29,6 +31,8 @@ MAD = 0.6745
 # Noise below this is none: rad, and rad per sample.
 LEAST_NOISE = 1e-7
 LEAST_HEADINGS = 10
+# Bounds of alpha, kappa, gamma and lambda, per step.
+RATES = np.array([[0.0, -np.inf, 0.0, -np.inf], [2.0, np.inf, 2.0, np.inf]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +45,9 @@ class SmoothHeading:
         s, rad, rad/s, rad/s^2.
     heading_noise, yaw_rate_noise : float
         Standard deviation of the sensors, rad and rad/s.
+    others : ndarray (n_times, 2)
+        Heading and yaw rate smoothed without the sample itself and every second other one: free
+        of its noise.
     effect : float
         Yaw acceleration by the rudder, 1/s^2.
     """
@@ -51,6 +58,7 @@ class SmoothHeading:
     acceleration: np.ndarray
     heading_noise: float
     yaw_rate_noise: float
+    others: np.ndarray = field(repr=False)
     effect: float
     factor: np.ndarray = field(repr=False)
 
@@ -77,7 +85,8 @@ class _Equations:
         self.measured = np.where(self.seen, self.measured, 0.0)
         self.n = len(times)
         self.rudder = rudder[:-1]
-        self.steps = h = np.diff(times) / np.median(np.diff(times))
+        h = np.diff(times) / np.median(np.diff(times))
+        self.kinds = np.unique(h.round(6), return_inverse=True)
         spread = [
             [h**5 / 20, h**4 / 8, h**3 / 6],
             [h**4 / 8, h**3 / 3, h**2 / 2],
@@ -85,28 +94,25 @@ class _Equations:
         ]
         self.weight = np.linalg.inv(np.moveaxis(np.array(spread), -1, 0))
 
-    def forward(self, alpha: float) -> np.ndarray:
-        """Transition from sample to sample ``(n_times - 1, 3, 3)``."""
-        h = self.steps
-        # Below that the damping is lost in rounding.
-        alpha = max(alpha, 1e-4)
-        kept = np.exp(-alpha * h)
-        table = np.tile(np.eye(3), (len(h), 1, 1))
-        table[:, 1, 1] = kept
-        table[:, 0, 1] = table[:, 1, 2] = (1 - kept) / alpha
-        table[:, 0, 2] = (h - table[:, 0, 1]) / alpha
-        return table
+    def transition(
+        self, alpha: float, kappa: float, gamma: float, lambda_: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Transition ``(n_times - 1, 3, 3)`` and the rudder's share ``(n_times - 1, 3)``."""
+        system = np.zeros((4, 4))
+        system[0, 1] = system[1, 2] = 1.0
+        system[1, 1], system[1, 3], system[2, 2], system[2, 3] = -alpha, kappa, -gamma, lambda_
+        kinds, which = self.kinds
+        table = np.array([expm(system * h) for h in kinds])[which]
+        return table[:, :3, :3], table[:, :3, 3] * self.rudder[:, None]
 
     def solve(self, levels: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Minus twice the log-likelihood, states ``(n_times, 3)`` and the factor.
 
         ``levels`` are the logarithms of both noise levels and of the square root of q, then
-        alpha and kappa per step.
+        alpha, kappa, gamma and lambda, time in steps.
         """
         noise, jerk = np.exp(levels[:2]), np.exp(2 * levels[2])
-        forward = self.forward(levels[3])
-        push = levels[4] * self.rudder[:, None] * forward[:, :, 2]
-        push[:, 2] = 0.0
+        forward, push = self.transition(*levels[3:])
         before = self.weight @ forward / jerk
         diagonal = np.zeros((self.n, 3, 3))
         diagonal[:-1] += np.swapaxes(forward, 1, 2) @ before
@@ -186,11 +192,11 @@ def smooth_heading(
 
     def within(levels: np.ndarray) -> np.ndarray:
         """Levels of noise that are not nothing, and a ship that does not explode."""
-        return np.array([*np.maximum(levels[:3], least), np.clip(levels[3], 0, 2), levels[4]])
+        return np.array([*np.maximum(levels[:3], least), *np.clip(levels[3:], *RATES)])
 
     def fitted(first: np.ndarray, sizes: np.ndarray) -> np.ndarray:
         """Levels of the largest likelihood; those of size zero stay."""
-        free = sizes > 0
+        free = sizes != 0
         simplex = first[free] + np.vstack([np.zeros(free.sum()), np.diag(sizes[free])])
         start = first.copy()
 
@@ -198,7 +204,7 @@ def smooth_heading(
             start[free] = some
             return equations.solve(within(start))[0]
 
-        options = {"xatol": 1e-2, "fatol": 1e-2, "initial_simplex": simplex}
+        options = {"xatol": 1e-2, "fatol": 1e-2, "maxfev": 600, "initial_simplex": simplex}
         start[free] = minimize(value, first[free], method="Nelder-Mead", options=options).x
         return within(start)
 
@@ -209,14 +215,23 @@ def smooth_heading(
             0.1 * _noise(np.diff(psi), 1),
         ]
     )
-    levels = fitted(np.array([*first, 0.0, 0.0]), np.array([1.5, 1.5, 1.5, 0.0, 0.0]))
+    levels = fitted(np.array([*first, 0, 0, 0, 0]), np.array([1.5, 1.5, 1.5, 0, 0, 0, 0]))
     if np.ptp(turning) > 0:
         _, states, _ = equations.solve(levels)
         gone = np.column_stack([-states[:-1, 1], turning[:-1], np.ones(len(times) - 1)])
         (alpha, kappa, _), *_ = np.linalg.lstsq(gone, np.diff(states[:, 1]), rcond=None)
-        levels[3:] = max(alpha, 0.01), kappa
-        levels = fitted(levels, np.array([0.5, 0.5, 1.0, 0.3 * levels[3], 0.3 * abs(kappa)]))
+        alpha = max(alpha, 0.01)
+        levels[3:5] = alpha, kappa
+        turns = np.array([0.3 * alpha, 0.3 * abs(kappa), alpha, 0.3 * alpha * abs(kappa)])
+        levels = fitted(levels, np.array([0.5, 0.5, 1.0, *turns[:2], 0, 0]))
+        levels = fitted(levels, np.array([0.2, 0.2, -0.5, *turns]))
     _, states, factor = equations.solve(levels)
+    others = np.empty((len(times), 2))
+    seen = equations.seen
+    for half in (0, 1):
+        equations.seen = seen.copy()
+        equations.seen[half::2] = False
+        others[half::2] = equations.solve(levels)[1][half::2, :2]
     noise = np.exp(levels[:2])
     acceleration = -levels[3] * states[:, 1] + levels[4] * turning + states[:, 2]
     return SmoothHeading(
@@ -226,6 +241,7 @@ def smooth_heading(
         acceleration / step**2,
         float(noise[0]),
         float(noise[1] / step) if known else np.nan,
+        others * [1.0, 1 / step] + [middle, 0.0],
         float(levels[4] / step**2),
         factor,
     )
