@@ -203,9 +203,9 @@ def closed_loop(
         caveat = " ".join(
             filter(None, [caveat, _lost(record, drawn, getattr(control, "heading", ""))])
         )
-    law = control.report() if hasattr(control, "report") else ""
+    said = control.report() if hasattr(control, "report") else ""
     failed = len(runs) - len(drawn)
-    return ClosedLoop(record, outputs, opened, inputs, std, lower, upper, failed, caveat, law)
+    return ClosedLoop(record, outputs, opened, inputs, std, lower, upper, failed, caveat, said)
 
 
 def _lost(record: Record, drawn: np.ndarray, heading: str) -> str:

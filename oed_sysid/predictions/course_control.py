@@ -205,7 +205,7 @@ class CourseControl:
                 continue
             total[position] = 1.0
             slope = total / self.gain
-            slope[0] = -(total @ self.evidence.values) / self.gain**2
+            slope[0] = -float(self.evidence.values[total > 0].sum()) / self.gain**2
             errors.append(math.sqrt(max(slope @ covariance @ slope, 0.0)))
         return errors
 

@@ -10,9 +10,9 @@ The two are smoothed together, since one is the derivative of the other:
 white :math:`w` of density :math:`q` for all that the rudder :math:`\delta` does not do; without
 :math:`w` it is Nomoto's equation of second order. The levels of :math:`e, f, w` and
 :math:`\alpha, \kappa, \gamma, \lambda` are those of the largest likelihood; the smoothed series
-is the mean of :math:`\psi, r` given all measurements (Rauch, Tung & Striebel, AIAA Journal 3(8), 1965), here from the banded normal equations. What is
-regressed on such a mean is not attenuated by the sensors' noise (Carroll et al., *Measurement
-Error in Nonlinear Models*, 2006, chapter 4).
+is the mean of :math:`\psi, r` given all measurements (Rauch, Tung & Striebel, AIAA Journal 3(8),
+1965), here from the banded normal equations. What is regressed on such a mean is not attenuated
+by the sensors' noise (Carroll et al., *Measurement Error in Nonlinear Models*, 2006, chapter 4).
 """
 
 from __future__ import annotations

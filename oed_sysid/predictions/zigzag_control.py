@@ -349,19 +349,20 @@ def _ramps(
         ]
         rate, rate_error = float(np.max(moves)), 0.0
     noise = rudder_noise(rudder)
-    begins, unsure = [], []
-    for i, (time, value, last, count) in enumerate(middles):
+    begins: list[float] = []
+    unsure: list[float] = []
+    for i, (middle, value, last, count) in enumerate(middles):
         if not count:
             begins.append(float(times[last]))
             unsure.append(0.0)
             continue
         side = math.copysign(1.0, levels[i + 1] - levels[i])
-        begin = time - side * (value - levels[i]) / rate
+        left_at = middle - side * float(value - levels[i]) / rate
         if math.isnan(errors[i]) and i and middles[i - 1][3]:
             # Never held: it turned where both ramps meet.
             before, reached = middles[i - 1][:2]
-            begin = (before + time - side * (value - reached) / rate) / 2
-        begins.append(float(begin))
+            left_at = (before + middle - side * (value - reached) / rate) / 2
+        begins.append(float(left_at))
         drift = abs(value - levels[i]) / rate * rate_error / rate
         unsure.append(math.hypot(noise / math.sqrt(count) / rate, drift))
     return begins, unsure, rate, rate_error
