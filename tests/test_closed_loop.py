@@ -7,6 +7,7 @@ import pytest
 
 from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.errors import DataError, ModelError
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.predictions.closed_loop import CourseControl, ZigzagControl, closed_loop
 
 STEP = 0.5
@@ -117,3 +118,132 @@ def test_what_is_no_law_is_said() -> None:
         ZigzagControl.of(held, "delta")
     with pytest.raises(ModelError, match="has the inputs"):
         closed_loop(ship(), log, CourseControl("rudder", 1.0, 1.0, 0.0))
+
+
+def autopilot(
+    seed: int, *, rate: float, duration: float, rudder_noise: float = 0.0, seen: bool = True
+) -> Record:
+    """A log of gain 1.5 and damping 8, its course changed twice; noisy rudder, unseen noise."""
+    rng = np.random.default_rng([7, seed])
+    law = CourseControl(
+        "delta", 1.5, 8.0, 0.4, limit=0.6, rate=rate, changes=((40.25, 0.0), (80.25, 0.3))
+    )
+    log = steered(law, duration, rng, 1.0 if seen else 0.0)
+    noise = 0.0 if seen else 1.0
+    outputs = log.outputs + noise * np.array([0.003, 0.001]) * rng.standard_normal(
+        log.outputs.shape
+    )
+    rudder = log.inputs + rudder_noise * rng.standard_normal(log.inputs.shape)
+    return Record("log", log.times, rudder, outputs, log.channels)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        {"rate": 0.09, "duration": 35.0, "rudder_noise": 0.005},
+        {"rate": 0.09, "duration": 120.0, "rudder_noise": 0.005},
+        {"rate": 0.09, "duration": 120.0},
+        {"rate": 1.0, "duration": 120.0, "seen": False},
+    ],
+    ids=["one course, noisy rudder", "three courses, noisy rudder", "three courses", "own sensors"],
+)
+def test_gains_are_within_their_errors(case: dict[str, float]) -> None:
+    """Gain and damping lie within two and a half standard errors in nearly all of eight logs."""
+    off = []
+    for seed in range(8):
+        law = CourseControl.of(autopilot(seed, **case), "delta")
+        errors = law.evidence.std_errors
+        # Below this the solver's tolerance is left.
+        off.append(abs(law.gain - 1.5) / max(errors["gain"], 0.002))
+        off.append(abs(law.damping - 8.0) / max(errors["damping"], 0.01))
+        assert law.gain == pytest.approx(1.5, rel=0.3)
+        assert law.evidence.explained > 0.8
+        assert "std error" in law.report()
+    assert np.mean(np.array(off) < 2.5) > 0.85
+
+
+def test_ordered_courses_may_be_given() -> None:
+    """With the ordered course as a series the neutral rudder is found."""
+    log = autopilot(0, rate=0.09, duration=120.0, rudder_noise=0.003)
+    t = log.times
+    courses = np.where(t < 40.25, 0.4, np.where(t < 80.25, 0.0, 0.3))
+    law = CourseControl.of(log, "delta", courses=courses)
+    assert law.gain == pytest.approx(1.5, abs=4 * law.evidence.std_errors["gain"])
+    assert abs(law.neutral) < 4 * law.evidence.std_errors["neutral"]
+    assert [course for _, course in law.changes] == [0.0, 0.3]
+    with pytest.raises(DataError, match="Expected"):
+        CourseControl.of(log, "delta", courses=courses[1:])
+
+
+def zigzag(angle: float, heading: float, rate: float, n_legs: int = 8) -> ZigzagControl:
+    """A zigzag in degrees."""
+    side = (-1.0) ** np.arange(n_legs)
+    return ZigzagControl(
+        "delta",
+        tuple(np.radians(angle) * side),
+        tuple(np.radians(heading) * side[:-1]),
+        tuple(side[:-1]),
+        rate=float(np.radians(rate)),
+        execute=3.0,
+    )
+
+
+@pytest.mark.parametrize("rudder_noise", [0.0, 0.005])
+@pytest.mark.parametrize(("angle", "heading"), [(20, 20), (20, 10), (10, 10)])
+def test_orders_of_a_slow_rudder(angle: float, heading: float, rudder_noise: float) -> None:
+    """Ramps as long as a quarter of a leg change neither orders nor headings of reversal."""
+    rng = np.random.default_rng(5)
+    log = steered(zigzag(angle, heading, 5.0), 120.0, rng)
+    noisy = log.inputs + rudder_noise * rng.standard_normal(log.inputs.shape)
+    law = ZigzagControl.of(Record("zigzag", log.times, noisy, log.outputs, log.channels), "delta")
+    assert np.abs(np.degrees(law.orders)) == pytest.approx(angle, abs=0.3)
+    assert np.degrees(law.rate) == pytest.approx(5.0, rel=0.03)
+    assert law.execute == pytest.approx(3.0, abs=0.5)
+    off = np.abs(np.abs(law.reversals) - np.radians(heading)) / law.evidence.reversals
+    assert off.max() < 3.5
+    assert "until heading" in law.report()
+
+
+def trained(rng: np.random.Generator) -> Fit:
+    """A fit to a held course and a zigzag."""
+    logs = steered(HELM, 120.0, rng), steered(zigzag(15, 10, 10.0), 80.0, rng).rename("zigzag")
+    return MultipleShooting(disturbances="none").fit(ship(0.03), Dataset(logs))
+
+
+@pytest.mark.parametrize("rate", [5.0, 20.0])
+def test_bands_hold_with_a_zigzag_that_was_read(rate: float) -> None:
+    """Ten logs lie in the bands of replays whose zigzag was read from each of them."""
+    fit = trained(np.random.default_rng(6))
+    held, lost = [], 0
+    for seed in range(10):
+        log = steered(zigzag(20, 20, rate), 90.0, np.random.default_rng([8, seed]))
+        replay = closed_loop(fit, log, ZigzagControl.of(log, "delta"), n_draws=40)
+        held.append(list(replay.coverage().values()))
+        lost += "draws differ" in replay.caveat
+    assert np.mean(held, axis=0).min() > 0.85
+    assert lost < 5
+
+
+def test_bands_hold_with_a_course_law_that_was_read() -> None:
+    """Ten logs lie in the bands of replays whose course law was read from each of them."""
+    fit = trained(np.random.default_rng(9))
+    held = []
+    for seed in range(10):
+        log = autopilot(seed, rate=0.09, duration=120.0, rudder_noise=0.005)
+        replay = closed_loop(fit, log, CourseControl.of(log, "delta"), n_draws=40)
+        held.append(list(replay.coverage().values()))
+    assert np.mean(held, axis=0).min() > 0.85
+    assert "course law of delta" in replay.report()
+
+
+def test_manoeuvres_are_no_course_law() -> None:
+    """A constant rudder, a zigzag and an open-loop manoeuvre are refused by name."""
+    log = steered(HELM, 60.0, np.random.default_rng(4))
+    still = Record("still", log.times, 0 * log.inputs, log.outputs, log.channels)
+    with pytest.raises(DataError, match="is constant"):
+        CourseControl.of(still, "delta")
+    for seed in range(3):
+        for angle, heading in ((20, 20), (10, 10), (20, 10)):
+            run = steered(zigzag(angle, heading, 5.0, 30), 150.0, np.random.default_rng(seed))
+            with pytest.raises(DataError, match=r"no helmsman|not turn the ship|not determine"):
+                CourseControl.of(run, "delta")

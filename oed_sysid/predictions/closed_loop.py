@@ -9,10 +9,11 @@ for a course-unstable vessel they grow. In the loop the law is replayed instead,
     \qquad\text{or}\qquad
     \delta_k = \pm\delta_a \text{ reversed where } |\hat\psi_k - \psi_0| \text{ passes } \psi_s ,
 
-at a limited rate, with the model's own :math:`\hat\psi, \hat r`. The law is given, or taken from
-the record: the gains by least squares of the logged rudder, a zigzag's angles and headings of
-reversal from the log. Bands are those of draws from the fit, each in its own loop, in which the
-law sees noisy sensors and the start is as uncertain as its measurement.
+at a limited rate, with the model's own :math:`\hat\psi, \hat r`. The law is given, or read from
+the record (:mod:`oed_sysid.predictions.course_control`,
+:mod:`oed_sysid.predictions.zigzag_control`). Bands are those of draws from the fit, each in its
+own loop with a law drawn from its own uncertainty, in which the law sees noisy sensors, the rudder
+has the noise that the law did not explain, and the start is as uncertain as its measurement.
 """
 
 from __future__ import annotations
@@ -20,25 +21,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.record import Record
-from oed_sysid.errors import DataError, ModelError
+from oed_sysid.errors import ModelError
 from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.fitting.start_guess import measured_columns, measured_states
 from oed_sysid.model import Model
+from oed_sysid.predictions.course_control import CourseControl
 from oed_sysid.predictions.draws import draw
+from oed_sysid.predictions.zigzag_control import ZigzagControl
 
-# Share of the largest order from which on a rudder counts as put over.
-OVER = 0.5
-# A law that leaves this share of the rudder's variance unexplained is no law of the record.
-UNEXPLAINED = 0.5
-# Share of its largest angle or rate from which on a rudder counts as limited.
-AT_LIMIT = 0.95
-LEAST_SAMPLES = 20
+__all__ = ["ClosedLoop", "Control", "CourseControl", "UncertainControl", "ZigzagControl"]
+__all__ += ["closed_loop"]
+
+# Share of a signal's amplitude from which on the draws' spread says that its phase is lost.
+LOST = 0.5
 
 
 class Control(Protocol):
@@ -59,209 +60,12 @@ class Control(Protocol):
         """Largest change of the input per second."""
 
 
-@dataclass(frozen=True)
-class CourseControl:
-    """Proportional and damping law of a helmsman or an autopilot.
+@runtime_checkable
+class UncertainControl(Control, Protocol):
+    """A law whose numbers are known to some accuracy only."""
 
-    Parameters
-    ----------
-    input : str
-        Rudder.
-    gain : float
-        Rudder per heading error, 1.
-    damping : float
-        Rudder per yaw rate, s.
-    course : float
-        Heading that is held, rad.
-    neutral : float
-        Rudder at which it is held, rad.
-    limit : float
-        Largest rudder, rad.
-    rate : float
-        Largest rudder rate, rad/s.
-    heading, yaw_rate : str
-        Outputs that it sees.
-    """
-
-    input: str
-    gain: float
-    damping: float
-    course: float
-    neutral: float = 0.0
-    limit: float = math.inf
-    rate: float = math.inf
-    heading: str = "psi"
-    yaw_rate: str = "r"
-
-    def start(self) -> None:
-        """It has no memory."""
-
-    def order(self, memory: None, seen: Mapping[str, float]) -> tuple[float, None]:
-        """See :class:`Control`."""
-        error = self.course - seen[self.heading]
-        wanted = self.neutral + self.gain * error - self.damping * seen[self.yaw_rate]
-        return float(np.clip(wanted, -self.limit, self.limit)), memory
-
-    @classmethod
-    def of(
-        cls, record: Record, input: str, *, heading: str = "psi", yaw_rate: str = "r"
-    ) -> CourseControl:
-        """Identify the law from a record, by least squares of its rudder.
-
-        Noise of heading and yaw rate pulls the gains towards zero where the course is held well:
-        take a part of the record in which it is changed.
-
-        Raises
-        ------
-        DataError
-            If heading and yaw rate explain less than half of the rudder's variance.
-
-        Examples
-        --------
-        >>> from oed_sysid.channels import Channels, Input, Output
-        >>> channels = Channels(
-        ...     (Input("delta", "rad"),), (Output("psi", "rad"), Output("r", "rad/s")))
-        >>> t = np.arange(0.0, 30.0, 0.5)
-        >>> psi, r = 0.1 * np.sin(0.3 * t), 0.03 * np.cos(0.3 * t)
-        >>> rudder = 0.02 + 1.5 * (0.05 - psi) - 4.0 * r
-        >>> log = Record("held", t, rudder[:, None], np.column_stack([psi, r]), channels)
-        >>> law = CourseControl.of(log, "delta")
-        >>> print(round(law.gain, 2), round(law.damping, 2))
-        1.5 4.0
-        """
-        rudder, psi, rate = record.input(input), record.output(heading), record.output(yaw_rate)
-        steps = np.abs(np.diff(rudder)) / np.diff(record.times)
-        # At a limit of angle or rate the rudder says nothing of the law.
-        limited = np.abs(rudder) > AT_LIMIT * np.abs(rudder).max()
-        limited[1:] |= steps > AT_LIMIT * steps.max()
-        limited[0] = True  # what came before is not known
-        seen = np.isfinite(psi) & np.isfinite(rate) & ~limited
-        if seen.sum() < LEAST_SAMPLES:
-            raise DataError(
-                f"Only {seen.sum()} samples of record {record.name!r} have heading, yaw rate and a "
-                f"rudder off its limits; {LEAST_SAMPLES} are needed. Give the law."
-            )
-        table = np.column_stack([np.ones(seen.sum()), -psi[seen], -rate[seen]])
-        (level, gain, damping), *_ = np.linalg.lstsq(table, rudder[seen], rcond=None)
-        left = rudder[seen] - table @ [level, gain, damping]
-        whole = np.var(rudder[seen])
-        if np.var(left) > UNEXPLAINED * whole:
-            share = 100 * (1 - np.var(left) / max(whole, 1e-300))
-            raise DataError(
-                f"Heading and yaw rate explain {share:.0f} % of the variance of {input!r} in "
-                f"record {record.name!r}: no helmsman held a course there. Give the law, or "
-                "replay the logged input."
-            )
-        # The course that is held on the mean; the neutral rudder goes with it.
-        course = float(np.mean(psi[seen]))
-        return cls(
-            input,
-            float(gain),
-            float(damping),
-            course,
-            float(level - gain * course),
-            float(np.abs(rudder).max()),
-            float(steps.max()),
-            heading,
-            yaw_rate,
-        )
-
-
-@dataclass(frozen=True)
-class ZigzagControl:
-    """Orders of a zigzag test, reversed where the heading says.
-
-    Parameters
-    ----------
-    input : str
-        Rudder.
-    orders : tuple of float
-        Rudder of each leg, rad.
-    reversals : tuple of float
-        Heading at which each leg ends, rad; passed in the direction of the sign of ``towards``.
-    towards : tuple of float
-        1 where the heading rises to its reversal, -1 where it falls.
-    rate : float
-        Largest rudder rate, rad/s.
-    before : float
-        Rudder before the first execute, rad.
-    execute : float
-        Time of the first order from the record's beginning, s.
-    heading : str
-        Output that it sees.
-    """
-
-    input: str
-    orders: tuple[float, ...]
-    reversals: tuple[float, ...]
-    towards: tuple[float, ...]
-    rate: float
-    before: float = 0.0
-    execute: float = 0.0
-    heading: str = "psi"
-
-    def start(self) -> int:
-        """No leg yet."""
-        return 0
-
-    def order(self, memory: int, seen: Mapping[str, float]) -> tuple[float, int]:
-        """See :class:`Control`."""
-        if seen["time"] < self.execute:
-            return self.before, memory
-        leg = memory
-        while leg < len(self.reversals) and (
-            self.towards[leg] * (seen[self.heading] - self.reversals[leg]) >= 0
-        ):
-            leg += 1
-        return self.orders[min(leg, len(self.orders) - 1)], leg
-
-    @classmethod
-    def of(cls, record: Record, input: str, *, heading: str = "psi") -> ZigzagControl:
-        """Read the orders and the headings of reversal from a record.
-
-        Raises
-        ------
-        DataError
-            If the rudder is not reversed at least once.
-        """
-        rudder, psi = record.input(input), record.output(heading)
-        angle = float(np.abs(rudder).max())
-        side = np.where(np.abs(rudder) > OVER * angle, np.sign(rudder), 0.0)
-        put = [(k, s) for k, s in enumerate(side) if s]
-        legs = [put[0]] if put else []
-        for k, s in put:
-            if s != legs[-1][1]:
-                legs.append((k, s))
-        if len(legs) < 2:
-            raise DataError(
-                f"The rudder of record {record.name!r} is never reversed: it is no zigzag. Use "
-                "CourseControl, or replay the logged input."
-            )
-        times = record.times
-        slopes = np.abs(np.diff(rudder)) / np.diff(times)
-        rate = float(np.quantile(slopes[slopes > 0.5 * slopes.max()], 0.5))
-        orders, reversals, towards = [], [], []
-        starts = []
-        for number, (k, s) in enumerate(legs):
-            stop = legs[number + 1][0] if number + 1 < len(legs) else len(rudder)
-            orders.append(float(s * np.median(np.abs(rudder[k:stop]))))
-            # The rudder began to move before it was half over.
-            previous = orders[number - 1] if number else float(rudder[0])
-            back = abs(OVER * angle * s - previous) / rate
-            starts.append(times[k] - back)
-        for begin, (_, s) in zip(starts[1:], legs[1:], strict=True):
-            reversals.append(float(np.interp(begin, times, psi)))
-            towards.append(float(np.sign(np.interp(begin, times, np.gradient(psi, times)))) or s)
-        return cls(
-            input,
-            tuple(orders),
-            tuple(reversals),
-            tuple(towards),
-            rate,
-            float(rudder[0]),
-            float(max(starts[0] - times[0], 0.0)),
-            heading,
-        )
+    def drawn(self, rng: np.random.Generator) -> Control:
+        """Law with numbers drawn from their uncertainty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +87,9 @@ class ClosedLoop:
     failed : int
         Draws that left the numbers.
     caveat : str
-        Why the band is too narrow; empty where nothing says so.
+        What to mind about the band; empty where nothing says so.
+    law : str
+        The law with its standard errors.
     """
 
     record: Record
@@ -295,6 +101,7 @@ class ClosedLoop:
     upper: np.ndarray = field(repr=False)
     failed: int = 0
     caveat: str = ""
+    law: str = ""
 
     def rms(self, *, open_loop: bool = False) -> dict[str, float]:
         """Rms error of each output."""
@@ -332,6 +139,7 @@ class ClosedLoop:
             )
         lines = [f"replay of {self.record.name}, rms error", *(f"  {line}" for line in align(rows))]
         lines += [f"  {self.caveat}"] if self.caveat else []
+        lines += [self.law] if self.law else []
         return "\n".join(lines)
 
 
@@ -376,20 +184,45 @@ def closed_loop(
     table = [held.value_vector]
     if fit is not None and n_draws > 0:
         table += list(draw(fit, n_draws, rng))
-    runs = [_run(held, record, control, table[0], np.zeros(len(sigma)), rng)]
-    runs += [_run(held, record, control, values, sigma, rng) for values in table[1:]]
-    outputs, inputs = runs[0]
-    opened = _run(held, record, None, table[0], np.zeros(len(sigma)), rng)[0]
-    drawn = np.array([one for one, _ in runs[1:] if np.isfinite(one).all()])
+    quiet = np.zeros(len(sigma))
+    outputs, inputs = _run(held, record, control, table[0], quiet, rng)
+    opened = _run(held, record, None, table[0], quiet, rng)[0]
+    runs = []
+    for values in table[1:]:
+        law = control.drawn(rng) if isinstance(control, UncertainControl) else control
+        runs.append(_run(held, record, law, values, sigma, rng)[0])
+    drawn = np.array([one for one in runs if np.isfinite(one).all()])
     nothing = np.full(outputs.shape, np.nan)
     std, lower, upper = nothing, nothing, nothing
+    caveat = fit_or_model.caveat if isinstance(fit_or_model, Fit) else ""
     if len(drawn) > 1:
         noisy = drawn + sigma * rng.standard_normal(drawn.shape)
         std = np.sqrt(drawn.var(axis=0) + sigma**2)
-        lower, upper = np.quantile(noisy, [0.025, 0.975], axis=0)
-    failed = len(runs) - 1 - len(drawn)
-    caveat = fit_or_model.caveat if isinstance(fit_or_model, Fit) else ""
-    return ClosedLoop(record, outputs, opened, inputs, std, lower, upper, failed, caveat)
+        # The quantiles of few draws are those of a next one: i / (n + 1).
+        lower, upper = np.quantile(noisy, [0.025, 0.975], axis=0, method="weibull")
+        caveat = " ".join(
+            filter(None, [caveat, _lost(record, drawn, getattr(control, "heading", ""))])
+        )
+    said = control.report() if hasattr(control, "report") else ""
+    failed = len(runs) - len(drawn)
+    return ClosedLoop(record, outputs, opened, inputs, std, lower, upper, failed, caveat, said)
+
+
+def _lost(record: Record, drawn: np.ndarray, heading: str) -> str:
+    """Say from when on the draws no longer agree on the heading."""
+    if heading not in record.channels.output_names:
+        return ""
+    column = record.channels.output_names.index(heading)
+    amplitude = np.nanstd(record.outputs[:, column])
+    beyond = np.flatnonzero(drawn[:, :, column].std(axis=0) > LOST * amplitude)
+    if not beyond.size:
+        return ""
+    return (
+        f"From {record.times[beyond[0]] - record.times[0]:.4g} s on the draws differ by more than "
+        f"half of the amplitude of {heading}: small errors in the times of the rudder grow in the "
+        "loop, and the band says little there. Judge the part before, or the replay of the logged "
+        "input."
+    )
 
 
 def _run(
@@ -418,18 +251,22 @@ def _run(
     names = model.output_names
     outputs = np.full((len(times), len(names)), np.nan)
     memory, last = control.start(), inputs[0, column]
+    noisy = sigma * getattr(control, "noise_share", 1.0)
+    loose = np.zeros(len(times))
+    if sigma.any() and isinstance(control, CourseControl):
+        loose = control.disturbance(len(times), rng)
     first = compiled.run(times[:2], inputs[:2], values, state)
     seen = first.outputs[0]
     for k in range(len(times) - 1):
         outputs[k] = seen
-        noisy = seen + sigma * rng.standard_normal(len(sigma))
-        known = dict(zip(names, map(float, noisy), strict=True)) | {"time": times[k] - times[0]}
+        sensed = seen + noisy * rng.standard_normal(len(sigma))
+        known = dict(zip(names, map(float, sensed), strict=True)) | {"time": times[k] - times[0]}
         wanted, memory = control.order(memory, known)
         if k:  # the first is what the log begins with
             reach = control.rate * (times[k] - times[k - 1])
             last = float(np.clip(wanted, last - reach, last + reach))
         # What is asked for at a sample acts until the next.
-        inputs[k : k + 2, column] = last
+        inputs[k : k + 2, column] = last + loose[k]
         run = compiled.run(times[k : k + 2], inputs[k : k + 2], values, state)
         if not np.isfinite(run.outputs).all():
             return outputs, inputs[:, column]
