@@ -36,6 +36,8 @@ from oed_sysid.fitting.unknowns import StartState
 from oed_sysid.model import Model
 
 TOWED = "towed"
+# Numbers that agree to so many digits are those of one test.
+EQUAL = 1e-9
 _FORCE = "force_{}"
 _HELD = "{}_held"
 _OWN = "{}_free"
@@ -134,6 +136,30 @@ class CaptiveTests:
     def n_tests(self) -> int:
         """Number of tests."""
         return len(next(iter(self.forces.values())))
+
+    def shared(self, other: CaptiveTests) -> int:
+        """Number of these tests that another series holds too.
+
+        One and the same are tests with the same motion, inputs and force about some axis.
+
+        Examples
+        --------
+        >>> speeds = {"u": [1.0, 2.0, 3.0]}
+        >>> tests = CaptiveTests("all", speeds, {}, {"X": [-2.1, -7.9, -18.2]}, {"X": 0.2})
+        >>> tests.shared(CaptiveTests("one", {"u": [2.0]}, {}, {"X": [-7.9]}, {"X": 0.2}))
+        1
+        """
+        same = np.ones((self.n_tests, other.n_tests), dtype=bool)
+        for own, others in ((self.motions, other.motions), (self.inputs, other.inputs)):
+            for name in {*own, *others}:
+                mine = own.get(name, np.zeros(self.n_tests))
+                theirs = others.get(name, np.zeros(other.n_tests))
+                same &= np.isclose(mine[:, None], theirs, rtol=EQUAL, atol=0.0)
+        alike = np.zeros_like(same)
+        for axis in self.forces.keys() & other.forces.keys():
+            mine, theirs = self.forces[axis], other.forces[axis]
+            alike |= np.isclose(mine[:, None], theirs, rtol=EQUAL, atol=0.0)
+        return int((same & alike).any(axis=1).sum())
 
     def towed(self, model: Model) -> Model:
         """Return the model with inputs that hold its velocities, and outputs that are forces.
