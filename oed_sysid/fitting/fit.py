@@ -295,7 +295,7 @@ class Fit(Estimate):
             self.model.outputs, self.sigma, self.sigma_estimated, strict=True
         ):
             count, total = effective[output.name]
-            if not total and self._tests_alone:
+            if not total and self.tests_alone:
                 continue
             factor, unit = shown_unit(output.unit)  # angles are read in degrees
             rows.append(
@@ -310,11 +310,6 @@ class Fit(Estimate):
                 )
             )
         return [f"  {line}" for line in align(rows)]
-
-    @property
-    def _tests_alone(self) -> bool:
-        """Whether there are independent tests only, whose signals are those of the towed model."""
-        return all(record.independent for record in self.dataset)
 
     def _noise_lines(self) -> list[str]:
         """Random forces and coloured sensors, one line each."""
@@ -345,7 +340,7 @@ class Fit(Estimate):
         lines = [f"  {one.text}" for one in self.concerns if one.text not in said_first]
         commands = np.vstack([record.inputs for record in self.dataset])
         for channel, series in zip(self.model.inputs, commands.T, strict=True):
-            if np.ptp(series) == 0.0 and not self._tests_alone:
+            if np.ptp(series) == 0.0 and not self.tests_alone:
                 lines.append(
                     f"  Input {channel.name} never moves in any record: what it does cannot be "
                     "told from what else is constant."
