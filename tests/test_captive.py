@@ -23,6 +23,7 @@ from oed_sysid import (
     ZigZag,
 )
 from oed_sysid.errors import DataError, ModelError, UnitWarning
+from oed_sysid.estimators import OutputError
 from oed_sysid.fitting.captive import CaptiveTests
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.simulation import simulate, simulate_inputs
@@ -322,3 +323,19 @@ def test_a_rudder_in_degrees_is_noticed() -> None:
     tests = CaptiveTests("deg", {"v": [0.1]}, {"delta": [35.0]}, {"Y": [1.0]}, {"Y": 0.1})
     with pytest.warns(UnitWarning, match=r"reaches 35 rad.*np\.radians"):
         tests.predict(ship())
+
+
+def test_far_starts_find_the_way_beside_few_tests() -> None:
+    """One bollard pull beside a zigzag does not keep the wide way in from longer intervals."""
+    pull = CaptiveTests("pull", {}, {"delta": [0.3]}, {"Y": [3.6]}, {"Y": 0.1})
+    far = ship().with_values({name: 0.1 * value for name, value in TRUTH.items()})
+    fit = pull.fit(MultipleShooting(start="wide", disturbances="none"), far, zigzag())
+    alone = MultipleShooting(disturbances="none").fit(ship().with_values(TRUTH), zigzag())
+    assert fit.status.ok
+    assert fit.cost == pytest.approx(alone.cost, rel=0.02)
+
+
+def test_estimators_without_start_states_are_refused() -> None:
+    """The estimator has to hold the start of a test."""
+    with pytest.raises(ModelError, match="MultipleShooting; OutputError is not"):
+        drift_tests().fit(OutputError(), ship())

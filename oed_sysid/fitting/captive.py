@@ -22,6 +22,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from inspect import signature
 from typing import Protocol
 
 import numpy as np
@@ -330,6 +331,11 @@ class CaptiveTests:
             noise. Of the towed model where there is
             no free-running record.
         """
+        if "start_states" not in signature(estimator.fit).parameters:
+            raise ModelError(
+                f"Captive tests {self.name!r} need an estimator that is told their start states "
+                f"(start_states=), such as MultipleShooting; {type(estimator).__name__} is not."
+            )
         towed, tests = self.towed(model), self.records(model)
         if not tests:
             raise DataError(

@@ -393,7 +393,7 @@ class Fit(Estimate):
             "covariance": self.covariance.tolist(),
             "coloured_residuals": self.coloured,
             "noise": dict(zip(self.model.output_names, self.sigma.tolist(), strict=True)),
-            "rms": self.rms,
+            "rms": {k: v if np.isfinite(v) else None for k, v in self.rms.items()},
             "effective_samples": {k: list(v) for k, v in self.effective_samples().items()},
             "noise_model": self.noise.to_dict(),
             "noise_std": dict(self.noise_std),
