@@ -186,7 +186,10 @@ def drift_series(order: np.ndarray | None = None, *, quadratic: float = -30.0) -
     )
 
 
-@pytest.mark.parametrize("settings", [{"disturbances": "none"}, {}, {"horizon": 10.0}])
+@pytest.mark.parametrize(
+    "settings",
+    [{"disturbances": "none"}, {}, {"horizon": 10.0}, {"loss": "auto"}, {"solver": "ipopt"}],
+)
 @pytest.mark.parametrize("free_running", [False, True])
 def test_the_order_of_tests_says_nothing(settings: dict, free_running: bool) -> None:
     """Rows that are shuffled give the same values and the same errors."""
