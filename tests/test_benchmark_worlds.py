@@ -11,6 +11,7 @@ import pytest
 from benchmarks.real_world import BEGIN, END, table, written
 from oed_sysid.benchmark import WORLDS, Benchmark, Cell, benchmark, load_scenario, run_cell
 from oed_sysid.errors import ProblemError
+from oed_sysid.simulation import simulate
 
 PROBLEM = "nomoto_sparse_heading"
 
@@ -59,6 +60,39 @@ def test_spikes_and_sparse_samples(clean: np.ndarray, sigma: np.ndarray) -> None
     assert np.mean(np.isfinite(made("sparse"))) == pytest.approx(0.25, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    "world", ["ideal", "declared_half", "declared_twice", "wrong_model", "far_start"]
+)
+def test_worlds_without_anything_random_have_the_ideal_records(world: str) -> None:
+    """Run after run holds what the ideal world simulates, to the last digit."""
+    scenario = load_scenario("auv_diving_plane")
+    model = scenario.with_noise(scenario.noise(1.0))
+    rng, other = (Cell("auv_diving_plane", "multiple_shooting", 1.0).rng("noise") for _ in "ab")
+    for run in 2 * scenario.train:
+        plain = simulate(model, run, rng=rng)
+        record = WORLDS[world].record(model, run, rng=other, noise=True)
+        assert np.array_equal(record.outputs, plain.outputs)
+        assert np.array_equal(record.inputs, plain.inputs)
+
+
+def test_what_a_world_adds_leaves_the_noise_as_it_is() -> None:
+    """White noise of the second record is the same beside forces, colour and spikes."""
+    scenario = load_scenario("auv_diving_plane")
+    model = scenario.with_noise(scenario.noise(1.0))
+    std = np.array([output.noise_std for output in model.outputs])
+    errors = {}
+    for world in ("ideal", "forces_5", "spikes", "sparse"):
+        rng, silent = np.random.default_rng(4), np.random.default_rng(4)
+        for run in 2 * scenario.train:
+            noisy = WORLDS[world].record(model, run, rng=rng, noise=True).outputs
+            clean = WORLDS[world].record(model, run, rng=silent, noise=False).outputs
+        errors[world] = (noisy - clean) / std
+    for world in ("forces_5", "spikes"):
+        assert errors[world] == pytest.approx(errors["ideal"], abs=1e-9)
+    kept = np.isfinite(errors["sparse"])
+    assert errors["sparse"][kept] == pytest.approx(errors["ideal"][kept], abs=1e-9)
+
+
 def test_what_is_believed_departs_and_truth_does_not() -> None:
     """Declared levels and known numbers differ from the truth as stated; free ones do not."""
     scenario = load_scenario("auv_diving_plane")
@@ -80,7 +114,7 @@ def test_spikes_hurt_who_takes_them_for_motion(tmp_path: Path) -> None:
         [PROBLEM],
         ["multiple_shooting", "multiple_shooting_disturbed"],
         noise=[1.0],
-        seeds=2,
+        seeds=8,
         worlds=["ideal", "spikes"],
         store=tmp_path,
     )

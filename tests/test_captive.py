@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from oed_sysid import (
+    Actuator,
     Dataset,
     Experiment,
+    ExtraState,
     Force,
     Input,
     Model,
@@ -17,9 +22,11 @@ from oed_sysid import (
     State,
     ZigZag,
 )
-from oed_sysid.errors import DataError, ModelError
+from oed_sysid.errors import DataError, ModelError, UnitWarning
+from oed_sysid.estimators import OutputError
 from oed_sysid.fitting.captive import CaptiveTests
-from oed_sysid.simulation import simulate
+from oed_sysid.fitting.fit import Fit
+from oed_sysid.simulation import simulate, simulate_inputs
 
 TRUTH = {"Y_v": -40.0, "Y_r": 25.0, "N_v": -15.0, "N_r": -60.0, "Y_d": 12.0, "N_d": -30.0}
 SPEED = 2.0
@@ -78,6 +85,22 @@ def zigzag() -> Dataset:
     return Dataset((simulate(ship().with_values(TRUTH), test, rng=np.random.default_rng(1)),))
 
 
+def pushed() -> Dataset:
+    """The zigzag in gusts that remember two seconds."""
+    (record,) = zigzag()
+    rng = np.random.default_rng(2)
+    gust = np.zeros((record.n_samples, 2))
+    for k in range(1, len(gust)):
+        gust[k] = 0.9 * gust[k - 1] + rng.standard_normal(2)
+    gusts = (Input("gust_Y", "N", interpolation="linear"), Input("gust_N", "N m"))
+    model = replace(ship(), inputs=(*ship().inputs, *gusts))
+    model = model + Force("gusts", {"Y": "gust_Y", "N": "gust_N"})
+    inputs = np.hstack([record.inputs, gust])
+    run = simulate_inputs(model.with_values(TRUTH), record.times, inputs=inputs)
+    noise = np.array([0.01, 0.005, 0.01]) * rng.standard_normal(run.outputs.shape)
+    return Dataset((record.with_outputs(run.outputs + noise),))
+
+
 def test_forces_at_given_motion_are_the_models_own() -> None:
     """The towed model says the sum of forces by hand, whatever its free states do."""
     tests = drift_tests()
@@ -116,7 +139,7 @@ def test_captive_tests_and_a_zigzag_share_one_likelihood() -> None:
 def test_one_bollard_pull_is_enough_for_a_record() -> None:
     """A single test is padded, not refused, and weighs as one."""
     tests = CaptiveTests("pull", {}, {"delta": [0.3]}, {"Y": [3.6]}, {"Y": 0.1})
-    record = tests.record(ship())
+    (record,) = tests.records(ship())
     assert np.isfinite(record.outputs).sum() == 1
     assert tests.predict(ship().with_values(TRUTH))["Y"] == pytest.approx([3.6])
 
@@ -142,4 +165,180 @@ def test_what_does_not_fit_is_said(changes: dict, error: type, words: str) -> No
         **changes,
     }
     with pytest.raises(error, match=words):
-        CaptiveTests("wrong", **given).record(ship())
+        CaptiveTests("wrong", **given).records(ship())
+
+
+def drift_series(order: np.ndarray | None = None, *, quadratic: float = -30.0) -> CaptiveTests:
+    """Sixty tests sorted by drift; the hull may have a cross-flow drag that no parameter says."""
+    n = 60
+    v, delta = np.linspace(-0.4, 0.4, n), np.tile([-0.3, 0.0, 0.3], n // 3)
+    rng = np.random.default_rng(3)
+    measured = forces(v, delta)
+    measured["Y"] = measured["Y"] + quadratic * v * np.abs(v)
+    measured = {axis: f + 0.1 * rng.standard_normal(n) for axis, f in measured.items()}
+    rows = np.arange(n) if order is None else order
+    return CaptiveTests(
+        "carriage",
+        {"v": v[rows]},
+        {"delta": delta[rows]},
+        {axis: force[rows] for axis, force in measured.items()},
+        {"Y": 0.1, "N": 0.1},
+    )
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"disturbances": "none"}, {}, {"horizon": 10.0}, {"loss": "auto"}, {"solver": "ipopt"}],
+)
+@pytest.mark.parametrize("free_running", [False, True])
+def test_the_order_of_tests_says_nothing(settings: dict, free_running: bool) -> None:
+    """Rows that are shuffled give the same values and the same errors."""
+    disturbed = free_running and not settings
+    data = None if not free_running else pushed() if disturbed else zigzag()
+    shuffled = np.random.default_rng(0).permutation(60)
+    estimator = MultipleShooting(**settings)
+    one = drift_series().fit(estimator, ship(), data)
+    other = drift_series(shuffled).fit(estimator, ship(), data)
+    assert one.status.ok
+    assert other.estimates == pytest.approx(one.estimates, rel=1e-6)
+    known = np.isfinite(np.diag(one.covariance))
+    assert known.sum() == (6 if free_running else 4)
+    assert np.sqrt(np.diag(other.covariance))[known] == pytest.approx(
+        np.sqrt(np.diag(one.covariance))[known], rel=1e-5
+    )
+    assert "captive tests scatter" in one.report()
+    assert ("random forces" in one.estimator) == ("random forces" in other.estimator) == disturbed
+
+
+def test_errors_of_a_wrong_hull_are_those_of_white() -> None:
+    """For tests alone the covariance is the sandwich by hand, and larger than the noise says."""
+    tests = drift_series()
+    fit = tests.fit(MultipleShooting(), ship())
+    columns = np.column_stack([tests.motions["v"], tests.inputs["delta"]])
+    inverse = np.linalg.inv(columns.T @ columns / 0.1**2)
+    taken = np.einsum("tp,pq,tq->t", columns, inverse, columns) / 0.1**2
+    residuals = [
+        tests.forces[axis] - columns @ np.linalg.lstsq(columns, tests.forces[axis])[0]
+        for axis in ("Y", "N")
+    ]
+    scaled = np.array(residuals) / 0.1
+    for axis, own in zip(("Y", "N"), scaled, strict=True):
+        lost = max(1.0, float(own @ own) / (60 - taken.sum()))
+        middle = (columns * (own**2 + lost * taken)[:, None]).T @ columns / 0.1**2
+        std = np.sqrt(np.diag(inverse @ middle @ inverse))
+        for name, error in zip((f"{axis}_v", f"{axis}_d"), std, strict=True):
+            assert fit.std_errors[name] == pytest.approx(error, rel=1e-6)
+    assert fit.std_errors["Y_v"] > 3 * np.sqrt(inverse[0, 0])
+    assert fit.std_errors["N_v"] == pytest.approx(np.sqrt(inverse[0, 0]), rel=0.4)
+
+
+@pytest.mark.parametrize("noise", ["given", "estimate"])
+def test_intervals_of_captive_tests_hold_the_truth(noise: str) -> None:
+    """Of 4 times 150 intervals of a right model 95 % hold the truth."""
+    held = []
+    tests = drift_series(quadratic=0.0)
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        clean = forces(tests.motions["v"], tests.inputs["delta"])
+        drawn = {axis: f + 0.1 * rng.standard_normal(60) for axis, f in clean.items()}
+        again = CaptiveTests("carriage", tests.motions, tests.inputs, drawn, tests.noise)
+        fit = again.fit(MultipleShooting(noise=noise, coloured="auto"), ship())
+        for name in ("Y_v", "Y_d", "N_v", "N_d"):
+            low, high = fit.interval(name)
+            held.append(low <= TRUTH[name] <= high)
+    assert np.mean(held) == pytest.approx(0.95, abs=0.03)
+
+
+@pytest.mark.parametrize("settings", [{}, {"horizon": 10.0}])
+def test_intervals_hold_beside_records_and_with_noise_above_the_declared(settings: dict) -> None:
+    """Tests that scatter up to four times as much as declared, with a zigzag, 60 times."""
+    held = []
+    tests = drift_series(quadratic=0.0)
+    v = tests.motions["v"]
+    order = ZigZag("delta", 0.2, 0.1, sign=-1)
+    run = Experiment("zigzag", order, duration=60.0, sample_time=0.2)
+    for seed in range(60):
+        rng = np.random.default_rng(1000 + seed)
+        drawn = {
+            axis: f + (0.1 + 0.8 * np.abs(v)) * rng.standard_normal(60)
+            for axis, f in forces(v, tests.inputs["delta"]).items()
+        }
+        again = CaptiveTests("carriage", tests.motions, tests.inputs, drawn, tests.noise)
+        data = Dataset((simulate(ship().with_values(TRUTH), run, rng=rng),))
+        fit = again.fit(MultipleShooting(**settings), ship(), data)
+        for name, true in TRUTH.items():
+            low, high = fit.interval(name)
+            held.append(low <= true <= high)
+    assert np.mean(held) == pytest.approx(0.95, abs=0.03)
+
+
+def test_a_saved_fit_of_captive_tests_knows_that_they_are(tmp_path: Path) -> None:
+    """Files keep that samples are independent, and the report is the same."""
+    fit = drift_series().fit(MultipleShooting(), ship())
+    fit.save(tmp_path / "fit.json")
+    again = Fit.load(tmp_path / "fit.json")
+    assert again.dataset[0].independent
+    assert again.report() == fit.report()
+    plain = replace(fit.dataset[0], independent=False)
+    assert plain.content_hash != fit.dataset[0].content_hash
+
+
+def test_tests_of_a_model_that_remembers_begin_anew() -> None:
+    """A rudder that lags has settled in each test, whatever the one before was."""
+    lag = Actuator(
+        "lag", {"delta": "angle"}, states=(ExtraState("angle", "(delta - angle)/5", "delta"),)
+    )
+    tests = drift_series(quadratic=0.0)
+    slow = ship() + lag
+    assert len(tests.records(slow)) == 60
+    fit = tests.fit(MultipleShooting(), slow)
+    fast = tests.fit(MultipleShooting(), ship())
+    for name in ("Y_v", "Y_d", "N_v", "N_d"):
+        assert fit.values[name] == pytest.approx(fast.values[name], rel=1e-6)
+        assert fit.std_errors[name] == pytest.approx(fast.std_errors[name], rel=1e-6)
+    found = drift_tests().predict(slow.with_values(TRUTH))
+    assert found["N"] == pytest.approx(drift_tests().forces["N"], abs=1e-9)
+    assert "records       carriage 1 to carriage 60 (60 tests)" in fit.report()
+
+
+def test_held_motion_does_not_turn_the_ship() -> None:
+    """A force that depends on heading sees that of the start, however long the yaw rate is held."""
+    wind = Force("wind", {"Y": "W*cos(psi)"}, (Parameter("W", 2.0, "N"),))
+    n = 8
+    tests = CaptiveTests(
+        "rotating arm", {"r": np.full(n, 0.5)}, {"delta": np.zeros(n)}, {"Y": np.zeros(n)}, {"Y": 1}
+    )
+    found = tests.predict((ship() + wind).with_values(TRUTH))
+    assert found["Y"] == pytest.approx(np.full(n, 0.5 * TRUTH["Y_r"] + 2.0))
+
+
+def test_a_report_of_captive_tests_names_no_internals() -> None:
+    """Inputs of the towed model and outputs nobody measured are left out."""
+    text = drift_tests(noise=0.1).fit(MultipleShooting(), ship()).report()
+    assert "records       carriage (6 tests)" in text
+    for word in ("Input towed", "not measured", "nan", "v_free", "start of"):
+        assert word not in text
+    assert "captive Y: error" in text
+
+
+def test_a_rudder_in_degrees_is_noticed() -> None:
+    """Angles of more than half a turn are warned about."""
+    tests = CaptiveTests("deg", {"v": [0.1]}, {"delta": [35.0]}, {"Y": [1.0]}, {"Y": 0.1})
+    with pytest.warns(UnitWarning, match=r"reaches 35 rad.*np\.radians"):
+        tests.predict(ship())
+
+
+def test_far_starts_find_the_way_beside_few_tests() -> None:
+    """One bollard pull beside a zigzag does not keep the wide way in from longer intervals."""
+    pull = CaptiveTests("pull", {}, {"delta": [0.3]}, {"Y": [3.6]}, {"Y": 0.1})
+    far = ship().with_values({name: 0.1 * value for name, value in TRUTH.items()})
+    fit = pull.fit(MultipleShooting(start="wide", disturbances="none"), far, zigzag())
+    alone = MultipleShooting(disturbances="none").fit(ship().with_values(TRUTH), zigzag())
+    assert fit.status.ok
+    assert fit.cost == pytest.approx(alone.cost, rel=0.02)
+
+
+def test_estimators_without_start_states_are_refused() -> None:
+    """The estimator has to hold the start of a test."""
+    with pytest.raises(ModelError, match="MultipleShooting; OutputError is not"):
+        drift_tests().fit(OutputError(), ship())

@@ -14,6 +14,7 @@ from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_reco
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.effects import Force
+from oed_sysid.errors import ModelError
 from oed_sysid.estimators import MultipleShooting
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
@@ -387,3 +388,23 @@ def test_inputs_are_unchanged() -> None:
     ESTIMATOR.fit(model, data)
     assert model.values == values
     assert all(np.array_equal(a, b.outputs) for a, b in zip(before, data, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"horizon": float("inf")}, "horizon is inf. Give seconds above zero, or None"),
+        ({"horizon": "10"}, "horizon is '10'"),
+        ({"disturbances": None}, "disturbances is None. Choose auto, none, all"),
+        ({"disturbances": (1,)}, r"disturbances is \(1,\)"),
+        ({"noise": {"r": 0.1}}, "noise is {'r': 0.1}. Choose auto, given, estimate or a list"),
+        ({"noise": None}, "noise is None"),
+        ({"max_iterations": 2.5}, "max_iterations is 2.5. Give a whole number, 1 or more"),
+        ({"tolerance": "small"}, "tolerance is 'small'. Give a positive number"),
+        ({"interval": "5"}, "Shooting interval is '5'. Give a positive length in s"),
+    ],
+)
+def test_options_of_another_kind_are_refused_at_once(options: dict, words: str) -> None:
+    """What is expected, what was given and what to do, before any record is read."""
+    with pytest.raises(ModelError, match=words):
+        MultipleShooting(**options)

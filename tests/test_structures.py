@@ -144,3 +144,56 @@ def test_judges_are_not_trained_on() -> None:
     both = average_structures((informed, LINEAR), data, **settings)
     assert both.structures[0].name == "informed"
     assert both.values["resistance"] == pytest.approx(32.0, rel=0.02)
+
+
+def test_copies_and_parts_of_the_judges_are_recognised() -> None:
+    """Tests are compared by what they hold: motion, inputs and a force, not by who holds them."""
+    towing = CaptiveTests("towing", {"u": [3.0, 4.0]}, {}, {"X": [-18.0, -32.0]}, {"X": 0.5})
+    part = CaptiveTests("half", {"u": [4.0, 5.0]}, {}, {"X": [-32.0, -50.0]}, {"X": 1.0})
+    again = CaptiveTests("again", {"u": [3.0, 4.0]}, {}, {"X": [-18.3, -31.8]}, {"X": 0.5})
+    assert [towing.shared(other) for other in (towing, part, again)] == [2, 1, 0]
+    settings = {"purpose": resistance, "strength": first, "horizon": 5.0}
+    data = runs(0.5, 1.0, 2.0)
+    for fitted, words in ((part, "1 of the 2 tests"), (towing, "2 of the 2 tests")):
+        copy = CaptiveTests("copy", fitted.motions, {}, fitted.forces, fitted.noise)
+        informed = Structure("informed", QUADRATIC.model, SHOOTING, copy)
+        with pytest.raises(ModelError, match=words):
+            average_structures((informed, LINEAR), data, tests=towing, **settings)
+    repeated = Structure("repeated", QUADRATIC.model, SHOOTING, again)
+    found = average_structures((repeated, LINEAR), data, tests=towing, **settings)
+    assert found.structures[0].name == "repeated"
+
+
+def of_zero(fit) -> dict[str, float]:
+    """A wanted quantity, and one that is zero."""
+    return {**resistance(fit), "side": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"purpose": of_zero}, "Quantity 'side' is 0 with structure 'linear'"),
+        ({"purpose": lambda fit: {}}, "gives no quantity"),
+        ({"purpose": lambda fit: fit.values}, "gives a with structure 'linear' and b with"),
+        ({"scored": ["resistence"]}, "'resistence', which is none of .* 'resistance'"),
+        ({"power": -4.0}, "power is -4.0. Give a number above zero"),
+        ({"floor": -0.5}, "floor is -0.5. Give a share"),
+        ({"horizon": 0.0}, "horizon is 0.0. Give seconds above zero"),
+    ],
+)
+def test_settings_that_give_no_weights_are_refused(settings: dict, words: str) -> None:
+    """Nothing about zero, no unknown or differing quantity, no negative power is averaged."""
+    usual = {"purpose": resistance, "strength": first, "horizon": 5.0, **settings}
+    with pytest.raises(ModelError, match=words):
+        average_structures((LINEAR, QUADRATIC), runs(0.5, 1.0, 2.0), **usual)
+
+
+def test_what_is_about_zero_may_be_wanted_and_not_scored() -> None:
+    """The report leaves shares of nothing out."""
+    usual = {"purpose": of_zero, "strength": first, "horizon": 5.0}
+    average = average_structures(
+        (LINEAR, QUADRATIC), runs(0.5, 1.0, 2.0), scored=["resistance"], **usual
+    )
+    assert average.values["side"] == 0.0
+    (line,) = [line for line in average.report().splitlines() if line.startswith("  side")]
+    assert line.split()[1:] == ["0", "0", "to", "0", "-", "-", "-"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -145,6 +146,11 @@ def test_report_and_plain_data(fit) -> None:
     [
         ({"K": 0.1}, {"side": "left"}, "starboard, port or both"),
         ({"K": 0.1}, {"rudder": -0.3}, "above zero"),
+        ({"K": 0.1}, {"rudder": 35.0}, "degrees, give math.radians.35., which is 0.61"),
+        ({"K": 0.1}, {"length": 0.0}, "length is 0.0. Give the length of the ship in m"),
+        ({"K": 0.1}, {"length": -3.0}, "length is -3.0"),
+        ({"K": 0.1}, {"rate": 0.0}, "rate is 0.0. Give rad/s above zero"),
+        ({"K": 0.1}, {"n_draws": -3}, "n_draws is -3"),
         ({"K": 0.1}, {"input": "fin"}, "inputs rudder"),
         ({"K": 0.0}, {}, "does not turn|same side"),
     ],
@@ -173,3 +179,27 @@ def test_what_a_fit_does_not_determine_is_not_drawn(fit) -> None:
     poor = MultipleShooting(disturbances="none").fit(blind, Dataset((unseen,)))
     with pytest.raises(ModelError, match="does not determine E_nothing"):
         turning_circle(poor, speed=2.0)
+
+
+def test_a_speed_that_the_propulsion_does_not_keep_is_noted() -> None:
+    """The ship runs at 2 m/s whatever speed it is given; from there the approach is steady."""
+    steady = turning_circle(DRIFTING, speed=2.0, rudder=0.1)
+    assert steady.notes == ()
+    slow = turning_circle(DRIFTING, speed=0.02, rudder=0.1)
+    assert slow.value("speed_ratio", "port") > 40
+    (note,) = slow.notes
+    assert "approach at 0.02 m/s is not steady: with this propulsion the ship keeps 2 m/s" in note
+    assert note in slow.report()
+    assert slow.to_dict()["notes"] == [note]
+    assert turning_circle(NOMOTO, speed=0.02, rudder=0.1).notes == ()
+
+
+@pytest.mark.parametrize(("push", "neutral"), [(0.01, -5.73), (0.03, 0.0)])
+def test_a_neutral_rudder_beyond_the_range_is_noted(push: float, neutral: float) -> None:
+    """A turn that takes 5.7 deg to stop is stopped; one that takes 17 deg is not, and said so."""
+    model = replace(NOMOTO, kinematics={"psi": "r", "r": f"(K*(rudder + {10 * push}) - r)/T"})
+    circle = turning_circle(model, speed=1.0, rudder=0.6)
+    assert math.degrees(circle.neutral) == pytest.approx(neutral, abs=0.01)
+    assert len(circle.notes) == (not neutral)
+    if not neutral:
+        assert "not straight: a course takes -17.2 deg, which is beyond" in circle.report()

@@ -25,7 +25,7 @@ from oed_sysid.sensitivity import information_of
 from oed_sysid.simulation import simulate, simulate_inputs
 
 # Raised whenever the same cell would give another result.
-FORMAT, WORLD_FORMAT = 1, 2
+FORMAT, WORLD_FORMAT = 1, 3
 # What numerical methods end with on hard data; everything else is a fault of a program, which
 # has no place in a table of methods.
 GAVE_UP = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)

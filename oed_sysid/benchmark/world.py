@@ -11,7 +11,7 @@ with :math:`\max|F|` the largest sum of forces of the undisturbed run (largest a
 an equation is written as one) and a time of four samples; sensor noise with a memory; noise of
 another size than declared; numbers that are taken as known and are not; spikes; start values off
 by far.
-Commands are those of the undisturbed run.
+Commands are those of the undisturbed run, and white noise is drawn alike in all worlds.
 """
 
 from __future__ import annotations
@@ -83,22 +83,27 @@ class World:
             At the truth; its outputs declare the true noise.
         experiment : Experiment
         rng : numpy.random.Generator
+            Of the white noise of the sensors, which is that of every other world; everything else
+            comes from generators that it spawns.
         noise : bool
             Whether sensors are noisy; without it only what is not noise of a sensor acts.
         """
+        for_forces, for_colour, for_spikes = rng.spawn(3)
         clean = simulate(model, experiment, noise=False)
         if self.forces:
-            clean = self._pushed(model, clean, experiment, rng)
+            clean = self._pushed(model, clean, experiment, for_forces)
         outputs = clean.outputs.copy()
         std = np.array([output.noise_std for output in model.outputs], dtype=float)
         if noise:
-            white = rng.standard_normal(outputs.shape)
-            memory = _gauss_markov(outputs.shape, NOISE_TIME, rng)
-            mixed = np.sqrt(1 - self.colour) * white + np.sqrt(self.colour) * memory
-            outputs += std * mixed
+            errors = np.sqrt(1 - self.colour) * rng.standard_normal(outputs.shape)
+            if self.colour:
+                memory = _gauss_markov(outputs.shape, NOISE_TIME, for_colour)
+                errors += np.sqrt(self.colour) * memory
+            outputs += std * errors
         if self.spikes:
-            struck = rng.random(outputs.shape) < self.spikes
-            outputs += struck * SPIKE_SIZE * std * np.sign(rng.standard_normal(outputs.shape))
+            struck = for_spikes.random(outputs.shape) < self.spikes
+            signs = np.sign(for_spikes.standard_normal(outputs.shape))
+            outputs += struck * SPIKE_SIZE * std * signs
         if self.sparse > 1:
             kept = np.arange(len(outputs)) % self.sparse == 0
             outputs[~kept] = np.nan

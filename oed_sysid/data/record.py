@@ -57,6 +57,9 @@ class Record:
         made from a log.
     notes : tuple of str
         What was done to the numbers on the way, in sentences.
+    independent : bool
+        Whether samples are tests of their own, such as captive ones, in whatever order: no
+        random force, colour or correlation links one to the next.
 
     Raises
     ------
@@ -83,6 +86,7 @@ class Record:
     ignored_columns: tuple[str, ...] = field(default=(), repr=False)
     continuous: tuple[str, ...] = field(default=(), repr=False)
     notes: tuple[str, ...] = field(default=(), repr=False)
+    independent: bool = False
 
     def __post_init__(self) -> None:
         times = self._numbers("times", self.times)
@@ -276,6 +280,8 @@ class Record:
         named = [(one.name, one.unit) for one in self.channels.inputs]
         named += [(one.name, one.unit) for one in self.channels.outputs]
         digest.update(repr(named).encode())
+        if self.independent:
+            digest.update(b"independent")
         for array in (self.times, self.inputs, self.outputs):
             # One kind of zero, one kind of NaN, one order of bytes.
             plain = np.where(np.isnan(array), np.nan, array + 0.0).astype("<f8")

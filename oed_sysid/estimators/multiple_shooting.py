@@ -17,6 +17,12 @@ from oed_sysid.effects.random import random_effects
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.estimators.losses import loss_by_name
 from oed_sysid.estimators.nonlinear_program import NonlinearProgram
+from oed_sysid.estimators.options import (
+    check_count,
+    check_disturbances,
+    check_levels,
+    check_positive,
+)
 from oed_sysid.fitting.beginning import (
     DOUBTFUL,
     FAR,
@@ -149,10 +155,11 @@ class MultipleShooting:
             raise ModelError(f"start is {self.start!r}. Choose auto, near or wide.")
         if self.coloured not in ("auto", "never", "always"):
             raise ModelError(f"coloured is {self.coloured!r}. Choose auto, never or always.")
-        if isinstance(self.noise, str) and self.noise not in ("auto", "given", "estimate"):
-            raise ModelError(
-                f"noise is {self.noise!r}. Choose auto, given, estimate or a list of levels."
-            )
+        check_levels(self.noise)
+        check_disturbances(self.disturbances)
+        if self.interval is not None:
+            advice = "Give a positive length in s, infinity for single shooting, or None."
+            check_positive("Shooting interval", self.interval, advice, infinite=True)
         if self.solver not in ("gauss-newton", "ipopt"):
             raise ModelError(f"solver is {self.solver!r}. Choose gauss-newton or ipopt.")
         if self.hessian not in ("exact", "gauss-newton"):
@@ -162,10 +169,8 @@ class MultipleShooting:
                 "Constraints among parameters need solver='ipopt'; bounds of single parameters "
                 "do not: give them as Parameter(lower=..., upper=...)."
             )
-        if self.max_iterations < 1:
-            raise ModelError(f"max_iterations is {self.max_iterations}. Give 1 or more.")
-        if not self.tolerance > 0:
-            raise ModelError(f"tolerance is {self.tolerance}. Give a positive number.")
+        check_count("max_iterations", self.max_iterations)
+        check_positive("tolerance", self.tolerance, "Give a positive number.")
         loss_by_name(self.loss)
         if self.horizon is not None:
             self._check_horizon()
@@ -177,8 +182,8 @@ class MultipleShooting:
 
     def _check_horizon(self) -> None:
         """Refuse settings that short predictions have no place for."""
-        if not (self.horizon is not None and self.horizon > 0):
-            raise ModelError(f"horizon is {self.horizon}. Give seconds above zero, or None.")
+        advice = "Give seconds above zero, or None, which predicts whole records."
+        check_positive("horizon", self.horizon, advice)
         if self.disturbances not in ("auto", "none"):
             raise ModelError(
                 f"disturbances={self.disturbances!r} needs whole records. Drop it or the horizon."
@@ -272,7 +277,7 @@ class MultipleShooting:
         )
         check_enough_samples(shooting)
         if self.horizon is not None:
-            if known_starts is not None:
+            if known_starts is not None and known_starts.of_series(dataset):
                 raise ModelError(
                     "start_states are those of whole records; windows of a horizon begin from "
                     "states of their own. Drop one of the two."
@@ -294,7 +299,9 @@ class MultipleShooting:
             point = warm_point(shooting, warm)
         minimise = self._minimiser(shooting)
         asked = self.disturbances != "none" or bool(random_effects(model.effects))
-        wanted = asked and not self._white_only
+        tests = any(record.independent for record in dataset)
+        series = not all(record.independent for record in dataset)
+        wanted = asked and series and not self._white_only
         # Where random forces may follow, residuals that are no white noise end the iterations
         # soon, and their colour is weighed only if none do.
         carried = _carried(shooting, point, warm) if wanted else None
@@ -313,32 +320,36 @@ class MultipleShooting:
         fit = white = described(shooting, solution, iterations=iterations, weighed=not wanted)
         excluded: dict[str, tuple[int, int]] = {}
         if self.loss == "auto" and fit.status.code != "interrupted":
-            fit, excluded = self._without_spikes(fit, model)
+            fit, excluded = self._without_spikes(fit, model, known_starts)
         if wanted and fit.status.code != "interrupted":
             fit = self._disturbed(fit, model, fit.dataset, estimated, began, known_starts, carried)
         early = solution is not None and solution.reason == "enough"
-        if wanted and fit.covariance is white.covariance and (early or fit.coloured):
+        if wanted and fit.covariance is white.covariance and (early or tests or fit.coloured):
             if solution is not None and early:
                 solution = minimise(shooting, solution.point) or solution
                 iterations += solution.iterations
             whole = described(shooting, solution, iterations=iterations)
-            fit = replace(whole, extras=fit.extras)
+            kept = {key: told for key, told in fit.extras.items() if key not in white.extras}
+            fit = replace(whole, extras={**kept, **whole.extras})
         fit = with_step_advice(fit, shooting, solution)
         told: dict[str, object] = {"excluded": excluded} if excluded else {}
         told["magnitudes"] = {p.name: p.magnitude for p in model.free_parameters}
         return with_verdict(replace(fit, extras={**fit.extras, **told}))
 
-    def _without_spikes(self, fit: Fit, model: Model) -> tuple[Fit, dict[str, tuple[int, int]]]:
+    def _without_spikes(
+        self, fit: Fit, model: Model, known_starts: KnownStarts | None
+    ) -> tuple[Fit, dict[str, tuple[int, int]]]:
         """Fit again without samples that stand out alone, and how many of how many they were."""
         whole, again = fit.dataset, fit
         for _ in range(SPIKE_ROUNDS):
             if not all(np.isfinite(part).all() for part in again.predictions):
                 break
-            masks = spike_masks(again.whitened)
+            masks = spike_masks(again.series)
             if not any(mask.any() for mask in masks):
                 break
             plain = replace(self, loss="square", disturbances="none")
-            again = plain.fit(model, without_spikes(again.dataset, masks), warm=again)
+            left = without_spikes(again.dataset, masks)
+            again = plain._fit(model, left, again, None, known_starts)
         if again is fit:
             return fit, {}
         before, after = (
@@ -433,7 +444,9 @@ class MultipleShooting:
             if solution is None:
                 continue
             name, iterations = f"{self.name}, random forces", fit.iterations + solution.iterations
-            found = summarise_filtered(solution, estimated, name, iterations, began)
+            found = summarise_filtered(
+                solution, estimated, name, iterations, began, coloured=self.coloured
+            )
             if not _no_likelier(found, fit):
                 break
         if found is None:
@@ -458,7 +471,7 @@ class MultipleShooting:
         least = 1e-9 * signal_spread(shooting.dataset)
         for _ in range(NOISE_ROUNDS):
             residuals = solution.linearisation.residuals
-            levels = residual_levels(residuals, shooting.layout.n_unknowns)
+            levels = residual_levels(residuals, shooting.n_unknowns)
             sigma = np.where(estimated, np.maximum(levels, least), shooting.sigma)
             change = float(np.max(np.abs(np.log(sigma / shooting.sigma))))
             shooting = shooting.with_sigma(sigma)

@@ -113,7 +113,8 @@ def warm_point(shooting: Shooting, warm: Fit) -> Point:
 
 def wide_start(shooting: Shooting, point: Point) -> Point:
     """Climb the ladder of free-node intervals from a far start."""
-    shortest = min(len(record.times) for record in shooting.records)
+    records = [r for r in shooting.records if not r.independent] or shooting.records
+    shortest = min(len(record.times) for record in records)
     rungs = list(LADDER)
     while 3 * rungs[-1] <= shooting.interval_samples < shortest:
         rungs.append(3 * rungs[-1])

@@ -9,15 +9,20 @@ where the motion is given. With motions :math:`x_j`, inputs :math:`u_j` and forc
         + \sum_j \frac{|F_j - F(x_j, u_j, p)|^2}{\sigma_F^2} .
 
 Both sums are one model's: the *towed* model has the velocities twice, those that it integrates
-and those that forces see, and an input ``towed`` that says which of the two the latter are. The
-tests are then one more record of that model, in which only forces are measured. Every estimator
-that fits the model fits both.
+and those that forces see, and an input ``towed`` that says which of the two the latter are; its
+other states stand still where it is towed. The tests are then one more record of that model, in
+which only forces are measured and whose samples are independent: their order says nothing, no
+random force or colour links them, and where they scatter more than their noise allows the
+covariance is that of White (:mod:`oed_sysid.fitting.covariance`). Where effects of the model
+remember, such as a rudder that lags, each test is a record of its own and begins at rest.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from inspect import signature
 from typing import Protocol
 
 import numpy as np
@@ -26,12 +31,14 @@ from oed_sysid.channels import Input, Output
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.record import MINIMUM_SAMPLES
-from oed_sysid.errors import DataError, ModelError
+from oed_sysid.errors import DataError, ModelError, UnitWarning
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.unknowns import StartState
 from oed_sysid.model import Model
 
 TOWED = "towed"
+# Numbers that agree to so many digits are those of one test.
+EQUAL = 1e-9
 _FORCE = "force_{}"
 _HELD = "{}_held"
 _OWN = "{}_free"
@@ -131,6 +138,30 @@ class CaptiveTests:
         """Number of tests."""
         return len(next(iter(self.forces.values())))
 
+    def shared(self, other: CaptiveTests) -> int:
+        """Number of these tests that another series holds too.
+
+        One and the same are tests with the same motion, inputs and force about some axis.
+
+        Examples
+        --------
+        >>> speeds = {"u": [1.0, 2.0, 3.0]}
+        >>> tests = CaptiveTests("all", speeds, {}, {"X": [-2.1, -7.9, -18.2]}, {"X": 0.2})
+        >>> tests.shared(CaptiveTests("one", {"u": [2.0]}, {}, {"X": [-7.9]}, {"X": 0.2}))
+        1
+        """
+        same = np.ones((self.n_tests, other.n_tests), dtype=bool)
+        for own, others in ((self.motions, other.motions), (self.inputs, other.inputs)):
+            for name in {*own, *others}:
+                mine = own.get(name, np.zeros(self.n_tests))
+                theirs = others.get(name, np.zeros(other.n_tests))
+                same &= np.isclose(mine[:, None], theirs, rtol=EQUAL, atol=0.0)
+        alike = np.zeros_like(same)
+        for axis in self.forces.keys() & other.forces.keys():
+            mine, theirs = self.forces[axis], other.forces[axis]
+            alike |= np.isclose(mine[:, None], theirs, rtol=EQUAL, atol=0.0)
+        return int((same & alike).any(axis=1).sum())
+
     def towed(self, model: Model) -> Model:
         """Return the model with inputs that hold its velocities, and outputs that are forces.
 
@@ -171,12 +202,22 @@ class CaptiveTests:
             states=tuple(replace(s, name=moved.get(s.name, s.name)) for s in model.states),
             inputs=(*model.inputs, *inputs),
             outputs=tuple(outputs),
+            kinematics={s: f"(1 - {TOWED})*({text})" for s, text in model.kinematics.items()},
             axes={axis: moved[state] for axis, state in model.axes.items()},
             inertia={(axis, moved[s]): text for (axis, s), text in model.inertia.items()},
             signals={**signals, **model.signals},
         )
 
     def _check(self, model: Model) -> None:
+        for signal in model.inputs:
+            largest = np.max(np.abs(self.inputs.get(signal.name, 0.0)))
+            if signal.unit == "rad" and largest > np.pi:
+                warnings.warn(
+                    f"Captive tests {self.name!r}: input {signal.name!r} reaches {largest:.4g} "
+                    "rad, more than half a turn. If these are degrees, give np.radians(...).",
+                    UnitWarning,
+                    stacklevel=2,
+                )
         velocities = tuple(model.axes.values())
         for what, have, kind in (
             (self.motions, velocities, "velocity of an axis"),
@@ -196,14 +237,13 @@ class CaptiveTests:
         if model.kinematics.keys() & set(velocities):
             raise ModelError(f"Model {model.name!r} moves a velocity without an axis.")
 
-    def record(self, model: Model) -> Record:
-        """Return the tests as one record of the towed model; its clock only counts them.
+    def records(self, model: Model) -> tuple[Record, ...]:
+        """Return the tests as records of the towed model; their clock only counts them.
 
-        A series that is too short for a record repeats its last test with nothing measured.
+        One record, or one for each test where the model has a memory. A record that would be too
+        short repeats its last test with nothing measured.
         """
-        towed = self.towed(model)
-        n = self.n_tests
-        rows = np.minimum(np.arange(max(n, MINIMUM_SAMPLES)), n - 1)
+        towed, n = self.towed(model), self.n_tests
         columns = {**self.inputs, TOWED: np.ones(n)}
         columns |= {
             _HELD.format(state): self.motions.get(state, np.zeros(n))
@@ -211,29 +251,45 @@ class CaptiveTests:
         }
         measured = {_FORCE.format(axis): values for axis, values in self.forces.items()}
         nothing = np.full(n, np.nan)
+        inputs = np.column_stack([columns[name] for name in towed.input_names])
         outputs = np.column_stack([measured.get(name, nothing) for name in towed.output_names])
+        if not _remembers(model):
+            return (self._record(self.name, towed, inputs, outputs),)
+        seen = np.flatnonzero(np.isfinite(outputs).any(axis=1))
+        return tuple(
+            self._record(f"{self.name} {i + 1}", towed, inputs[[i]], outputs[[i]]) for i in seen
+        )
+
+    def _record(self, name: str, towed: Model, inputs: np.ndarray, outputs: np.ndarray) -> Record:
+        n = len(inputs)
+        rows = np.minimum(np.arange(max(n, MINIMUM_SAMPLES)), n - 1)
         outputs = np.where((np.arange(len(rows)) < n)[:, None], outputs[rows], np.nan)
         empty = np.isnan(outputs).all(axis=0)
         return Record(
-            self.name,
-            model.step * np.arange(len(rows)),
-            np.column_stack([columns[name] for name in towed.input_names])[rows],
+            name,
+            towed.step * np.arange(len(rows)),
+            inputs[rows],
             outputs,
             towed.channels,
             missing_outputs=tuple(
                 name for name, none in zip(towed.output_names, empty, strict=True) if none
             ),
+            independent=True,
         )
 
     def predict(self, model: Model) -> dict[str, np.ndarray]:
         """Forces by axis, ``(n_tests,)``, that the model at its values says."""
-        towed, record = self.towed(model), self.record(model)
+        asked = replace(self, forces={axis: np.zeros(self.n_tests) for axis in self.forces})
+        towed = self.towed(model)
         towed = towed.fix(*towed.free_names)
         compiled, values = kernel(towed), towed.value_vector
-        start, _ = compiled.start(np.zeros(compiled.n_own), record.inputs[0], values, 0.0)
-        run = compiled.run(record.times, record.inputs, values, start)
-        names = towed.output_names
-        found = run.outputs[: self.n_tests]
+        parts = []
+        for record in asked.records(model):
+            own = np.zeros(compiled.n_own)
+            start, _ = compiled.start(own, record.inputs[0], values, 0.0)
+            run = compiled.run(record.times, record.inputs, values, start)
+            parts.append(run.outputs[np.isfinite(record.outputs).any(axis=1)])
+        found, names = np.vstack(parts), towed.output_names
         return {axis: found[:, names.index(_FORCE.format(axis))] for axis in self.forces}
 
     def relative_errors(self, model: Model) -> dict[str, float]:
@@ -242,10 +298,18 @@ class CaptiveTests:
         errors = {}
         for axis, measured in self.forces.items():
             seen = np.isfinite(measured)
-            size = float(np.sqrt(np.mean(measured[seen] ** 2)))
-            error = float(np.sqrt(np.mean((found[axis] - measured)[seen] ** 2)))
-            errors[axis] = error / size if np.isfinite(error) else np.inf
+            size = float(np.linalg.norm(measured[seen]))
+            error = float(np.linalg.norm((found[axis] - measured)[seen]))
+            errors[axis] = error / size if size > 0.0 and np.isfinite(error) else np.inf
         return errors
+
+    def _misfits(self, model: Model) -> dict[str, float]:
+        """Rms error of the model's forces over their noise, by axis."""
+        found, sizes = self.predict(model), {}
+        for axis, measured in self.forces.items():
+            scaled = (found[axis] - measured)[np.isfinite(measured)] / self.noise[axis]
+            sizes[axis] = float(np.sqrt(np.mean(scaled**2))) if len(scaled) else np.nan
+        return sizes
 
     def fit(self, estimator: Estimator, model: Model, dataset: Dataset | None = None) -> Fit:
         """Fit a model to these tests and to free-running records together.
@@ -263,16 +327,31 @@ class CaptiveTests:
         -------
         Fit
             Of ``model`` to ``dataset``, with what both have told; ``extras["captive"]`` has the
-            errors of the forces relative to their own size. Of the towed model where there is
+            errors of the forces relative to their own size, ``extras["captive_misfit"]`` to their
+            noise. Of the towed model where there is
             no free-running record.
         """
-        towed, tests = self.towed(model), self.record(model)
+        if "start_states" not in signature(estimator.fit).parameters:
+            raise ModelError(
+                f"Captive tests {self.name!r} need an estimator that is told their start states "
+                f"(start_states=), such as MultipleShooting; {type(estimator).__name__} is not."
+            )
+        towed, tests = self.towed(model), self.records(model)
+        if not tests:
+            raise DataError(
+                f"Captive tests {self.name!r} have no measured force. Give at least one."
+            )
         still = {state.name: 0.0 for state in towed.states}
         records = [self._free(model, towed, record) for record in dataset or ()]
-        whole = Dataset((*records, tests))
-        fit = estimator.fit(towed, whole, start_states=[{} for _ in records] + [still])
-        captive = self.relative_errors(model.with_values(fit.model.values))
-        extras = {**fit.extras, "captive": captive}
+        whole = Dataset((*records, *tests))
+        known: list[StartState] = [{} for _ in records] + [still] * len(tests)
+        fit = estimator.fit(towed, whole, start_states=known)
+        fitted = model.with_values(fit.model.values)
+        extras = {
+            **fit.extras,
+            "captive": self.relative_errors(fitted),
+            "captive_misfit": self._misfits(fitted),
+        }
         if dataset is None:
             return replace(fit, extras=extras)
         n, n_outputs = len(records), len(model.outputs)
@@ -310,3 +389,11 @@ class CaptiveTests:
             record.source,
             (*record.missing_outputs, *forces),
         )
+
+
+def _remembers(model: Model) -> bool:
+    """Whether forces depend on time or on what was before."""
+    return any(
+        effect.stage != "sensor" and (effect.states or effect.memory or "t" in effect.uses())
+        for effect in model.effects
+    )

@@ -1,10 +1,27 @@
-"""How uncertain estimates are, from the Jacobian and the residuals at the optimum."""
+r"""How uncertain estimates are, from the Jacobian and the residuals at the optimum.
+
+Residuals of a time series may be coloured, see
+:func:`~oed_sysid.information.coloured_score_covariance`. Those of independent tests, such as
+captive ones, cannot: with :math:`J_j` and :math:`e_j` the Jacobian and the residuals of test
+:math:`j` in units of the noise, :math:`C` the covariance if the noise is as declared and
+:math:`H_j = J_j C J_j'`, the middle of their sandwich is
+
+.. math::
+    B = \sum_j J_j' \left(e_j e_j' + S H_j S\right) J_j, \qquad
+    S_{ii}^2 = \max\left(1, \frac{\sum_j e_{ji}^2}{\sum_j (1 - H_{jii})}\right),
+
+in whatever order they stand (White 1980, Econometrica 48; :math:`H_j` is what the fit has taken out
+of the residuals, so that :math:`B` is unbiased where the noise is as declared, :math:`S = 1`). It
+is used where the squares of an output are larger than chance makes them, and is
+:math:`\sum_j J_j' J_j` otherwise.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import gammaincc
 
 from oed_sysid.data.sampling import sampled_alike
 from oed_sysid.fitting.between_records import FEWEST_RECORDS, RecordScatter, record_scatter
@@ -22,6 +39,8 @@ BLIND = 1e-10
 SILENT = 0.01
 # With so few independent samples that more is lost, no correction helps.
 MOST_LOST = 2.0
+# Chance of a sum of squares of independent tests below which their own residuals tell the errors.
+STRAY_CHANCE = 1e-3
 
 
 class ReducedProblem:
@@ -91,32 +110,60 @@ class ReducedProblem:
     @property
     def between_records(self) -> RecordScatter | None:
         """Scatter of the shared parameters between records; None for fewer than four."""
-        if len(self.rows) < FEWEST_RECORDS or not len(self.shooting.layout.shared):
+        series = sum(not record.independent for record in self.shooting.records)
+        if series < FEWEST_RECORDS or not len(self.shooting.layout.shared):
             return None
         matrices, scores = [], []
-        for rows, residual in zip(self.rows, self.scores, strict=True):
+        prior = np.zeros((self.rows[0].shape[2],) * 2)
+        for record, rows, residual in zip(
+            self.shooting.records, self.rows, self.scores, strict=True
+        ):
             flat = rows.reshape(-1, rows.shape[2])
+            if record.independent:  # known before the series, as it were
+                prior += flat.T @ flat
+                continue
             matrices.append(flat.T @ flat)
             # Residuals count once with the slope of a robust loss, not twice.
             own = (rows / np.sqrt(self.gain)[:, None]).reshape(-1, rows.shape[2])
             scores.append(own.T @ np.nan_to_num(residual).ravel())
-        prior = sum((rows.T @ rows for rows in self.prior_rows), np.zeros_like(matrices[0]))
+        prior += sum((rows.T @ rows for rows in self.prior_rows), np.zeros_like(prior))
         return record_scatter(matrices, scores, prior)
 
     @property
     def is_coloured(self) -> bool:
         """Whether residuals count clearly fewer independent samples than they have."""
         # Residuals far below the noise are rounding errors of a simulation, not noise.
-        loud = any(np.nanmax(np.abs(s), initial=0.0) > SILENT for s in self.scores)
-        return loud and is_coloured(self.scores)
+        loud = any(np.nanmax(np.abs(s), initial=0.0) > SILENT for s in self._series)
+        return loud and is_coloured(self._series)
+
+    @property
+    def _series(self) -> list[np.ndarray]:
+        """Scores of the records that are series in time."""
+        records = self.shooting.records
+        return [s for r, s in zip(records, self.scores, strict=True) if not r.independent]
+
+    @property
+    def _tests(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and scores of all independent tests."""
+        chosen = [i for i, record in enumerate(self.shooting.records) if record.independent]
+        if not chosen:
+            return self.rows[0][:0], self.scores[0][:0]
+        return (
+            np.concatenate([self.rows[i] for i in chosen]),
+            np.concatenate([self.scores[i] for i in chosen]),
+        )
+
+    def tests_stray(self, white: np.ndarray) -> bool:
+        """Whether independent tests scatter more than their noise allows."""
+        return tests_stray(*self._tests, white)
 
     @property
     def _lost_freedom(self) -> float:
         """How much the fit has shrunk the residuals' variance, by independent samples."""
-        count = sum(effective_sample_size(c) for s in self.scores for c in s.T if _counts(c))
-        return min(count / max(count - self.shooting.layout.n_unknowns, 1.0), MOST_LOST)
+        count = sum(effective_sample_size(c) for s in self._series for c in s.T if _counts(c))
+        return min(count / max(count - self.shooting.n_unknowns, 1.0), MOST_LOST)
 
-    def sandwich(self, white: np.ndarray, *, coloured: bool) -> np.ndarray:
+    def sandwich(self, white: np.ndarray, *, coloured: bool, scattered: bool = False) -> np.ndarray:
         """Covariance ``H^-1 B H^-1`` of the shared parameters.
 
         Parameters
@@ -126,6 +173,8 @@ class ReducedProblem:
         coloured : bool
             Take ``B`` from the residuals' own colour; otherwise from their
             variance alone, which differs from ``H`` for robust losses.
+        scattered : bool
+            Take the part of independent tests from their own residuals.
 
         Returns
         -------
@@ -135,23 +184,87 @@ class ReducedProblem:
         if white.size == 0:  # every parameter is known; initial states alone were estimated
             return white
         middle = np.zeros_like(white)
+        records = self.shooting.records
+        series = [i for i, record in enumerate(records) if not record.independent]
+        robust = self.shooting.loss is not None
         if coloured:
-            for group in sampled_alike(self.shooting.records):
+            for group in sampled_alike([records[i] for i in series]):
                 middle += coloured_score_covariance(
-                    [jacobians[i] for i in group], [self.scores[i] for i in group]
+                    [jacobians[series[i]] for i in group], [self.scores[series[i]] for i in group]
                 )
         else:
-            variance = np.nanmean(np.vstack(self.scores) ** 2, axis=0)
-            for jacobian in jacobians:
-                flat = (jacobian * np.sqrt(variance)[:, None]).reshape(-1, len(white))
+            variance = np.ones(self.scores[0].shape[1])
+            if robust:
+                variance = np.nanmean(np.vstack(self.scores) ** 2, axis=0)
+            for index in range(len(records)) if robust else series:
+                flat = (jacobians[index] * np.sqrt(variance)[:, None]).reshape(-1, len(white))
                 middle += flat.T @ flat
-        middle *= self._lost_freedom
+        if coloured or robust:
+            middle *= self._lost_freedom
+        if coloured or not robust:
+            rows, scores = self._tests
+            middle += tests_middle(rows, scores, white, scattered=scattered)
         middle += sum(rows.T @ rows for rows in self.prior_rows)
         finite = np.flatnonzero(np.isfinite(np.diag(white)))
         block = np.ix_(finite, finite)
         result = white.copy()
         result[block] = white[block] @ middle[block] @ white[block]
         return result
+
+
+def tests_stray(rows: np.ndarray, scores: np.ndarray, white: np.ndarray) -> bool:
+    """Whether residuals of independent tests are larger than chance makes them.
+
+    Parameters
+    ----------
+    rows : ndarray (n_tests, n_outputs, n_shared)
+        Jacobian in units of the noise, zero where nothing was measured.
+    scores : ndarray (n_tests, n_outputs)
+        Residuals in units of the noise, NaN where nothing was measured.
+    white : ndarray (n_shared, n_shared)
+        Covariance if the noise is as declared.
+    """
+    freedom, squares, _ = _leverage(rows, scores, white)
+    told = freedom > 0.5
+    chances = gammaincc(0.5 * freedom[told], 0.5 * squares[told])
+    return bool((chances * np.sum(told) < STRAY_CHANCE).any())
+
+
+def tests_middle(
+    rows: np.ndarray, scores: np.ndarray, white: np.ndarray, *, scattered: bool
+) -> np.ndarray:
+    """Covariance of the summed scores of independent tests, from noise or from residuals.
+
+    Parameters
+    ----------
+    rows, scores, white
+        See :func:`tests_stray`.
+    scattered : bool
+        Whether from residuals; otherwise from the noise as declared.
+
+    Returns
+    -------
+    ndarray (n_shared, n_shared)
+    """
+    if not scattered:
+        flat = rows.reshape(-1, rows.shape[2])
+        return np.asarray(flat.T @ flat)
+    freedom, squares, taken = _leverage(rows, scores, white)
+    each = np.einsum("tip,ti->tp", rows, np.nan_to_num(scores))
+    lost = np.sqrt(np.maximum(1.0, squares / np.maximum(freedom, 1.0)))
+    rows = rows * lost[:, None]
+    return np.asarray(each.T @ each + np.einsum("tip,tij,tjq->pq", rows, taken, rows))
+
+
+def _leverage(
+    rows: np.ndarray, scores: np.ndarray, white: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Degrees of freedom and sums of squares of independent tests by output, their ``J C J'``."""
+    finite = np.isfinite(np.diag(white))
+    known = np.where(np.outer(finite, finite), white, 0.0)
+    taken = rows @ known @ rows.transpose(0, 2, 1)
+    freedom = np.isfinite(scores).sum(axis=0) - np.einsum("tii->i", taken)
+    return freedom, np.nansum(scores**2, axis=0), taken
 
 
 def _counts(column: np.ndarray) -> bool:

@@ -69,7 +69,7 @@ def estimate_delays(fit: Estimate) -> tuple[Delay, ...]:
     score = np.zeros(n_base + n_delays)
     squares, count = 0.0, 0
     for index, record in enumerate(fit.dataset):
-        if record.n_samples < 3:
+        if record.n_samples < 3 or record.independent:
             continue
         values = values_of(fit, index)
         z0, dz0 = runner.start(fit.initial_states[index], record.inputs[0], values, record.times[0])

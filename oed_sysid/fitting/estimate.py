@@ -139,6 +139,19 @@ class Estimate:
         return tuple(errors / std for errors, std in self._one_step)
 
     @property
+    def tests_alone(self) -> bool:
+        """Whether there are independent tests only, whose signals are those of a towed model."""
+        return all(record.independent for record in self.dataset)
+
+    @property
+    def series(self) -> tuple[np.ndarray, ...]:
+        """As :attr:`whitened`, NaN throughout records whose samples have no order."""
+        return tuple(
+            np.full(part.shape, np.nan) if record.independent else part
+            for record, part in zip(self.dataset, self.whitened, strict=True)
+        )
+
+    @property
     def n_unknowns(self) -> int:
         """Number of estimated values: parameters, initial states, noise levels."""
         local = sum(len(values) for values in self.local_values)
@@ -205,20 +218,24 @@ class Estimate:
         return {
             name: tuple(
                 whiteness(residual[:, column])
-                for residual in self.whitened
+                for residual in self.series
                 if np.isfinite(residual[:, column]).sum() > 10
             )
             for column, name in enumerate(self.model.output_names)
         }
 
     def effective_samples(self) -> dict[str, tuple[float, int]]:
-        """Effective and actual number of samples of each output."""
+        """Effective and actual number of samples of each output; independent tests count whole."""
+        alone = np.zeros(len(self.model.outputs), dtype=int)
+        for record, residual in zip(self.dataset, self.residuals, strict=True):
+            if record.independent:
+                alone += np.isfinite(residual).sum(axis=0)
         return {
             name: (
-                float(sum(test.effective_samples for test in tests)),
-                int(sum(test.n_samples for test in tests)),
+                float(sum(test.effective_samples for test in tests)) + float(count),
+                int(sum(test.n_samples for test in tests)) + int(count),
             )
-            for name, tests in self.whiteness().items()
+            for (name, tests), count in zip(self.whiteness().items(), alone, strict=True)
         }
 
     def to_dataframe(self) -> Any:

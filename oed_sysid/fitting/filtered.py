@@ -22,7 +22,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.batch.threads import both_cores
-from oed_sysid.compiled.filtering import FilterKernel, FilterPass, filter_kernel
+from oed_sysid.compiled.filtering import (
+    WHITE_VARIANCE,
+    Disturbed,
+    FilterKernel,
+    FilterPass,
+    filter_kernel,
+)
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.shooting import Point
@@ -260,13 +266,13 @@ class Filtered:
 
         def one(index: int) -> FilterPass:
             record = self.records[index]
-            return self.kernel.filter(
+            part = self.kernel.filter(
                 record.times,
                 record.inputs,
                 self.values(unknowns, index),
                 self.initial_state(unknowns, index),
                 record.outputs if measured is None else measured[index],
-                noise,
+                self._noise_in(index, noise),
                 names=names,
                 own_columns=columns and not levels_only,
                 active=self.active,
@@ -275,8 +281,19 @@ class Filtered:
                 rows=rows,
                 gains=gains,
             )
+            return _white_alone(part, self.levels.entries) if record.independent else part
 
         return both_cores(one, range(len(self.records)))
+
+    def _noise_in(self, index: int, noise: Disturbed) -> Disturbed:
+        """Noise of one record: white alone where nothing links its samples."""
+        if not self.records[index].independent:
+            return noise
+        return replace(
+            noise,
+            variance=np.zeros_like(noise.variance),
+            colour_variance=np.zeros_like(noise.colour_variance),
+        )
 
     def replayed(
         self,
@@ -311,7 +328,7 @@ class Filtered:
                 wide.values(unknowns, index),
                 wide.initial_state(unknowns, index),
                 record.outputs,
-                noise,
+                self._noise_in(index, noise),
                 part.gains,
                 active=self.active,
             )
@@ -404,7 +421,7 @@ class Filtered:
                 self.values(shifted, index),
                 self.initial_state(shifted, index),
                 record.outputs,
-                noise,
+                self._noise_in(index, noise),
                 own_columns=False,
                 active=self.active,
                 passing=self.passing,
@@ -414,6 +431,27 @@ class Filtered:
         for (column, index), part in zip(jobs, both_cores(one, jobs), strict=True):
             found.setdefault(column, {})[index] = part
         return found
+
+
+def _white_alone(part: FilterPass, entries: Sequence[tuple[int, int]]) -> FilterPass:
+    """A pass that tells nothing of levels but those of white noise."""
+    n_levels = len(part.level_slope)
+    absent = np.array([kind != WHITE_VARIANCE for kind, _ in entries[:n_levels]], dtype=bool)
+    if not absent.any():
+        return part
+    gone = len(part.gram) - 1 - n_levels + np.flatnonzero(absent)
+    gram, rows = part.gram.copy(), part.rows
+    gram[gone] = gram[:, gone] = 0.0
+    if rows is not None:
+        rows = rows.copy()
+        rows[..., gone] = rows[..., gone + n_levels] = 0.0
+    return replace(
+        part,
+        gram=gram,
+        rows=rows,
+        level_slope=np.where(absent, 0.0, part.level_slope),
+        level_information=part.level_information * np.outer(~absent, ~absent),
+    )
 
 
 def disturbed_model(model: Model, disturbances: Sequence[str]) -> Model:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -186,7 +186,7 @@ class Fit(Estimate):
         lines = [
             *(f"Do not use these values: {concern.text}" for concern in self.grave),
             f"{self.model.name} fitted by {self.estimator}",
-            f"  records       {', '.join(self.dataset.names)}",
+            f"  records       {', '.join(self._record_words())}",
             f"  observations  {self.n_observations}",
             f"  status        {self.status} ({self.iterations} iterations, {self.seconds:.2g} s)",
             f"  misfit        {self.normalised_rms:.3f} x noise over all outputs",
@@ -196,10 +196,39 @@ class Fit(Estimate):
             *self._start_lines(),
             "",
             *self._output_table(),
+            *self._captive_lines(),
             *self._noise_lines(),
         ]
         lines += self._warnings()
         return "\n".join(lines)
+
+    def _record_words(self) -> list[str]:
+        """Names of the records; of many independent tests the first and the last."""
+        words = [record.name for record in self.dataset if not record.independent]
+        tests = [record for record in self.dataset if record.independent]
+        if tests:
+            measured = (np.isfinite(record.outputs).any(axis=1) for record in tests)
+            count = sum(int(rows.sum()) for rows in measured)
+            span = tests[0].name if len(tests) == 1 else f"{tests[0].name} to {tests[-1].name}"
+            words.append(f"{span} ({count} {'test' if count == 1 else 'tests'})")
+        return words
+
+    def _captive_lines(self) -> list[str]:
+        """Forces at given motion that were fitted along, one line each."""
+        errors: Mapping[str, float] = self.extras.get("captive", {})
+        sizes: Mapping[str, float] = self.extras.get("captive_misfit", {})
+        lines = [
+            f"  captive {axis}: error {sizes[axis]:.3g} x noise"
+            + (f", {100 * error:.3g} % of its rms" if np.isfinite(error) else "")
+            for axis, error in errors.items()
+            if np.isfinite(sizes.get(axis, np.nan))
+        ]
+        if self.extras.get("tests_scatter"):
+            lines.append(
+                "  Forces of the captive tests scatter more than their noise allows: their part "
+                "of the standard errors is from their residuals, in whatever order."
+            )
+        return lines
 
     def _parameter_table(self) -> list[str]:
         if not self.names:
@@ -245,7 +274,9 @@ class Fit(Estimate):
     def _start_lines(self) -> list[str]:
         """Start states that were not free, one line per record."""
         lines = []
-        for record, known in zip(self.dataset.names, self.start_states, strict=False):
+        for record, known in zip(self.dataset, self.start_states, strict=False):
+            if record.independent:
+                continue
             words = [
                 f"{name} {value:.4g} held"
                 if std == 0.0
@@ -253,7 +284,7 @@ class Fit(Estimate):
                 for name, (value, std) in known.items()
             ]
             if words:
-                lines.append(f"  start of {record} given: {', '.join(words)} (95 %)")
+                lines.append(f"  start of {record.name} given: {', '.join(words)} (95 %)")
         return lines
 
     def _output_table(self) -> list[str]:
@@ -264,6 +295,8 @@ class Fit(Estimate):
             self.model.outputs, self.sigma, self.sigma_estimated, strict=True
         ):
             count, total = effective[output.name]
+            if not total and self.tests_alone:
+                continue
             factor, unit = shown_unit(output.unit)  # angles are read in degrees
             rows.append(
                 (
@@ -307,7 +340,7 @@ class Fit(Estimate):
         lines = [f"  {one.text}" for one in self.concerns if one.text not in said_first]
         commands = np.vstack([record.inputs for record in self.dataset])
         for channel, series in zip(self.model.inputs, commands.T, strict=True):
-            if np.ptp(series) == 0.0:
+            if np.ptp(series) == 0.0 and not self.tests_alone:
                 lines.append(
                     f"  Input {channel.name} never moves in any record: what it does cannot be "
                     "told from what else is constant."
@@ -360,7 +393,7 @@ class Fit(Estimate):
             "covariance": self.covariance.tolist(),
             "coloured_residuals": self.coloured,
             "noise": dict(zip(self.model.output_names, self.sigma.tolist(), strict=True)),
-            "rms": self.rms,
+            "rms": {k: v if np.isfinite(v) else None for k, v in self.rms.items()},
             "effective_samples": {k: list(v) for k, v in self.effective_samples().items()},
             "noise_model": self.noise.to_dict(),
             "noise_std": dict(self.noise_std),

@@ -69,12 +69,14 @@ class _FreeNodes:
 
     def __init__(self, shooting: Shooting, unknowns: np.ndarray, n_samples: int) -> None:
         self.shooting = shooting
-        self.length = n_samples
-        self.guesses = []
+        self.lengths, self.guesses = [], []
         for index, record in enumerate(shooting.records):
-            stop = len(record.times) // n_samples * n_samples
+            n = len(record.times)
+            # Independent tests may be fewer than the samples of an interval.
+            length = min(n_samples, n) if record.independent else n_samples
             guess = shooting.state_guess(unknowns, index)
-            self.guesses.append(guess[:stop:n_samples])
+            self.lengths.append(length)
+            self.guesses.append(guess[: n // length * length : length])
         std = np.where(np.isfinite(shooting.guess_std), shooting.guess_std, np.inf)
         self.node_weights = np.minimum(std, NODE_FREEDOM * shooting.state_scale) ** -2.0
 
@@ -83,7 +85,7 @@ class _FreeNodes:
         s = self.shooting
         cost, grams, moved = s.prior_cost(unknowns), [], []
         for index, record in enumerate(s.records):
-            stop = len(nodes[index]) * self.length
+            stop = len(nodes[index]) * self.lengths[index]
             blocks = gather(
                 s.kernel,
                 record.times[:stop],
@@ -92,7 +94,7 @@ class _FreeNodes:
                 nodes[index],
                 record.outputs[:stop],
                 s.sigma,
-                starts=np.arange(0, stop, self.length, dtype=np.intc),
+                starts=np.arange(0, stop, self.lengths[index], dtype=np.intc),
                 linked=False,
             )
             if blocks is None:

@@ -17,14 +17,15 @@ same at every horizon. Scores of windows are not independent where residuals are
 covariance is :math:`H^{-1} B H^{-1}` with :math:`B` their covariance, neighbours within a tenth of
 the record included (Newey & West 1987, Econometrica 55). Where windows are too few for that, it is
 :math:`H^{-1}` times the residuals' mean square in units of the noise and the samples per
-independent one.
+independent one. Independent tests, such as captive ones, are not cut, begin from the start states
+that are given, and add to :math:`B` as :mod:`oed_sysid.fitting.covariance` says.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,6 +37,7 @@ from oed_sysid.fitting.between_records import (
     eliminate_own,
     record_scatter,
 )
+from oed_sysid.fitting.covariance import tests_middle, tests_stray
 from oed_sysid.fitting.fit import Fit, Status
 from oed_sysid.fitting.gauss_newton import Progress
 from oed_sysid.fitting.shooting import Shooting, replace_values
@@ -117,11 +119,19 @@ class Horizons:
             if part.counted.any()
         )
 
+    @property
+    def n_windows(self) -> int:
+        """Number of windows of the records that are series in time."""
+        records = self.shooting.records
+        return sum(int(p.counted.sum()) for p in self.windows if not records[p.record].independent)
+
     def _cut(self, index: int) -> tuple[_Windows, _Windows]:
         """Windows that overlap by one sample, in two passes over the record."""
         record = self.shooting.records[index]
         n = record.n_samples
-        step = max(1, min(round(self.horizon / record.sample_time), n - 1))
+        step = n - 1
+        if not record.independent:
+            step = max(1, min(round(self.horizon / record.sample_time), step))
         edges = np.arange(0, n - 1, step)
         parts = []
         for parity in (0, 1):
@@ -163,7 +173,7 @@ class Horizons:
                 record.times,
                 record.inputs,
                 values,
-                at,
+                self._nodes(unknowns, part, at),
                 record.outputs,
                 shooting.sigma,
                 starts=part.starts,
@@ -177,10 +187,14 @@ class Horizons:
                 scale = np.concatenate([np.ones(n_full), slopes, [1.0]])
                 gram = gram * scale[:, None] * scale
             cost += 0.5 * float(gram[:, -1, -1].sum())
-            inner = gram[:, :n_own, :n_own] + weak
             outer = gram[:, :n_own, n_full:]
-            solved = np.linalg.solve(inner, outer)
-            reduced = gram[:, n_full:, n_full:] - np.swapaxes(outer, 1, 2) @ solved
+            if record.independent:
+                solved = np.zeros_like(outer)
+                wide = self._from_start(unknowns, part.record)
+                reduced = wide.T @ gram @ wide
+            else:
+                solved = np.linalg.solve(gram[:, :n_own, :n_own] + weak, outer)
+                reduced = gram[:, n_full:, n_full:] - np.swapaxes(outer, 1, 2) @ solved
             columns = self._columns[part.record]
             part_sum = np.zeros((n, n))
             part_sum[np.ix_(columns, columns)] = reduced[:, :-1, :-1].sum(axis=0)
@@ -193,6 +207,52 @@ class Horizons:
             scores.append(own)
         cost += shooting.prior_cost(self._without_states(unknowns))
         return _Evaluation(cost, matrix, right, tuple(maps), tuple(scores), tuple(sums))
+
+    def _nodes(self, unknowns: np.ndarray, part: _Windows, at: np.ndarray) -> np.ndarray:
+        """Start states of windows; independent tests begin from theirs, which is given."""
+        if not self.shooting.records[part.record].independent:
+            return at
+        return self.shooting.full_start(unknowns, part.record)[0][None]
+
+    def _from_start(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """Columns of a window that begins from its given start, by the unknown parameters."""
+        _, by_unknowns = self.shooting.full_start(unknowns, record)
+        by_free = by_unknowns[:, self.shooting.layout.n_own :]
+        n_full, n_free = by_free.shape
+        wide = np.zeros((n_full + n_free + 1, n_free + 1))
+        wide[:n_full, :-1] = by_free
+        wide[n_full:] = np.eye(n_free + 1)
+        return wide
+
+    def tests(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Jacobian by the parameters, and residuals, of all independent tests in units of noise.
+
+        Returns
+        -------
+        rows : ndarray (n_tests, n_outputs, n_parameters)
+            Zero where nothing was measured.
+        scores : ndarray (n_tests, n_outputs)
+            NaN where nothing was measured.
+        """
+        shooting, n = self.shooting, len(self._kept)
+        n_outputs, n_full = len(shooting.sigma), shooting.kernel.n_full
+        rows, scores = [np.zeros((0, n_outputs, n))], [np.zeros((0, n_outputs))]
+        for index, record in enumerate(shooting.records):
+            if not record.independent:
+                continue
+            values, (z0, _) = shooting.values(unknowns, index), shooting.full_start(unknowns, index)
+            run = shooting.kernel.run(record.times, record.inputs, values, z0, sensitivities=True)
+            assert run.output_sensitivities is not None
+            found = run.output_sensitivities
+            slopes = shooting.slopes(unknowns, index)
+            if slopes is not None:
+                found = found * np.concatenate([np.ones(n_full), slopes])
+            own = np.zeros((record.n_samples, n_outputs, n))
+            own[:, :, self._columns[index]] = found @ self._from_start(unknowns, index)[:-1, :-1]
+            own[~np.isfinite(record.outputs)] = 0.0
+            rows.append(own / shooting.sigma[:, None])
+            scores.append((record.outputs - run.outputs) / shooting.sigma)
+        return np.concatenate(rows), np.concatenate(scores)
 
     def _without_states(self, unknowns: np.ndarray) -> np.ndarray:
         """Unknowns whose start states are at their priors, which do not count here."""
@@ -274,7 +334,10 @@ class Horizons:
         for part, at in zip(self.windows, nodes, strict=True):
             record = shooting.records[part.record]
             values = shooting.values(unknowns, part.record)
-            run = shooting.kernel.run(record.times, record.inputs, values, at, starts=part.starts)
+            nodes_of = self._nodes(unknowns, part, at)
+            run = shooting.kernel.run(
+                record.times, record.inputs, values, nodes_of, starts=part.starts
+            )
             stops = [*part.starts[1:], record.n_samples]
             for start, stop, counted in zip(part.starts, stops, part.counted, strict=True):
                 if not counted:
@@ -287,7 +350,8 @@ class Horizons:
 
 def check_horizon(shooting: Shooting, horizon: float) -> None:
     """Raise :class:`DataError` where a horizon is shorter than one step of the records."""
-    longest = max(record.sample_time for record in shooting.records)
+    series = [record for record in shooting.records if not record.independent]
+    longest = max((record.sample_time for record in series), default=0.0)
     if not horizon >= 0.99 * longest:
         raise DataError(
             f"horizon is {horizon:g} s, and a step of the records {longest:g} s. Give at least one "
@@ -348,7 +412,7 @@ def fit_horizons(
         iterations += more
     model, layout = shooting.model, shooting.layout
     outputs, states = problem.residuals(unknowns, nodes)
-    information, covariance = _uncertainty(problem, unknowns, nodes, now, coloured)
+    information, covariance, scattered = _uncertainty(problem, unknowns, nodes, now, coloured)
     initial = [states[i][0, : layout.n_own].copy() for i in range(layout.n_records)]
     local = []
     for index in range(layout.n_records):
@@ -363,7 +427,7 @@ def fit_horizons(
         information=information,
         covariance=covariance,
         record_scatter=_between_records(problem, unknowns, now),
-        coloured=coloured != "never",
+        coloured=coloured != "never" and problem.n_windows > 0,
         sigma=shooting.sigma.copy(),
         sigma_estimated=np.asarray(estimated, dtype=bool),
         predictions=tuple(outputs),
@@ -375,7 +439,11 @@ def fit_horizons(
         status=Status(reason, _ADVICE[reason]),
         iterations=iterations,
         seconds=time.perf_counter() - began,
-        extras={"horizon": horizon, "windows": sum(int(p.counted.sum()) for p in problem.windows)},
+        extras={
+            "horizon": horizon,
+            "windows": problem.n_windows,
+            **({"tests_scatter": True} if scattered else {}),
+        },
     )
 
 
@@ -384,7 +452,8 @@ def _between_records(
 ) -> RecordScatter | None:
     """Scatter of the shared parameters between records; None for fewer than four."""
     limits, layout = problem.shooting.limits, problem.shooting.layout
-    if now is None or layout.n_records < FEWEST_RECORDS:
+    records = problem.shooting.records
+    if now is None or sum(not record.independent for record in records) < FEWEST_RECORDS:
         return None
     n_shared, n = len(layout.shared), len(problem._kept)
     slopes = layout.shared_values(unknowns)[1]
@@ -394,6 +463,7 @@ def _between_records(
     local = np.flatnonzero(~limits.held[problem._kept])
     local = local[local >= n_shared]
     matrices, scores = [], []
+    tests = np.zeros((n_shared, n_shared))
     for index in range(layout.n_records):
         matrix, right = np.zeros((n, n)), np.zeros(n)
         for part, added, own in zip(problem.windows, now.own, now.scores, strict=True):
@@ -404,14 +474,17 @@ def _between_records(
         matrix[others, others] += weight[others]
         right[others] += away[others]
         information, score = eliminate_own(matrix, right, shared, others)
+        if records[index].independent:
+            tests += information / slopes[:, None] / slopes
+            continue
         matrices.append(information / slopes[:, None] / slopes)
         scores.append(score / slopes)
-    return record_scatter(matrices, scores, np.diag(weight[:n_shared] / slopes**2))
+    return record_scatter(matrices, scores, np.diag(weight[:n_shared] / slopes**2) + tests)
 
 
 def problem_freedom(problem: Horizons) -> float:
     """By how much fitted start states shrink the residuals' variance; at least one sample's."""
-    counted = sum(int(part.counted.sum()) for part in problem.windows)
+    counted = problem.n_windows
     samples = sum(record.n_samples for record in problem.shooting.records) + counted
     measured = len(problem.shooting.sigma)
     free = samples * measured - counted * min(problem.shooting.layout.n_own, measured)
@@ -424,8 +497,8 @@ def _uncertainty(
     nodes: tuple[np.ndarray, ...],
     now: _Evaluation | None,
     coloured: str,
-) -> tuple[Information, np.ndarray]:
-    """Information and covariance of the shared parameters."""
+) -> tuple[Information, np.ndarray, bool]:
+    """Information and covariance of the shared parameters, and whether tests scatter."""
     shooting, layout = problem.shooting, problem.shooting.layout
     n_shared = len(layout.shared)
     slopes = layout.shared_values(unknowns)[1]
@@ -434,7 +507,7 @@ def _uncertainty(
         nothing = Information.from_matrix(
             layout.shared_names, np.zeros((n_shared, n_shared)), scales
         )
-        return nothing, nothing.covariance
+        return nothing, nothing.covariance, False
     kept = problem._kept
     held = shooting.limits.held[kept]
     matrix = now.matrix + np.diag(shooting.limits.prior_weight[kept])
@@ -448,11 +521,39 @@ def _uncertainty(
     )
     covariance = information.covariance
     if coloured == "never" or not n_shared:
-        return information, covariance
-    if sum(int(part.counted.sum()) for part in problem.windows) < ENOUGH * n_shared:
-        return information, covariance * _inflation(problem, unknowns, nodes)
+        return information, covariance, False
+    rows, errors = problem.tests(unknowns)
+    rows = (rows[:, :, :n_shared] - rows[:, :, others] @ gain) / slopes
+    scattered = bool(len(rows)) and (coloured == "always" or tests_stray(rows, errors, covariance))
+    priors = np.diag(shooting.limits.prior_weight[:n_shared] / slopes**2)
+    middle = priors + tests_middle(rows, errors, covariance, scattered=scattered)
+    if problem.n_windows < ENOUGH * n_shared:
+        series = reduced / slopes[:, None] / slopes
+        series -= tests_middle(rows, errors, covariance, scattered=False)
+        lost = _inflation(problem, unknowns, nodes)
+        middle += lost * series - priors
+    else:
+        middle += _of_windows(problem, now, others, gain, slopes)
+    finite = np.flatnonzero(np.isfinite(np.diag(covariance)))
+    block = np.ix_(finite, finite)
+    result = covariance.copy()
+    result[block] = covariance[block] @ middle[block] @ covariance[block]
+    return information, result, scattered
+
+
+def _of_windows(
+    problem: Horizons,
+    now: _Evaluation,
+    others: np.ndarray,
+    gain: np.ndarray,
+    slopes: np.ndarray,
+) -> np.ndarray:
+    """Covariance of the summed scores of the windows of all series in time."""
+    n_shared = len(slopes)
     by_record: dict[int, list[np.ndarray]] = {}
     for part, scores in zip(problem.windows, now.scores, strict=True):
+        if problem.shooting.records[part.record].independent:
+            continue
         own = (scores[:, :n_shared] - scores[:, others] @ gain) / slopes
         order = part.starts[part.counted]
         by_record.setdefault(part.record, []).append(np.column_stack([order, own]))
@@ -465,12 +566,7 @@ def _uncertainty(
         for lag in range(1, min(reach, len(rows) - 1) + 1):
             related = rows[lag:].T @ rows[:-lag]
             middle += (1 - lag / (reach + 1)) * (related + related.T)
-    middle += np.diag(shooting.limits.prior_weight[:n_shared] / slopes**2)
-    finite = np.flatnonzero(np.isfinite(np.diag(covariance)))
-    block = np.ix_(finite, finite)
-    result = covariance.copy()
-    result[block] = covariance[block] @ middle[block] @ covariance[block]
-    return replace(information), result
+    return middle
 
 
 def _inflation(problem: Horizons, unknowns: np.ndarray, nodes: tuple[np.ndarray, ...]) -> float:
@@ -479,6 +575,8 @@ def _inflation(problem: Horizons, unknowns: np.ndarray, nodes: tuple[np.ndarray,
     outputs, _ = problem.residuals(unknowns, nodes)
     total, count = 0.0, 0
     for record, predicted in zip(shooting.records, outputs, strict=True):
+        if record.independent:
+            continue
         scaled = (record.outputs - predicted) / shooting.sigma
         for column in scaled.T:
             seen = column[np.isfinite(column)]

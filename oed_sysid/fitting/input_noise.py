@@ -80,7 +80,9 @@ def noisy_inputs(dataset: Dataset) -> dict[str, float]:
     """
     found = {}
     for column, name in enumerate(channel.name for channel in dataset[0].channels.inputs):
-        series = [record.inputs[:, column] for record in dataset]
+        series = [record.inputs[:, column] for record in dataset if not record.independent]
+        if not series:
+            continue
         level = fast_level(series)
         spread = float(np.std(np.concatenate(series)))
         low, high = INPUT_SHARE

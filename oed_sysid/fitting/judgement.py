@@ -216,7 +216,9 @@ def level_concerns(fit: Estimate) -> tuple[Concern, ...]:
             continue
         share = max(1.0 - fit.n_unknowns / total, 0.1)
         whole = float(np.sqrt(np.mean(kept**2) / share))
-        fast = fast_level(parts)
+        ordered = [part[:, column] for part in fit.series]
+        tests = not any(np.isfinite(part).any() for part in ordered)
+        fast = whole if tests else fast_level(ordered)
         if not fast > 0.0:
             continue
         factor, error = whole, np.sqrt(0.5 / n)
@@ -229,6 +231,12 @@ def level_concerns(fit: Estimate) -> tuple[Concern, ...]:
             continue
         low, high = factor * np.exp(-1.96 * error), factor * np.exp(1.96 * error)
         wrong = "small" if factor > 1.0 else "large"
+        so = f"Standard errors are too {wrong} for it: set noise_std, or noise='estimate'."
+        if tests and factor > 1.0:
+            so = (
+                "Standard errors are from the scatter of the tests. Look for what the model "
+                "lacks, or state a larger noise."
+            )
         found.append(
             Concern(
                 "noise_level",
@@ -237,8 +245,7 @@ def level_concerns(fit: Estimate) -> tuple[Concern, ...]:
                 factor,
                 f"Noise of {output.name}: declared {declared[column]:.3g} {output.unit}, found "
                 f"{factor * declared[column]:.3g} ({factor:.2f} times, 95 % {low:.2f} to "
-                f"{high:.2f}). Standard errors are too {wrong} for it: set noise_std, or "
-                "noise='estimate'.",
+                f"{high:.2f}). {so}",
             )
         )
     return tuple(found)
@@ -290,7 +297,7 @@ def swing_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """Innovations that swing with a period of their own."""
     if fit.innovations is None:
         return ()
-    peaks = clear_peaks(fit.whitened, tuple(fit.dataset), fit.model.output_names)
+    peaks = clear_peaks(fit.series, tuple(fit.dataset), fit.model.output_names)
     return tuple(
         Concern(
             "swing",
@@ -351,12 +358,12 @@ def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
                 "sensor that jumps is repaired, not fitted.",
             )
         )
-    masks, sizes = spike_masks(fit.whitened), spike_sizes(fit.whitened)
+    masks, sizes = spike_masks(fit.series), spike_sizes(fit.series)
     for column, name in enumerate(fit.model.output_names):
         count = int(sum(mask[:, column].sum() for mask in masks))
         if not count:
             continue
-        n = int(sum(np.isfinite(part[:, column]).sum() for part in fit.whitened))
+        n = int(sum(np.isfinite(part[:, column]).sum() for part in fit.series))
         values = np.concatenate(
             [part[mask[:, column], column] for part, mask in zip(sizes, masks, strict=True)]
         )

@@ -188,10 +188,55 @@ def widened(
     finite = np.flatnonzero(np.isfinite(np.diag(covariance)))
     if not len(finite):
         return covariance
-    held = limits.held.copy()
-    held[layout.levels] = False
-    others = n_shared + np.flatnonzero(~held[n_shared:])
-    share = _shares(matrix, n_shared, others)
+    share = _shares(matrix, n_shared, _others(problem))
+    slopes = layout.shared_values(unknowns)[1]
+    jacobians, scores = shared_rows(problem, unknowns, matrix)
+    weight = limits.prior_weight
+    middle = np.diag(weight[:n_shared]) + (share * weight) @ share.T
+    if problem.knowledge is not None:
+        middle = middle + problem.knowledge.information
+    middle = middle / slopes[:, None] / slopes
+    series = [i for i, record in enumerate(problem.records) if not record.independent]
+    for group in sampled_alike([problem.records[i] for i in series]):
+        own = [series[i] for i in group]
+        lags = int(np.ceil(MEMORY * period / problem.records[own[0]].sample_time))
+        middle = middle + coloured_score_covariance(
+            [jacobians[i] for i in own], [scores[i] for i in own], lags=lags
+        )
+    for index in set(range(len(problem.records))) - set(series):
+        flat = jacobians[index].reshape(-1, n_shared)
+        middle = middle + flat.T @ flat
+    block = np.ix_(finite, finite)
+    robust = covariance[block] @ middle[block] @ covariance[block]
+    white, found = np.diag(covariance[block]), np.diag(robust)
+    grow = np.sqrt(np.maximum(1.0, white / np.where(found > 0, found, np.inf)))
+    result = covariance.copy()
+    result[block] = robust * grow[:, None] * grow
+    return result
+
+
+def shared_rows(
+    problem: Filtered, unknowns: np.ndarray, matrix: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Derivatives of innovations by the shared parameters, all else estimated along.
+
+    Parameters
+    ----------
+    problem : Filtered
+    unknowns : ndarray (n_unknowns,)
+    matrix : ndarray (n_unknowns, n_unknowns)
+        Information of all unknowns, priors included.
+
+    Returns
+    -------
+    jacobians : list of ndarray (n_times, n_outputs, n_shared)
+        In units of the innovations' standard deviation, zero where nothing was measured.
+    scores : list of ndarray (n_times, n_outputs)
+        Innovations in that unit, NaN where nothing was measured.
+    """
+    layout = problem.layout
+    n_shared = len(layout.shared)
+    share = _shares(matrix, n_shared, _others(problem))
     slopes = layout.shared_values(unknowns)[1]
     jacobians, scores = [], []
     for index, part in enumerate(problem.passes(unknowns, rows=True)):
@@ -205,23 +250,15 @@ def widened(
         jacobian[~np.isfinite(part.innovations)] = 0.0
         jacobians.append(jacobian)
         scores.append(part.innovations / np.sqrt(part.variances))
-    weight = limits.prior_weight
-    middle = np.diag(weight[:n_shared]) + (share * weight) @ share.T
-    if problem.knowledge is not None:
-        middle = middle + problem.knowledge.information
-    middle = middle / slopes[:, None] / slopes
-    for group in sampled_alike(problem.records):
-        lags = int(np.ceil(MEMORY * period / problem.records[group[0]].sample_time))
-        middle = middle + coloured_score_covariance(
-            [jacobians[i] for i in group], [scores[i] for i in group], lags=lags
-        )
-    block = np.ix_(finite, finite)
-    robust = covariance[block] @ middle[block] @ covariance[block]
-    white, found = np.diag(covariance[block]), np.diag(robust)
-    grow = np.sqrt(np.maximum(1.0, white / np.where(found > 0, found, np.inf)))
-    result = covariance.copy()
-    result[block] = robust * grow[:, None] * grow
-    return result
+    return jacobians, scores
+
+
+def _others(problem: Filtered) -> np.ndarray:
+    """Unknowns that are estimated beside the shared parameters, levels among them."""
+    n_shared = len(problem.layout.shared)
+    held = problem.limits.held.copy()
+    held[problem.layout.levels] = False
+    return n_shared + np.flatnonzero(~held[n_shared:])
 
 
 def _shares(matrix: np.ndarray, n_shared: int, others: np.ndarray) -> np.ndarray:

@@ -54,7 +54,7 @@ def white_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
     n_outputs = len(dataset[0].channels.outputs)
     levels, seen = np.full(n_outputs, np.nan), np.zeros(n_outputs, dtype=bool)
     for column in range(n_outputs):
-        measured = [record.outputs[:, column] for record in dataset]
+        measured = [r.outputs[:, column] for r in dataset if not r.independent]
         measured = [values[np.isfinite(values)] for values in measured]
         levels[column] = _difference_level(measured, LOWEST_ORDER)
         for order in range(LOWEST_ORDER + 1, HIGHEST_ORDER + 1):
@@ -88,7 +88,7 @@ def credible_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
 
 def _difference_level(measured: Sequence[np.ndarray], order: int) -> float:
     """Standard deviation of white noise with differences as large as these; NaN without any."""
-    pooled = np.concatenate([np.diff(values, order) ** 2 for values in measured])
+    pooled = np.concatenate([np.zeros(0), *(np.diff(values, order) ** 2 for values in measured)])
     if not len(pooled):
         return np.nan
     # The median of a chi-squared variable with one degree of freedom is 0.4549.

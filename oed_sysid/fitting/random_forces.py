@@ -432,7 +432,9 @@ def correlated(problem: Filtered, unknowns: np.ndarray) -> np.ndarray:
     found = problem.passes(unknowns, columns=False)
     n_outputs = len(problem.model.outputs)
     lag_one, count = np.zeros(n_outputs), np.zeros(n_outputs)
-    for part in found:
+    for record, part in zip(problem.records, found, strict=True):
+        if record.independent:
+            continue
         white = part.innovations / np.sqrt(part.variances)
         for column in range(n_outputs):
             seen = int(np.isfinite(white[:, column]).sum())

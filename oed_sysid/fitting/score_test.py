@@ -213,7 +213,7 @@ def _tangents(
     spread[..., :n_forces] = part.rows[..., n_levels + force]
     each = np.arange(n_outputs)
     spread[:, each, n_forces + each] = 1.0
-    if colour:
+    if colour and not record.independent:
         spread[:, each, n_forces + n_outputs + each] = 1.0
         driven = _remembered(record.times, np.where(seen, left, 0.0), time)
         moved[:, each, n_forces + n_outputs + each] = -driven

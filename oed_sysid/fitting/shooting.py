@@ -387,6 +387,12 @@ class Shooting:
         return self._with(limits=replace(self.limits, lower=lower, upper=upper))
 
     @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns without start states of independent tests, which have none."""
+        tests = sum(record.independent for record in self.records)
+        return self.layout.n_unknowns - tests * self.layout.n_own
+
+    @property
     def starts(self) -> tuple[np.ndarray, ...]:
         """Index of the first sample of every interval, per record."""
         return self._starts

@@ -8,17 +8,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed_sysid.compiled.filtering import FilterPass
+from oed_sysid.data.record import Record
 from oed_sysid.fitting.between_records import (
     FEWEST_RECORDS,
     RecordScatter,
     eliminate_own,
     record_scatter,
 )
-from oed_sysid.fitting.covariance import ReducedProblem
+from oed_sysid.fitting.covariance import ReducedProblem, tests_middle, tests_stray
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.fit import Fit, Status
 from oed_sysid.fitting.gauss_newton import FilteredSolution, Solution
-from oed_sysid.fitting.narrow_band import clear_peaks, widened
+from oed_sysid.fitting.narrow_band import clear_peaks, shared_rows, widened
 from oed_sysid.fitting.shooting import Shooting, replace_values
 from oed_sysid.fitting.unknowns import KnownStarts
 from oed_sysid.information import Information
@@ -84,8 +85,9 @@ def summarise(
     information = reduced.information
     covariance = information.covariance
     use = coloured == "always" or (coloured == "auto" and reduced.is_coloured)
-    if (use and weighed) or shooting.loss is not None:
-        covariance = reduced.sandwich(covariance, coloured=use)
+    scattered = coloured == "always" or (coloured == "auto" and reduced.tests_stray(covariance))
+    if ((use or scattered) and weighed) or shooting.loss is not None:
+        covariance = reduced.sandwich(covariance, coloured=use, scattered=scattered)
     predictions, states, residuals, initial, local = [], [], [], [], []
     for index, record in enumerate(shooting.records):
         values = shooting.values(unknowns, index)
@@ -120,7 +122,14 @@ def summarise(
         iterations=iterations,
         seconds=time.perf_counter() - began,
         start_states=_described(shooting.known_starts, model),
+        extras=_told(shooting.records, scattered),
     )
+
+
+def _told(records: Sequence[Record], scattered: bool) -> dict[str, bool]:
+    """Whether independent tests, where there are some, tell their errors themselves."""
+    tests = any(record.independent for record in records)
+    return {"tests_scatter": True} if tests and scattered else {}
 
 
 def summarise_filtered(
@@ -129,6 +138,8 @@ def summarise_filtered(
     estimator: str,
     iterations: int,
     began: float,
+    *,
+    coloured: str = "auto",
 ) -> Fit:
     r"""Build the result of an estimation with random forces from its last iterate.
 
@@ -148,6 +159,9 @@ def summarise_filtered(
         Iterations in all.
     began : float
         ``time.perf_counter()`` at the start.
+    coloured : str
+        Unless ``"never"``, residuals of independent tests tell their part of the errors where
+        they are larger than declared; see :mod:`oed_sysid.fitting.covariance`.
     """
     problem, unknowns = solution.problem, solution.point.unknowns
     model, layout = problem.model, problem.layout
@@ -164,11 +178,19 @@ def summarise_filtered(
     covariance = information.covariance
     # Derivatives serve the scatter between records alone.
     passes = problem.passes(unknowns, columns=len(problem.records) >= FEWEST_RECORDS)
-    whitened = [part.innovations / np.sqrt(np.maximum(part.variances, 1e-300)) for part in passes]
+    whitened = [
+        np.full(part.innovations.shape, np.nan)
+        if record.independent
+        else part.innovations / np.sqrt(np.maximum(part.variances, 1e-300))
+        for record, part in zip(problem.records, passes, strict=True)
+    ]
     peaks = clear_peaks(whitened, problem.records, model.output_names)
     if peaks:
         period = max(peak.period for peak in peaks)
         covariance = widened(problem, unknowns, matrix, covariance, period)
+    white = covariance
+    if coloured != "never":
+        covariance = _with_stray_tests(problem, unknowns, matrix, information, covariance)
     predictions, states, residuals, initial, local = [], [], [], [], []
     free = np.array([layout.parameters(unknowns, i) for i in range(len(problem.records))])
     at = model.with_values(_means(model, layout.free_names, free))
@@ -209,7 +231,34 @@ def summarise_filtered(
             for part, seen in zip(passes, measured, strict=True)
         ),
         start_states=_described(problem.known_starts, model),
+        extras=_told(problem.records, covariance is not white),
     )
+
+
+def _with_stray_tests(
+    problem: Filtered,
+    unknowns: np.ndarray,
+    matrix: np.ndarray,
+    information: Information,
+    covariance: np.ndarray,
+) -> np.ndarray:
+    """Covariance with what independent tests scatter beyond their declared noise."""
+    chosen = [i for i, record in enumerate(problem.records) if record.independent]
+    white = information.covariance
+    if not chosen or not len(white):
+        return covariance
+    jacobians, scores = shared_rows(problem, unknowns, matrix)
+    rows = np.concatenate([jacobians[i] for i in chosen])
+    residuals = np.concatenate([scores[i] for i in chosen])
+    if not tests_stray(rows, residuals, white):
+        return covariance
+    more = tests_middle(rows, residuals, white, scattered=True)
+    more -= tests_middle(rows, residuals, white, scattered=False)
+    finite = np.flatnonzero(np.isfinite(np.diag(white)))
+    block = np.ix_(finite, finite)
+    result = covariance.copy()
+    result[block] += white[block] @ more[block] @ white[block]
+    return result
 
 
 def _described(
@@ -248,13 +297,15 @@ def _between_records(
     Derivatives are those at frozen gain; levels of the noise are taken as they are, as mean and
     variance of an innovation are estimated independently of one another.
     """
-    if len(passes) < FEWEST_RECORDS:
+    if sum(not record.independent for record in problem.records) < FEWEST_RECORDS:
         return None
     layout, limits = problem.layout, problem.limits
     n_shared, n_own = len(layout.shared), layout.n_own
     slopes = layout.shared_values(unknowns)[1]
     away = limits.prior_mean - unknowns
     matrices, scores = [], []
+    tests = np.zeros((n_shared, n_shared))
+    slope = np.zeros(n_shared)
     for index, part in enumerate(passes):
         columns = layout.record_columns(index)
         size = np.concatenate([np.ones(n_own), layout.slopes(unknowns[columns[n_own:]])])
@@ -268,13 +319,17 @@ def _between_records(
         matrix[others, others] += own
         right[others] += own * away[columns[others]]
         information, score = eliminate_own(matrix, right, shared, others)
+        slope += score / slopes
+        if problem.records[index].independent:
+            tests += information / slopes[:, None] / slopes
+            continue
         matrices.append(information / slopes[:, None] / slopes)
         scores.append(score / slopes)
     weight = limits.prior_weight[:n_shared]
-    prior = np.diag(weight / slopes**2)
+    prior = np.diag(weight / slopes**2) + tests
     if problem.knowledge is not None:
         prior = prior + problem.knowledge.information / slopes[:, None] / slopes
-    gradient = np.sum(scores, axis=0) + weight * away[:n_shared] / slopes
+    gradient = slope + weight * away[:n_shared] / slopes
     return record_scatter(matrices, scores, prior, gradient=gradient)
 
 

@@ -33,6 +33,7 @@ from scipy.special import ndtri
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.fitting.captive import CaptiveTests
 from oed_sysid.fitting.fit import Fit, align
@@ -44,6 +45,8 @@ from oed_sysid.predictions.jackknife import Estimator, Purpose, leave_out
 SAME_STRENGTH = 0.05
 # Rungs of the ladder, the strongest records, which are only predicted, not counted.
 MOST_RUNGS = 3
+# A quantity this much smaller than it was on a rung is about zero.
+NEARLY_ZERO = 1e-6
 # Weights below this are not worth a jackknife.
 LEAST_WEIGHT = 0.05
 
@@ -168,14 +171,13 @@ class StructureAverage:
         rows = [("quantity", "value", "95 % interval", "half width", "structure", "records")]
         for name, value in self.values.items():
             low, high = self.interval(name)
-            shares = [1.96 * part[name] / abs(value) for part in (self.between, self.within)]
+            halves = (0.5 * (high - low), 1.96 * self.between[name], 1.96 * self.within[name])
             rows.append(
                 (
                     name,
                     f"{value:.4g}",
                     f"{low:.4g} to {high:.4g}",
-                    f"{50 * (high - low) / abs(value):.1f} %",
-                    *(f"{100 * share:.1f} %" for share in shares),
+                    *(f"{100 * half / abs(value):.1f} %" if value else "-" for half in halves),
                 )
             )
         return "\n".join([*lines, *(f"  {line}" for line in align(rows))])
@@ -284,9 +286,9 @@ def average_structures(
     horizon : float
         Length of the segments in which stronger records are predicted, s.
     tests : CaptiveTests, optional
-        Forces at given motion that no candidate was fitted to.
+        Forces at given motion that no candidate was fitted to, compared test by test.
     scored : sequence of str
-        Quantities whose stability counts; all by default.
+        Quantities whose stability counts; all by default. None may be about zero.
     floor : float
         Relative standard deviation that no record tells.
     power : float
@@ -299,7 +301,8 @@ def average_structures(
     Raises
     ------
     ModelError
-        If a candidate was fitted to ``tests``, or none gives the quantities.
+        If a candidate was fitted to some of ``tests``, none gives the quantities, they differ by
+        structure or are about zero, or a setting is out of its range.
     DataError
         If all records are of one strength.
 
@@ -333,11 +336,12 @@ def average_structures(
     """
     if len(candidates) < 2:
         raise ModelError(f"{len(candidates)} structures are no average. Give two or more.")
+    _check_settings(horizon, floor, power)
     for one in candidates:
-        if tests is not None and one.tests is tests:
+        if tests is not None and one.tests is not None and (seen := tests.shared(one.tests)):
             raise ModelError(
-                f"Structure {one.name!r} was fitted to the tests that shall judge it. Judge with "
-                "other tests, or fit without them."
+                f"Structure {one.name!r} was fitted to {seen} of the {tests.n_tests} tests that "
+                "shall judge it. Judge with other tests, or fit without these."
             )
     rungs = ladder(dataset, strength)
     spread = _spread(dataset)
@@ -349,7 +353,11 @@ def average_structures(
             "No structure gives the wanted quantities: "
             + "; ".join(f"{one.name}: {one.note or 'not finite'}" for one in found)
         )
-    raw = np.array([(one.score / best) ** -power for one in found])
+    _check_names(found)
+    # Nothing is better than no error at all.
+    raw = np.array(
+        [(one.score / best) ** -power if best > 0 else float(one.score == 0) for one in found]
+    )
     weights = raw / raw.sum()
     done = []
     for candidate, each, weight in zip(candidates, found, weights, strict=True):
@@ -418,16 +426,16 @@ def _transfer(
 ) -> Transfer:
     """Score one structure; what fails makes its score infinite and is noted."""
     nothing = Transfer(candidate.name, math.inf, 1.0, math.inf, math.inf, 0.0, {}, {})
+    rungs_values: list[dict[str, float]] = []
     try:
         whole = candidate.fit(dataset)
         values = {name: float(value) for name, value in purpose(whole).items()}
-        squares, count, moved = 0.0, 0, []
+        squares, count = 0.0, 0
         for weaker, stronger in rungs:
             fit = candidate.fit(_chosen(dataset, weaker))
             sums = _step_error(fit.model, _chosen(dataset, stronger), spread, horizon)
             squares, count = squares + sums[0], count + sums[1]
-            early = purpose(fit)
-            moved += [early[name] / values[name] - 1.0 for name in scored or values]
+            rungs_values.append({name: float(value) for name, value in purpose(fit).items()})
         forces = 1.0
         if tests is not None:
             errors = tests.relative_errors(whole.model)
@@ -437,6 +445,7 @@ def _transfer(
             nothing.name, math.inf, 1.0, math.inf, math.inf, 0.0, {}, {}, str(error).split(". ")[0]
         )
     step = math.sqrt(squares / max(count, 1))
+    moved = _changes(candidate.name, values, rungs_values, scored)
     drift = float(np.sqrt(np.mean(np.square(moved))))
     score = step * forces * math.hypot(drift, floor)
     usable = math.isfinite(score) and all(math.isfinite(value) for value in values.values())
@@ -451,6 +460,62 @@ def _transfer(
         {},
         "" if usable else "predictions are not finite",
     )
+
+
+def _changes(
+    structure: str,
+    values: Mapping[str, float],
+    early: Sequence[Mapping[str, float]],
+    scored: Sequence[str],
+) -> list[float]:
+    """Relative changes of the scored quantities from each rung to all records."""
+    if unknown := [name for name in scored if name not in values]:
+        raise ModelError(
+            f"scored names {unknown[0]!r}, which is none of the wanted quantities: "
+            f"{', '.join(values) or 'there are none'}.{closest(unknown[0], values)}"
+        )
+    if not values:
+        raise ModelError("The purpose gives no quantity. Return at least one, by name.")
+    moved = []
+    for one in early:
+        if set(one) != set(values):
+            raise ModelError(
+                f"The purpose gives {', '.join(one) or 'nothing'} for a part of the records and "
+                f"{', '.join(values)} for all, with structure {structure!r}. Return the same names."
+            )
+        for name in scored or values:
+            if abs(values[name]) <= NEARLY_ZERO * abs(one[name]) or values[name] == 0.0:
+                raise ModelError(
+                    f"Quantity {name!r} is {values[name]:.3g} with structure {structure!r}: a "
+                    "relative change of nothing says nothing. Name the others in scored, or ask "
+                    "for a quantity that is not about zero."
+                )
+            moved.append(one[name] / values[name] - 1.0)
+    return moved
+
+
+def _check_settings(horizon: float, floor: float, power: float) -> None:
+    """Refuse numbers that give no weights."""
+    if not (math.isfinite(horizon) and horizon > 0):
+        raise ModelError(f"horizon is {horizon}. Give seconds above zero.")
+    if not (math.isfinite(floor) and floor >= 0):
+        raise ModelError(f"floor is {floor}. Give a share, such as 0.015, or zero.")
+    if not (math.isfinite(power) and power > 0):
+        raise ModelError(
+            f"power is {power}. Give a number above zero: weights are the score to minus it."
+        )
+
+
+def _check_names(found: Sequence[Transfer]) -> None:
+    """Refuse structures of which different things are wanted."""
+    usable = [one for one in found if one.values]
+    for one in usable[1:]:
+        if set(one.values) != set(usable[0].values):
+            raise ModelError(
+                f"The purpose gives {', '.join(usable[0].values)} with structure "
+                f"{usable[0].name!r} and {', '.join(one.values)} with {one.name!r}. Return the "
+                "same names for all."
+            )
 
 
 def _chosen(dataset: Dataset, names: Sequence[str]) -> Dataset:

@@ -28,6 +28,8 @@ SIDES = ("starboard", "port")
 TURN = 3.0 * math.pi
 _DOUBLINGS = 12
 NEAR_AMIDSHIPS = math.radians(10.0)
+# Share by which the speed that the propulsion keeps may differ from that of the approach.
+STEADY_SPEED = 0.1
 LENGTHS = ("advance", "transfer", "tactical_diameter", "steady_diameter")
 _UNITS = {**dict.fromkeys(LENGTHS, "m"), "time_90": "s", "time_180": "s", "speed_ratio": "1"}
 QUANTITIES: Mapping[str, str] = {**_UNITS, "drift": "rad"}
@@ -59,6 +61,8 @@ class TurningPrediction:
         was asked to be amidships.
     caveat : str
         Why the intervals are too narrow; empty where nothing says so.
+    notes : tuple of str
+        What the approach is not, in sentences: straight, or steady.
     """
 
     model: str
@@ -70,6 +74,7 @@ class TurningPrediction:
     unfinished: Mapping[str, int]
     neutral: float = 0.0
     caveat: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def sides(self) -> tuple[str, ...]:
@@ -109,6 +114,7 @@ class TurningPrediction:
         if self.neutral:
             neutral = math.degrees(self.neutral)
             lines.append(f"  straight approach with the rudder at {neutral:.2f} deg")
+        lines += [f"  {note}" for note in self.notes]
         scaled = [] if self.length is None else [f"{side} [L]" for side in self.sides]
         rows = [("", *(f"{side}" for side in self.sides), "unit", *scaled)]
         for quantity, unit in QUANTITIES.items():
@@ -159,6 +165,7 @@ class TurningPrediction:
             },
             "unfinished": dict(self.unfinished),
             "caveat": self.caveat,
+            "notes": list(self.notes),
         }
 
 
@@ -179,8 +186,10 @@ def turning_circle(
 
     The approach is an equilibrium: at the given speed the rudder stands where nothing turns or
     pushes the ship sideways, which for a single screw is not amidships. A model without such an
-    angle within ten degrees begins amidships, and so does every model with
-    ``approach="amidships"``. Draws begin from the approach at the fitted values.
+    angle within ten degrees begins amidships, which the result notes, and so does every model with
+    ``approach="amidships"``. The speed is an equilibrium if it is the one that the propulsion
+    keeps; where the two differ by more than a tenth the result notes that as well. Draws begin
+    from the approach at the fitted values.
 
     The model needs a state ``psi``. Its ``u`` and ``v`` carry the track; a model
     without them keeps its speed and does not drift, and says nothing about either.
@@ -246,8 +255,7 @@ def turning_circle(
         raise ModelError(f"side is {side!r}. Choose starboard, port or both.")
     if approach not in ("neutral", "amidships"):
         raise ModelError(f"approach is {approach!r}. Choose neutral or amidships.")
-    if not speed > 0 or not rudder > 0:
-        raise ModelError(f"speed is {speed} and rudder {rudder}; both have to be above zero.")
+    _check_numbers(speed, rudder, length, rate, n_draws)
     tracked = _with_track(model, speed)
     steered = _rudder_input(model, input)
     values = [model.value_vector]
@@ -256,9 +264,11 @@ def turning_circle(
     kept = [model.parameter_names.index(name) for name in tracked.parameter_names]
     table = np.array(values)[:, kept]
     start = {"u": speed} if "u" in model.state_names else {}
-    trim = 0.0
+    trim, notes = 0.0, []
     if approach == "neutral":
-        trim, start = _approach(model, steered, start)
+        trim, start, note = _approach(model, steered, start)
+        notes += [note] if note else []
+    notes += _unsteady(model, steered, trim, start)
     nominal: dict[str, dict[str, float]] = {}
     draws: dict[str, dict[str, np.ndarray]] = {}
     unfinished: dict[str, int] = {}
@@ -297,26 +307,83 @@ def turning_circle(
     ordered = {name: nominal[name] for name in wanted}
     caveat = "" if fit is None else fit.caveat
     return TurningPrediction(
-        model.name, rudder, speed, length, ordered, draws, unfinished, trim, caveat
+        model.name, rudder, speed, length, ordered, draws, unfinished, trim, caveat, tuple(notes)
     )
+
+
+def _check_numbers(
+    speed: float, rudder: float, length: float | None, rate: float | None, n_draws: int
+) -> None:
+    """Refuse numbers that no turn has."""
+    if not speed > 0 or not rudder > 0:
+        raise ModelError(f"speed is {speed} and rudder {rudder}; both have to be above zero.")
+    if not math.isfinite(speed):
+        raise ModelError(f"speed is {speed}. Give the approach speed in m/s.")
+    if rudder > math.pi / 2:
+        raise ModelError(
+            f"rudder is {rudder:g}, an angle in rad of at most a quarter of a turn. If these are "
+            f"degrees, give math.radians({rudder:g}), which is {math.radians(rudder):.2g}."
+        )
+    if length is not None and not (length > 0 and math.isfinite(length)):
+        raise ModelError(f"length is {length}. Give the length of the ship in m, or None.")
+    if rate is not None and not rate > 0:
+        raise ModelError(f"rate is {rate}. Give rad/s above zero, or None for a rudder that jumps.")
+    if n_draws < 0:
+        raise ModelError(f"n_draws is {n_draws}. Give 0 for none, or their number.")
 
 
 def _approach(
     model: Model, steered: str, start: Mapping[str, float]
-) -> tuple[float, dict[str, float]]:
-    """Neutral rudder and states of a straight course; amidships where there is none nearby."""
+) -> tuple[float, dict[str, float], str]:
+    """Neutral rudder and states of a straight course, and what it is not, in a sentence.
+
+    Amidships where there is no such course nearby.
+    """
     held = {"psi": 0.0, **start}
     turning = [name for name in ("v", "r", "p", "phi") if name in model.state_names]
     if "r" in turning:
         held["r"] = 0.0
+    if not turning:
+        return 0.0, dict(start), ""
+    limit = math.degrees(NEAR_AMIDSHIPS)
+    begins = "The approach begins with the rudder amidships and is not straight"
     try:
         found = equilibrium(model, fixed=held, free=(steered,), steady=turning)
-    except SimulationError:
-        return 0.0, dict(start)
+    except SimulationError as error:
+        return 0.0, dict(start), f"{begins}: {error}"
     trim = found.inputs[steered]
-    if not turning or not found.ok or abs(trim) > NEAR_AMIDSHIPS:
-        return 0.0, dict(start)
-    return trim, {name: found.states[name] for name in model.state_names if name != "psi"}
+    if not found.ok:
+        return 0.0, dict(start), f"{begins}: no rudder angle was found that keeps a course."
+    if abs(trim) > NEAR_AMIDSHIPS:
+        note = (
+            f"{begins}: a course takes {math.degrees(trim):.1f} deg, which is beyond the {limit:g} "
+            "deg of a neutral rudder."
+        )
+        return 0.0, dict(start), note
+    return trim, {name: found.states[name] for name in model.state_names if name != "psi"}, ""
+
+
+def _unsteady(model: Model, steered: str, trim: float, start: Mapping[str, float]) -> list[str]:
+    """A sentence about a speed of approach that the propulsion does not keep."""
+    if "u" not in model.state_names:
+        return []
+    sideways = [name for name in ("psi", "v", "r", "p", "phi") if name in model.state_names]
+    held: dict[str, float] = {name: start.get(name, 0.0) for name in sideways}
+    added = (state.name for effect in model.effects for state in effect.states)
+    try:
+        found = equilibrium(
+            model, inputs={steered: trim}, fixed=held, steady=("u", *added), guess=start
+        )
+    except SimulationError:
+        return []
+    speed, kept = start["u"], found.states["u"]
+    if found.ok and abs(kept - speed) <= STEADY_SPEED * speed:
+        return []
+    runs = f"the ship keeps {kept:.3g} m/s" if found.ok else "no speed is kept"
+    return [
+        f"The approach at {speed:.3g} m/s is not steady: with this propulsion {runs} on a straight "
+        "course. Speed ratio, times and lengths hold that change of speed."
+    ]
 
 
 def _rudder_input(model: Model, name: str | None) -> str:

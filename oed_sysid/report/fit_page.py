@@ -185,6 +185,8 @@ def residual_section(fit: Fit, *, style: int = 0) -> Section:
         fit.model.outputs, fit.sigma, fit.sigma_estimated, strict=True
     ):
         independent, total = effective[output.name]
+        if not total and fit.tests_alone:
+            continue
         factor, unit = shown_unit(output.unit)
         white = sum(test.is_white for test in tests[output.name])
         rows.append(
