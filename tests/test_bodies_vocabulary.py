@@ -22,7 +22,12 @@ BODY = rigid_body(
 AUV = BODY.model(
     "auv",
     inputs=(Input("ds", "rad"), Input("dr", "rad"), Input("T", "N")),
-    effects=(BODY.thruster("propeller", "T"), BODY.hull({"X_absuu": -2.0, "Y_absvv": -100.0})),
+    effects=(
+        BODY.thruster("propeller", "T"),
+        BODY.hull({"X_absuu": -2.0, "Y_absvv": -100.0}),
+        BODY.fin("stern", "ds", at=(-0.6, 0, 0), normal="horizontal", lift=5.0),
+        BODY.fin("rudder", "dr", at=(-0.6, 0, 0), normal="vertical", lift=5.0),
+    ),
     step=0.05,
 )
 UNDERWATER = underwater_vehicle_effects(

@@ -24,6 +24,8 @@ RUNAWAY = 1e100  # a draw beyond is no run of a vehicle
 # Mean over a run of drawn over first-order variances from which (or below whose inverse) it does;
 # three times the scatter of so few draws.
 MISLEADS = 2.0
+# The same where both are of the same draws, so that no chance is in it.
+MISLEADS_SURELY = 1.2
 
 SimulateAll = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
@@ -82,13 +84,13 @@ class Spread:
         return total / count if count else np.full_like(outputs, np.inf)
 
 
-def misleads(variance: np.ndarray, drawn: np.ndarray) -> bool:
+def misleads(variance: np.ndarray, drawn: np.ndarray, limit: float = MISLEADS) -> bool:
     """Whether first-order variances differ clearly from those of some draws, on the whole."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(np.isfinite(variance) & (variance > 0), drawn / variance, np.nan)
     seen = ~np.isnan(ratio).all(axis=0)
     means = np.nanmean(ratio[:, seen], axis=0)
-    return bool(np.any((means > MISLEADS) | (means < 1.0 / MISLEADS)))
+    return bool(np.any((means > limit) | (means < 1.0 / limit)))
 
 
 def runs_at_sea(

@@ -18,7 +18,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError
-from oed_sysid.fitting.drawn import N_PROBE, Spread, misleads, runs_at_sea
+from oed_sysid.fitting.drawn import MISLEADS_SURELY, N_PROBE, Spread, misleads, runs_at_sea
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.gauss_newton import solve, solve_filtered
 from oed_sysid.fitting.shooting import Shooting
@@ -212,7 +212,7 @@ def _predict(
         empty = np.full(record.outputs.shape, np.nan)
         return empty, empty, states, values
     jacobian = lin.jacobians[0]
-    by_shared = jacobian[:, :, n_own + layout.shared]
+    by_shared = at_given_others = jacobian[:, :, n_own + layout.shared]
     others = np.concatenate([np.arange(n_own), n_own + layout.local])
     by_other = jacobian[:, :, others]
     if way == "fit":
@@ -248,8 +248,20 @@ def _predict(
         def simulated(unknowns: np.ndarray, _: np.random.Generator) -> np.ndarray:
             return np.array([_outputs(shooting, one) for one in unknowns])
 
-        doubtful = _poorly_known(model, layout.shared_names, covariance)
-        if doubtful or misleads(variance, spread.mean_square(simulated, outputs, N_PROBE)):
+        def linear(unknowns: np.ndarray, _: np.random.Generator) -> np.ndarray:
+            away = unknowns - spread.unknowns
+            far = np.einsum("tij,kj->kti", at_given_others, away[:, spread.shared])
+            return outputs + far + np.einsum("tij,kj->kti", by_other, away[:, spread.others])
+
+        # The same draws, to first order and simulated, over the whole run: what differs is no
+        # chance, and no moment at which nothing moves to first order.
+        first_order, few = (
+            spread.mean_square(run, outputs, N_PROBE).mean(axis=0, keepdims=True)
+            for run in (linear, simulated)
+        )
+        if _poorly_known(model, layout.shared_names, covariance) or misleads(
+            first_order, few, MISLEADS_SURELY
+        ):
             drawn = spread.mean_square(simulated, outputs)
             variance = np.where(np.isfinite(variance), drawn, variance)
     return outputs, np.sqrt(variance), states, values
