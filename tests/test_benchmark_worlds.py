@@ -63,11 +63,12 @@ def test_spikes_and_sparse_samples(clean: np.ndarray, sigma: np.ndarray) -> None
 @pytest.mark.parametrize(
     "world", ["ideal", "declared_half", "declared_twice", "wrong_model", "far_start"]
 )
-def test_worlds_without_anything_random_have_the_ideal_records(world: str) -> None:
+@pytest.mark.parametrize("problem", ["auv_diving_plane", "remus_diving_plane"])
+def test_worlds_without_anything_random_have_the_ideal_records(problem: str, world: str) -> None:
     """Run after run holds what the ideal world simulates, to the last digit."""
-    scenario = load_scenario("auv_diving_plane")
+    scenario = load_scenario(problem)
     model = scenario.with_noise(scenario.noise(1.0))
-    rng, other = (Cell("auv_diving_plane", "multiple_shooting", 1.0).rng("noise") for _ in "ab")
+    rng, other = (Cell(problem, "multiple_shooting", 1.0).rng("noise") for _ in "ab")
     for run in 2 * scenario.train:
         plain = simulate(model, run, rng=rng)
         record = WORLDS[world].record(model, run, rng=other, noise=True)

@@ -89,17 +89,21 @@ class World:
             Whether sensors are noisy; without it only what is not noise of a sensor acts.
         """
         for_forces, for_colour, for_spikes = rng.spawn(3)
-        clean = simulate(model, experiment, noise=False)
-        if self.forces:
-            clean = self._pushed(model, clean, experiment, for_forces)
-        outputs = clean.outputs.copy()
         std = np.array([output.noise_std for output in model.outputs], dtype=float)
-        if noise:
-            errors = np.sqrt(1 - self.colour) * rng.standard_normal(outputs.shape)
-            if self.colour:
-                memory = _gauss_markov(outputs.shape, NOISE_TIME, for_colour)
-                errors += np.sqrt(self.colour) * memory
-            outputs += std * errors
+        if self.forces or self.colour:
+            run = simulate(model, experiment, noise=False)
+            if self.forces:
+                run = self._pushed(model, run, experiment, for_forces)
+            outputs = run.outputs.copy()
+            if noise:
+                errors = np.sqrt(1 - self.colour) * rng.standard_normal(outputs.shape)
+                if self.colour:
+                    memory = _gauss_markov(outputs.shape, NOISE_TIME, for_colour)
+                    errors += np.sqrt(self.colour) * memory
+                outputs += std * errors
+        else:  # as in the ideal world, commands that answer noisy measurements included
+            run = simulate(model, experiment, rng=rng, noise=noise)
+            outputs = run.outputs.copy()
         if self.spikes:
             struck = for_spikes.random(outputs.shape) < self.spikes
             signs = np.sign(for_spikes.standard_normal(outputs.shape))
@@ -107,7 +111,7 @@ class World:
         if self.sparse > 1:
             kept = np.arange(len(outputs)) % self.sparse == 0
             outputs[~kept] = np.nan
-        return clean.with_outputs(outputs)
+        return run.with_outputs(outputs)
 
     def _pushed(
         self, model: Model, clean: Record, experiment: Experiment, rng: np.random.Generator
