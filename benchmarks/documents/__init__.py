@@ -1,0 +1,1 @@
+"""Pages of the documents whose numbers are measured: templates, measurements and what they gave."""
