@@ -53,7 +53,6 @@ def test_parameters_may_be_free() -> None:
     assert plain(parts).parameter("Y_vdot").unit == "kg"
 
 
-@pytest.mark.slow
 def test_quaternion_model_can_be_fitted() -> None:
     """From wrong values and unknown start states a fit with a quaternion finds the truth."""
     parts = rigid_body(
@@ -91,9 +90,10 @@ def test_quaternion_model_can_be_fitted() -> None:
     )
     record = simulate(model, run_, rng=np.random.default_rng(3))
     wrong = model.with_values({name: 1.1 * model.values[name] for name in model.free_names})
-    # 150 to 200 iterations: the norm of the start's quaternion moves nothing, and steps are small.
-    fit = MultipleShooting(max_iterations=400).fit(wrong, Dataset((record,)))
+    fit = MultipleShooting().fit(wrong, Dataset((record,)))
     assert fit.status.ok
+    # The length of the start's quaternion moves nothing, and nothing goes after it.
+    assert fit.iterations < 60
     for name in fit.names:
         low, high = fit.interval(name, 0.9999)
         assert low < model.values[name] < high, name

@@ -11,12 +11,13 @@ with the zyx convention, Fossen (2011), section 2.2.1; singular at
 :math:`\theta = \pm 90` degrees. The quaternion :math:`e = (e_0, e_1, e_2, e_3)`, scalar
 first, has no singularity,
 
-.. math:: \dot e = \tfrac12 T(e)\,\omega + \tfrac\gamma2 (1 - e^\top e)\,e,
+.. math:: \dot e = \tfrac12 T(e)\,\omega,
 
-section 2.2.2; the last term keeps its length at one against the error
-of integration, and the rotation divides by that length, so that no start value that an
-estimator tries can be invalid. The first state is ``de0``, :math:`e_0 - 1`, so that states of
-zero are the attitude of zero angles and not nothing.
+section 2.2.2. The rotation divides by its length, so that no start value that an estimator tries
+can be invalid and errors of integration in it have no effect; it is not pulled to one, as is usual
+in simulations, because its length would then be seen through the integration error of the pull
+alone, and an estimator would go after that. The first state is ``de0``, :math:`e_0 - 1`, so that
+states of zero are the attitude of zero angles and not nothing.
 
 References
 ----------
@@ -32,7 +33,6 @@ from dataclasses import dataclass
 from oed_sysid.bodies.texts import minus, plus, times
 
 QUATERNION = ("de0", "e1", "e2", "e3")
-_PULL = "0.5*(1 - e_norm)"  # gamma = 1 per second
 
 
 @dataclass(frozen=True)
@@ -119,10 +119,7 @@ def quaternion() -> Attitude:
         "e2": "0.5*(e3*p + e0*q - e1*r)",
         "e3": "0.5*(-e2*p + e1*q + e0*r)",
     }
-    states = {
-        state: f"{rates[name]} + {_PULL}*{name}"
-        for state, name in zip(QUATERNION, rates, strict=True)
-    }
+    states = {state: rates[name] for state, name in zip(QUATERNION, rates, strict=True)}
     rows = (
         ("1 - 2*(e2**2 + e3**2)/e_norm", "2*(e1*e2 - e3*e0)/e_norm", "2*(e1*e3 + e2*e0)/e_norm"),
         ("2*(e1*e2 + e3*e0)/e_norm", "1 - 2*(e1**2 + e3**2)/e_norm", "2*(e2*e3 - e1*e0)/e_norm"),
