@@ -4,13 +4,15 @@ A template is Markdown with Jinja's placeholders. Numbers are measured section b
 kept in ``benchmarks/results``, each section with the revision and the day that it is of, so that
 a page can be written anew at once, and one section measured again without the others. A word that
 numbers must carry, a verdict say, is written by `stands`, with its condition: where the numbers no
-longer carry it, no page is written.
+longer carry it, no page is written. What another command writes between marks stays as it is.
 """
 
 from __future__ import annotations
 
 import datetime
 import json
+import math
+import re
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -25,6 +27,8 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 Numbers = Mapping[str, Any]
+# Marks on a page between which another command writes.
+BLOCK = re.compile(r"<!-- ([\w ]+): begin -->\n<!-- \1: end -->")
 
 
 class Unfounded(ValueError):
@@ -157,13 +161,24 @@ class Page:
             keep_trailing_newline=True,
         )
         environment.globals.update(stands=stands)
-        environment.filters.update(number=number, listed=listed, spanned=spanned)
+        environment.filters.update(
+            number=number, listed=listed, spanned=spanned, degrees=math.degrees
+        )
         numbers = {name: one["numbers"] for name, one in stored.items()}
         measured = {
             name: {k: one[k] for k in one if k != "numbers"} for name, one in stored.items()
         }
         template = environment.get_template(f"{self.name}.md")
-        return template.render(**numbers, measured=measured)
+        return self._with_blocks(template.render(**numbers, measured=measured))
+
+    def _with_blocks(self, text: str) -> str:
+        """The text with what other commands wrote between their marks on the present page."""
+        page = self.target.read_text(encoding="utf-8") if self.target.is_file() else ""
+        for name in BLOCK.findall(text):
+            begin, end = f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->"
+            kept = page.partition(begin)[2].partition(end)[0]
+            text = text.replace(begin + end, begin + kept + end)
+        return text
 
 
 def revision() -> str:

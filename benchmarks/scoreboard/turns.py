@@ -5,7 +5,7 @@ what this ship's records have: wind, no measured thrust, no captive tests. A tur
 with its measured rudder, revolutions and wind from the state at the execute; nothing after that
 is used. Indices are of the track that u, v and heading integrate to, measured and predicted alike.
 
-python -m benchmarks.scoreboard.turns says what the same structures reach when turns are fitted too.
+`reach` says what the same structures reach when turns are fitted too (`docs/extrapolation.md`).
 """
 
 from __future__ import annotations
@@ -223,11 +223,16 @@ def _rows(what: str, found: tuple[StructureAverage, Mapping[str, float]]) -> Seq
     return rows
 
 
-def reach() -> list[str]:
+def reach() -> dict[str, dict[str, dict[str, float]]]:
     """Errors of the four turns by what was fitted: zigzags, these and the turns, the turns alone.
 
     What a structure errs in turns that it was fitted to is no prediction: it is what these records
     and this structure leave, and no transfer from zigzags can be expected to do better.
+
+    Returns
+    -------
+    dict
+        Rms error of `SCORED` over the turns, per cent, by structure and by what was fitted.
     """
     data = load_problem("esso_osaka").data()
     runs = {kind: [r for r in data if r.name.startswith(kind)] for kind in ("zigzag", "turn")}
@@ -238,10 +243,6 @@ def reach() -> list[str]:
         "zigzags and turns": [*runs["zigzag"], *runs["turn"]],
         "turns": runs["turn"],
     }
-    lines = [
-        "| structure | " + " | ".join(sets) + " |",
-        "|" + "---|" * (len(sets) + 1),
-    ]
     families = (
         ("MAVMM, one step", MAVMM, REGRESSION),
         ("MAVMM, 10 s ahead", MAVMM, ahead(HORIZONS[0])),
@@ -250,30 +251,21 @@ def reach() -> list[str]:
         ("MMG, 10 s ahead", MMG + WIND, ahead(HORIZONS[0])),
         ("MMG, whole runs", MMG + WIND, whole),
     )
+    found: dict[str, dict[str, dict[str, float]]] = {}
     for name, model, estimator in families:
-        cells = []
-        for chosen in sets.values():
+        found[name] = {}
+        for what, chosen in sets.items():
             fitted = Dataset(tuple(chosen))
             # Searches of the polynomial begin where its regression ended.
             start = REGRESSION.fit(model, fitted).model if model is MAVMM else model
-            cells.append(_reached(purpose(estimator.fit(start, fitted)), measured))
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-        print(lines[-1], flush=True)
-    return lines
+            found[name][what] = _reached(purpose(estimator.fit(start, fitted)), measured)
+    return found
 
 
-def _reached(found: Mapping[str, float], measured: Mapping[str, float]) -> str:
+def _reached(found: Mapping[str, float], measured: Mapping[str, float]) -> dict[str, float]:
     """Rms error over the turns of the advance and of the tactical diameter, per cent."""
-    cells = []
-    for quantity in SCORED:
-        errors = [
-            100 * (found[name] / value - 1)
-            for name, value in measured.items()
-            if name.split()[0] == quantity
-        ]
-        cells.append(f"{np.sqrt(np.mean(np.square(errors))):.0f}")
-    return " / ".join(cells)
-
-
-if __name__ == "__main__":
-    reach()
+    errors: dict[str, list[float]] = {quantity: [] for quantity in SCORED}
+    for name, value in measured.items():
+        if (quantity := name.split()[0]) in errors:
+            errors[quantity].append(100 * (found[name] / value - 1))
+    return {quantity: float(np.sqrt(np.mean(np.square(one)))) for quantity, one in errors.items()}
