@@ -8,9 +8,9 @@ import runpy
 from typing import Any
 
 from benchmarks.documents.page import ROOT, Numbers, Page
-from oed_sysid import Dataset, MultipleShooting, load_problem
+from oed_sysid import MultipleShooting, load_problem
 from oed_sysid.diagnosis.improve import improve
-from oed_sysid.diagnosis.improvement import Improvement
+from oed_sysid.diagnosis.improvement import Improvement, Step
 from oed_sysid.fitting.noise_levels import white_levels
 
 
@@ -24,10 +24,11 @@ def of(found: Improvement) -> Numbers:
     """A search: its steps, errors in units of each output, and what is left."""
     after = found.steps[-1].rms if found.steps else found.base_rms
     names = [output.name for output in found.yardstick.outputs]
+    words = {step.added: _words(found, step) for step in found.steps}
     return {
         "steps": [
             {
-                "words": " *or* ".join(name.replace("_", " ") for name in step.group),
+                "words": words[step.added],
                 "names": list(step.group),
                 "gain": step.gain,
                 "needed": step.needed,
@@ -35,9 +36,7 @@ def of(found: Improvement) -> Numbers:
             }
             for step in found.steps
         ],
-        "in_order": "; ".join(
-            " *or* ".join(name.replace("_", " ") for name in step.group) for step in found.steps
-        ),
+        "in_order": "; ".join(words.values()),
         "gains": [refit.gain for refit in found.ranking.refits],
         "order": [refit.name for refit in found.ranking.refits],
         "kind": found.remains.kind,
@@ -50,6 +49,18 @@ def of(found: Improvement) -> Numbers:
         "spread": dict(zip(names, found.yardstick.spread, strict=True)),
         "notes": list(found.notes),
     }
+
+
+def _words(found: Improvement, step: Step) -> str:
+    """An effect and its rivals; of a proposed term, which it is and what it takes the place of."""
+    for term in found.proposed:
+        if term["name"] == step.added:
+            instead = ", in the place of " + ", ".join(term["replaces"]) if term["replaces"] else ""
+            words = (
+                f"a proposed term, {term['term']} in the equation of {term['equation']}{instead}"
+            )
+            return words.replace("_", " ")
+    return " *or* ".join(name.replace("_", " ") for name in step.group)
 
 
 def roll_decay() -> Numbers:
@@ -117,10 +128,14 @@ def slocum_glider() -> Numbers:
 
 
 def noise() -> Numbers:
-    """White levels of measured signals, in their units, and whether the signal shows them."""
+    """White levels of the training records' signals, and whether the signal shows them."""
     found = {}
-    for name in ("roll_decay", "cascaded_tanks", "silverbox"):
-        levels, seen = white_levels(Dataset(tuple(load_problem(name).data())))
+    for name, test in (
+        ("roll_decay", "test_small"),
+        ("cascaded_tanks", "test_second_half"),
+        ("silverbox", "test_third_realisation"),
+    ):
+        levels, seen = white_levels(load_problem(name).data().split(test=test)[0])
         found[name] = {"level": float(levels[0]), "seen": bool(seen[0])}
     return found
 

@@ -60,10 +60,11 @@ def number(value: float, form: str = ".3g") -> str:
 
     Examples
     --------
-    >>> number(-0.004, ".1f"), number(0.0314)
-    ('0.0', '0.0314')
+    >>> number(-0.004, ".1f"), number(0.0314), number(2.0, "+.1f")
+    ('0.0', '0.0314', '+2.0')
     """
-    return f"{value:z{form}}" if form[-1] in "efg" else f"{value:{form}}"
+    sign, rest = (form[0], form[1:]) if form[0] in "+- " else ("", form)
+    return f"{value:{sign}z{rest}}"
 
 
 def listed(values: Sequence[object], last: str = " and ") -> str:
