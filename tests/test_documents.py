@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from pathlib import Path
 
 import jinja2
@@ -15,6 +16,12 @@ from benchmarks.documents import measured_data, page
 from benchmarks.documents.__main__ import PAGES, main
 from benchmarks.documents.page import Page, Unfounded
 
+ROOT = Path(__file__).resolve().parent.parent
+TEXTS = sorted(
+    path.relative_to(ROOT)
+    for folder in (".", "docs", "docs/walks", "oed_sysid", "problems/*", "examples")
+    for path in ROOT.glob(f"{folder}/*.md")
+)
 MEASURED = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 
 
@@ -91,6 +98,22 @@ def test_the_end_of_the_numbers_decides(capsys: pytest.CaptureFixture) -> None:
         with pytest.raises(SystemExit):
             main(wrong)
         assert "roll_decay" in (text := capsys.readouterr().err) or "measured_data" in text
+
+
+@pytest.mark.parametrize("path", TEXTS, ids=str)
+def test_rows_have_the_cells_of_their_table(path: Path) -> None:
+    """A row of a table has as many cells as its head: none stands in a table of another kind."""
+    wrong, cells, code = [], 0, False
+    for number, line in enumerate((ROOT / path).read_text(encoding="utf-8").splitlines(), 1):
+        code ^= line.startswith("```")
+        if code or not line.startswith("|"):
+            cells = 0
+            continue
+        plain = re.sub(r"`[^`]*`", "", line.replace(r"\|", ""))
+        cells = cells or plain.count("|")
+        if plain.count("|") != cells:
+            wrong.append(number)
+    assert wrong == []
 
 
 @MEASURED
