@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 
+from benchmarks.documents.published import paper
 from oed_sysid import Dataset, load_problem
 from oed_sysid.errors import ModelError, PrecisionWarning
 from oed_sysid.estimators import (
@@ -17,15 +18,13 @@ from oed_sysid.estimators import (
     RecursiveLSSVM,
 )
 from oed_sysid.estimators.baselines.ls_svm import GaussianKernel, train
-from oed_sysid.estimators.baselines.regression_form import regression_form
-from oed_sysid.estimators.baselines.regression_rows import rows_of
 from oed_sysid.simulation import simulate
 
 SHIP = load_problem("online_ship")
 RECORD = simulate(SHIP.model, SHIP.experiment("zigzag_5_5"), noise=False)
 DATA = Dataset((RECORD,))
-ROWS = rows_of(regression_form(SHIP.model), DATA, rule="trapezoid")
-FEATURES, TARGETS, _ = ROWS.equation(1)
+SCRIPT = paper("online_ship")
+FEATURES, TARGETS = SCRIPT.yaw_rows()
 
 
 def gap(first: np.ndarray, second: np.ndarray) -> float:
@@ -47,17 +46,8 @@ def test_incremental_equals_batch_at_every_step(
     method: str, noise: float, weight: float, limit: float
 ) -> None:
     """From two samples to two hundred the recursion equals the batch dual solution."""
-    rng = np.random.default_rng(0)
-    y = TARGETS + noise * TARGETS.std() * rng.standard_normal(len(TARGETS))
     machine = IncrementalLSSVM(C=weight, method=method)
-    machine.start(FEATURES[:2], y[:2])
-    worst = 0.0
-    for k in range(2, len(y)):
-        machine.update(FEATURES[k], y[k])
-        batch = train(FEATURES[: k + 1], y[: k + 1], C=weight, form="dual")
-        worst = max(worst, gap(machine.coefficients, batch.coefficients))
-        worst = max(worst, abs(machine.bias - batch.bias) / np.linalg.norm(batch.coefficients))
-    assert worst < limit
+    assert SCRIPT.recursion_gap(machine, *SCRIPT.yaw_rows(noise)) < limit
 
 
 @pytest.mark.parametrize("weight", [1e3, 3e5])
@@ -66,12 +56,7 @@ def test_primal_recursion_equals_batch_at_every_step(weight: float) -> None:
     machine = RecursiveLSSVM(C=weight)
     machine.start(FEATURES[:1], TARGETS[:1])
     assert machine.bias == pytest.approx(TARGETS[0])
-    worst = 0.0
-    for k in range(1, len(TARGETS)):
-        machine.update(FEATURES[k], TARGETS[k])
-        batch = train(FEATURES[: k + 1], TARGETS[: k + 1], C=weight)
-        worst = max(worst, gap(machine.coefficients, batch.coefficients))
-    assert worst < 1e-9
+    assert SCRIPT.recursion_gap(RecursiveLSSVM(C=weight), FEATURES, TARGETS) < 1e-11
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.documents.published import paper
+from benchmarks.documents.published.auv import exact_errors
 from oed_sysid import (
     Dataset,
     Experiment,
@@ -36,8 +38,7 @@ from tests.test_estimators_contract import YAW as DAMPED_YAW
 AUV = load_problem("auv_diving_plane")
 RECORD = simulate(AUV.model, AUV.experiment("zigzag_5_5"), noise=False)
 DATA = Dataset((RECORD,))
-# Factors by which the paper makes its equations dimensionless: rho/2 L^2, and L^3 for pitch.
-R2, R3 = 0.5 * 1025 * 5.3**2, 0.5 * 1025 * 5.3**3
+SCRIPT = paper("auv_diving_plane")
 
 YAW = Model(
     "yaw",
@@ -61,8 +62,7 @@ def errors(fit) -> dict[str, float]:
 
 def test_exact_accelerations_give_every_coefficient_back() -> None:
     """With exact rates the regression is exact: all 19 numbers to nine digits."""
-    fit = EquationError(rule="exact", rates=exact_rates(AUV.model, DATA)).fit(AUV.model, DATA)
-    assert max(map(abs, errors(fit).values())) < 1e-7
+    assert max(map(abs, exact_errors().values())) < 1e-7
 
 
 # Printed by an independent program for the same trajectory, per cent (trapezoid, Simpson, Euler).
@@ -102,29 +102,23 @@ def test_error_table_of_the_diving_plane(rule: str) -> None:
 
 def test_published_weight_in_dimensionless_equations_shrinks_weak_terms() -> None:
     """C = 30000 removes weak terms when equations are dimensionless, even with exact rates."""
-    rates = exact_rates(AUV.model, DATA)
-    settings = {"rule": "exact", "rates": rates, "scale": {"u": R2, "w": R2, "q": R3}}
-    found = errors(LeastSquaresSVM(**settings).fit(AUV.model, DATA))
+    found = SCRIPT.weighted(RECORD, 3e4)
     for name, expected in {
         "X_ww": -98.63,
         "Z_absww": -96.67,
         "Z_wabsq": -48.91,
         "z_BB": -4.51,
     }.items():
-        assert found[name] == pytest.approx(expected, abs=0.006)
-    strong = errors(LeastSquaresSVM(C=3e14, **settings).fit(AUV.model, DATA))
-    assert max(map(abs, strong.values())) < 0.1
+        assert found[f"{name}_prime"] == pytest.approx(expected, abs=0.006)
+    assert max(map(abs, SCRIPT.weighted(RECORD, 3e14).values())) < 0.1
 
 
 def test_dual_and_primal_agree_where_the_dual_is_well_conditioned() -> None:
     """The dual equals the primal in dimensionless equations and loses digits in newton."""
     gaps = {}
-    for label, scale in (("dimensionless", {"u": R2, "w": R2, "q": R3}), ("newton", "raw")):
-        primal, dual = (
-            LeastSquaresSVM(form=form, rule="trapezoid", scale=scale).fit(AUV.model, DATA)
-            for form in ("primal", "dual")
-        )
-        gaps[label] = np.max(np.abs(dual.estimates / primal.estimates - 1))
+    for label, scale in (("dimensionless", SCRIPT.DIMENSIONLESS), ("newton", "raw")):
+        primal, dual = SCRIPT.forms(RECORD, scale)
+        gaps[label] = SCRIPT.apart(primal, dual)
         assert dual.extras["condition"]["w"] > primal.extras["condition"]["w"]
     assert gaps["dimensionless"] < 1e-9
     assert gaps["newton"] > 1e-2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 from pathlib import Path
 from types import ModuleType
@@ -10,7 +9,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from benchmarks.documents.published import paper
+
 MEASURED = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 FIGURES = {
     "auv_diving_plane": (
@@ -20,15 +20,6 @@ FIGURES = {
     ),
     "online_ship": ("tanker_derivatives.png", "tanker_predictions.png"),
 }
-
-
-def paper(name: str) -> ModuleType:
-    """The script of a problem as a module."""
-    path = ROOT / "problems" / name / "paper.py"
-    spec = importlib.util.spec_from_file_location(f"paper_{name}", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")

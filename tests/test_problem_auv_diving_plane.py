@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.documents.published import paper
 from oed_sysid import Dataset, load_problem
-from oed_sysid.estimators import LeastSquaresSVM, MultipleShooting
+from oed_sysid.estimators import LeastSquaresSVM
 from oed_sysid.simulation import simulate, simulate_inputs
 
 PROBLEM = load_problem("auv_diving_plane")
 RECORD = simulate(PROBLEM.model, PROBLEM.experiment("zigzag_5_5"), noise=False)
+SCRIPT = paper("auv_diving_plane")
 # An independent program's total sensitivity to a change of each coefficient by 20 per cent.
 SENSITIVITY = {
     "M_absww_prime": 0.0001,
@@ -31,13 +33,6 @@ SENSITIVITY = {
     "M_uuds_prime": 0.4023,
     "Z_uuds_prime": 0.4123,
 }
-
-
-def replayed(values: dict[str, float]) -> np.ndarray:
-    """Outputs u, w, q, theta for the same fin history and other coefficients."""
-    model = PROBLEM.model.with_values(values)
-    run = simulate_inputs(model, RECORD.times, inputs=RECORD.inputs, initial={"z": 100.0})
-    return run.outputs[:, :4]
 
 
 def test_manoeuvre() -> None:
@@ -61,11 +56,9 @@ def test_straight_speed() -> None:
 
 def test_sensitivities() -> None:
     """Sensitivities equal an independent program's, so the order of importance does too."""
-    reference = RECORD.outputs[:, :4]
+    found = SCRIPT.sensitivities(RECORD)
     for name, expected in SENSITIVITY.items():
-        change = np.abs(replayed({name: 1.2 * PROBLEM.truth[name]}) - reference)
-        total = (change.sum(axis=0) / np.abs(reference).sum(axis=0)).sum()
-        assert total == pytest.approx(expected, abs=1e-4), name
+        assert found[name] == pytest.approx(expected, abs=1e-4), name
 
 
 def test_bad_estimates_are_the_insensitive_ones() -> None:
@@ -79,21 +72,13 @@ def test_bad_estimates_are_the_insensitive_ones() -> None:
 
 def test_reduced_model_simulates_as_well() -> None:
     """Without its four least sensitive coefficients the model keeps to within 0.6 % rms."""
-    reduced = PROBLEM.variant("reduced").model
-    run = simulate_inputs(reduced, RECORD.times, inputs=RECORD.inputs, initial={"z": 100.0})
-    reference = RECORD.outputs[:, :4]
-    error = np.sqrt(np.mean((run.outputs[:, :4] - reference) ** 2, axis=0))
-    share = error / np.sqrt(np.mean(reference**2, axis=0))
+    share = list(SCRIPT.reduced_errors(RECORD).values())
     assert share == pytest.approx([0.0, 0.0047, 0.0019, 0.0052], abs=2e-4)
 
 
 def test_multiple_shooting_needs_no_accelerations() -> None:
     """From start values 30 % off, all 19 numbers return exactly from the same record."""
-    start = {name: 0.7 * value for name, value in PROBLEM.truth.items()}
-    fit = MultipleShooting(disturbances="none").fit(
-        PROBLEM.model.with_values(start), Dataset((RECORD,))
-    )
+    fit = SCRIPT.shooting(RECORD, 0.7)
     assert fit.status.ok
-    weak = {"M_absww_prime": 2e-2, "Z_wabsq_prime": 2e-2, "Z_absww_prime": 2e-2}
     for name, value in PROBLEM.truth.items():
-        assert fit.values[name] == pytest.approx(value, rel=weak.get(name, 2e-3)), name
+        assert fit.values[name] == pytest.approx(value, rel=1e-4), name

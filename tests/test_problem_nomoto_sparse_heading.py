@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.documents.published import paper
 from oed_sysid import Dataset, Record, load_problem
 from oed_sysid.data.reconstruction import (
     METHODS,
@@ -16,7 +17,7 @@ from oed_sysid.data.reconstruction import (
     reconstruct,
 )
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.estimators import HeadingDifferences, MultipleShooting
+from oed_sysid.estimators import HeadingDifferences
 from oed_sysid.simulation import simulate
 
 PROBLEM = load_problem("nomoto_sparse_heading")
@@ -63,17 +64,9 @@ def test_published_claim_holds_in_the_published_case_only(variant: str, experime
 
 def test_simulation_needs_no_curves() -> None:
     """Multiple shooting on headings every 0.5 s beats all differences, even at 0.1 s."""
-    record = simulate(PROBLEM.model, PROBLEM.experiment("zigzag_15_15"), noise=False)
-    fine = record.thin(10)
-    truth = np.array([2.0, 0.3])
-    outputs = np.full_like(fine.outputs, np.nan)
-    outputs[::5] = fine.outputs[::5]
-    start = PROBLEM.model.with_values({"K": 1.0, "T": 1.0})
-    fit = MultipleShooting(disturbances="none").fit(start, Dataset((fine.with_outputs(outputs),)))
-    shooting = np.abs(np.array([fit.values["K"], fit.values["T"]]) / truth - 1)
-    differences = np.abs(gain_and_time(fine) / truth - 1)
-    assert shooting.max() < 0.01
-    assert differences.max() > 0.15
+    errors = paper("nomoto_sparse_heading").signed("K 2, T 0.3")
+    assert np.abs(errors["fine rudder"]).max() < 1.0
+    assert np.abs(errors["0.1 s"]).max() > 15.0
 
 
 def test_central_differences_are_of_second_order() -> None:

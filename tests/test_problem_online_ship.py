@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.documents.published import paper
 from oed_sysid import Dataset, load_problem
 from oed_sysid.estimators import (
     EquationStream,
-    IncrementalLSSVM,
     OnlineRegression,
     RecursiveLSSVM,
 )
@@ -55,40 +55,13 @@ def test_loop_on_board() -> None:
             assert value == pytest.approx(PROBLEM.truth[name], rel=3e-3)
 
 
-def discrete_zigzag(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Yaw rate and rudder, degrees, of the published discrete model under a 15/5 zigzag."""
-    gain, time_constant, step = -0.2559, 15.6816, 1.5
-    rate, rudder = np.zeros(n + 1), np.zeros(n + 1)
-    heading, order = 0.0, 15.0
-    for k in range(n + 1):
-        if order * (-heading) > 0 and abs(heading) >= 5:
-            order = -order
-        rudder[k] = order
-        if k < n:
-            rate[k + 1] = rate[k] + step / time_constant * (gain * order - rate[k])
-            heading += step * 0.5 * (rate[k] + rate[k + 1])
-    return rate, rudder
-
-
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_second_example_of_the_paper(noise: float) -> None:
     """K and T of the KVLCC2 model: exact from ten samples on; with noise settled by fifty."""
-    rate, rudder = discrete_zigzag(100)
-    rng = np.random.default_rng(3)
-    measured = rate + noise * rate.std() * rng.standard_normal(len(rate))
-    machine = IncrementalLSSVM(C=3e5)
-    features = np.column_stack([measured[:-1], rudder[:-1]])
-    targets = np.diff(measured)
-    machine.start(features[:2], targets[:2])
-    found = {}
-    for k in range(2, 100):
-        machine.update(features[k], targets[k])
-        first, second = machine.coefficients
-        found[k + 1] = (-second / first, -1.5 / first)
+    found = paper("online_ship").second_example(noise, 3)
     for count in (10, 20, 50, 100) if noise == 0 else (50, 100):
         accuracy = 1e-3 if noise == 0 else 0.05
-        assert found[count][0] == pytest.approx(-0.2559, rel=accuracy)
-        assert found[count][1] == pytest.approx(15.6816, rel=accuracy)
+        assert found[count - 3] == pytest.approx([-0.2559, 15.6816], rel=accuracy)
 
 
 def test_noise_is_averaged_out_with_time() -> None:

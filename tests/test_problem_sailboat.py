@@ -8,38 +8,15 @@ from math import radians
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Model, load_problem
-from oed_sysid.estimators import EquationError, GibbsRegression, MultipleShooting
-from oed_sysid.estimators.baselines.regression_rows import exact_rates
-from oed_sysid.simulation import equilibrium, simulate, simulate_inputs
+from benchmarks.documents.published import paper
+from benchmarks.documents.published.sailboat import errors, exact, gibbs, in_errors
+from oed_sysid import load_problem
+from oed_sysid.estimators import EquationError
+from oed_sysid.simulation import simulate_inputs
 
 PROBLEM = load_problem("sailboat")
-DATA = Dataset(tuple(simulate(PROBLEM.model, e, noise=False) for e in PROBLEM.experiments.values()))
-RATES = exact_rates(PROBLEM.model, DATA)
-# Derivatives that carry the forces in these manoeuvres.
-DOMINANT = ("X_uu", "X_vv", "Y_v", "Y_p", "Y_absvv", "Y_absvp", "N_r", "N_absvv", "K_v", "K_p",
-            "K_absvv", "K_pabsv")  # fmt: skip
-
-
-def noisy(level: float, seed: int) -> dict[str, np.ndarray]:
-    """Rates with noise, a share of their standard deviation over all records."""
-    rng = np.random.default_rng(seed)
-    spread = np.vstack(list(RATES.values())).std(axis=0)
-    return {n: r + level * spread * rng.standard_normal(r.shape) for n, r in RATES.items()}
-
-
-def steady_speed(model: Model, angle: float, sheet: float, wind: float) -> dict[str, float]:
-    """Steady states with the wind from ``angle`` degrees to starboard, and the rudder."""
-    found = equilibrium(
-        model,
-        inputs={"sheet": radians(sheet), "wind_speed": wind, "wind_from": 0.0},
-        fixed={"psi": -radians(angle), "r": 0.0, "p": 0.0},
-        free=("delta",),
-        guess={"u": 0.8, "phi": -np.sign(angle) * 0.05},
-        limits=PROBLEM.limits,
-    )
-    assert found.ok
-    return {**found.states, "delta": found.inputs["delta"]}
+SCRIPT = paper("sailboat")
+DATA = SCRIPT.clean
 
 
 def test_number_of_terms() -> None:
@@ -52,29 +29,23 @@ def test_number_of_terms() -> None:
 
 def test_exact_accelerations_give_all_derivatives() -> None:
     """With exact rates the regression returns all 38 numbers."""
-    fit = EquationError(rule="exact", rates=RATES).fit(PROBLEM.model, DATA)
-    assert max(abs(v / PROBLEM.truth[n] - 1) for n, v in fit.values.items()) < 1e-8
+    assert max(errors(exact()).values()) < 1e-6
 
 
 def test_gibbs_finds_what_carries_the_forces() -> None:
     """With 2 % noise dominant derivatives return within 2 %, and the chains have mixed."""
-    rates = noisy(0.02, 0)
-    settings = {"rule": "exact", "rates": rates}
-    fit = GibbsRegression(n_draws=1000, **settings).fit(PROBLEM.model, DATA)
-    for name in DOMINANT:
+    fit = gibbs(0.02, 0, n_draws=1000)
+    for name in SCRIPT.DOMINANT:
         assert fit.values[name] == pytest.approx(PROBLEM.truth[name], rel=0.02), name
     assert max(fit.extras["r_hat"].values()) < 1.01
-    least = EquationError(coloured="never", **settings).fit(PROBLEM.model, DATA)
-    for name in fit.names:
-        assert abs(fit.values[name] - least.values[name]) < 0.15 * least.std_errors[name]
+    rates = SCRIPT.noisy_rates(0, 0.02)
+    least = EquationError(rule="exact", rates=rates, coloured="never").fit(PROBLEM.model, DATA)
+    assert SCRIPT.apart(fit, least) < 0.15
 
 
 def test_coordinate_draws_have_not_converged_where_joint_draws_have() -> None:
     """The published draw, one coefficient at a time, mixes slowly on this problem."""
-    rates = noisy(0.1, 1)
-    fit = GibbsRegression(rule="exact", rates=rates, draw="coordinate", n_draws=1000).fit(
-        PROBLEM.model, DATA
-    )
+    fit = gibbs(0.1, 1, draw="coordinate", n_draws=1000)
     assert fit.status.code == "iterations"
     assert min(fit.extras["effective_draws"].values()) < 200
 
@@ -82,21 +53,13 @@ def test_coordinate_draws_have_not_converged_where_joint_draws_have() -> None:
 @pytest.mark.slow
 def test_posterior_intervals_cover() -> None:
     """Over noise realisations, 95 per cent intervals hold the truth in 91 to 98 per cent."""
-    held = []
-    for seed in range(20):
-        rates = noisy(0.1, seed)
-        fit = GibbsRegression(rule="exact", rates=rates, n_draws=400).fit(PROBLEM.model, DATA)
-        held += [
-            low <= PROBLEM.truth[name] <= high
-            for name in fit.names
-            for low, high in [fit.interval(name)]
-        ]
+    held = [inside for seed in range(20) for inside in SCRIPT.held(gibbs(0.1, seed))]
     assert 0.91 < np.mean(held) < 0.98
 
 
 def test_steady_sailing() -> None:
     """On a beam reach at 5 m/s the boat makes 1.6 m/s, heels to leeward and drifts little."""
-    found = steady_speed(PROBLEM.model, 90.0, 40.0, 5.0)
+    found = SCRIPT.steady(PROBLEM.model, 90.0, 40.0)
     assert found["u"] == pytest.approx(1.64, abs=0.01)
     assert -radians(8) < found["phi"] < -radians(3)
     leeway = -found["v"] / found["u"]
@@ -105,8 +68,8 @@ def test_steady_sailing() -> None:
 
 def test_tacks_are_mirror_images() -> None:
     """With the wind from the other side everything but the speed changes sign."""
-    starboard = steady_speed(PROBLEM.model, 60.0, 40.0, 5.0)
-    port = steady_speed(PROBLEM.model, -60.0, 40.0, 5.0)
+    starboard = SCRIPT.steady(PROBLEM.model, 60.0, 40.0)
+    port = SCRIPT.steady(PROBLEM.model, -60.0, 40.0)
     for name, value in starboard.items():
         mirrored = value if name == "u" else -value
         assert port[name] == pytest.approx(mirrored, abs=1e-6), name
@@ -136,10 +99,7 @@ def test_no_wind_stops_the_boat() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_speed_survives_noisy_accelerations(seed: int) -> None:
     """With 2 % noise on accelerations the steady speed is right within one per cent."""
-    fit = EquationError(rule="exact", rates=noisy(0.02, seed)).fit(PROBLEM.model, DATA)
-    for angle, sheet in ((60.0, 40.0), (120.0, 60.0)):
-        truth = steady_speed(PROBLEM.model, angle, sheet, 5.0)["u"]
-        assert steady_speed(fit.model, angle, sheet, 5.0)["u"] == pytest.approx(truth, rel=0.01)
+    assert SCRIPT.speed_error(0.02, seed) < 1.0
 
 
 def test_trajectories_do_not_hang_on_the_step() -> None:
@@ -174,16 +134,7 @@ def test_sail_changes_sides_without_a_jump() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_multiple_shooting_from_far_starts(seed: int) -> None:
     """From start values up to 30 % off, 38 derivatives return within four standard errors."""
-    rng = np.random.default_rng(seed)
-    records = tuple(
-        simulate(PROBLEM.model, experiment, rng=rng, noise=True)
-        for experiment in PROBLEM.experiments.values()
-    )
-    away = {n: v * (1 + 0.3 * rng.uniform(-1, 1)) for n, v in PROBLEM.truth.items()}
-    fit = MultipleShooting(disturbances="none").fit(
-        PROBLEM.model.with_values(away), Dataset(records)
-    )
+    fit = SCRIPT.from_afar(seed)
     # A gybe hangs on the integration step, and the status says so; the simulator shares the step.
     assert fit.status.code in ("converged", "integration")
-    for name, value in fit.values.items():
-        assert abs(value - PROBLEM.truth[name]) < 4.0 * fit.std_errors[name], name
+    assert in_errors(fit) < 4.0

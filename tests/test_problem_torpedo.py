@@ -2,51 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Model, information_of, load_problem
-from oed_sysid.compiled.kernels import kernel
-from oed_sysid.estimators import DifferentialSwarm, MultipleShooting
+from benchmarks.documents.published import paper
+from benchmarks.documents.published.torpedo import LEVEL, SEEDS
+from oed_sysid import load_problem
+from oed_sysid.estimators import DifferentialSwarm
 from oed_sysid.simulation import simulate, simulate_inputs
 
 PROBLEM = load_problem("torpedo")
 EXPERIMENT = PROBLEM.experiment("pitching")
-START = {"w": 0.0, "q": 0.0, "x": 0.0, **EXPERIMENT.initial}
-
-
-def noisy(level: float, seed: int) -> Dataset:
-    """Record with noise of ``level`` per cent of each channel's peak."""
-    noise = {output.name: level * output.noise_std for output in PROBLEM.model.outputs}
-    rng = np.random.default_rng(seed)
-    return Dataset((simulate(PROBLEM.model, replace(EXPERIMENT, noise=noise), rng=rng),))
-
-
-def middle(model: Model) -> Model:
-    """Start in the middle of the bounds."""
-    return model.with_values({p.name: 0.5 * (p.lower + p.upper) for p in model.free_parameters})
-
-
-def errors(fit) -> dict[str, float]:
-    """Relative errors in per cent."""
-    return {name: 100 * abs(value / PROBLEM.truth[name] - 1) for name, value in fit.values.items()}
-
-
-def expected_errors(model: Model) -> dict[str, float]:
-    """Relative standard deviation in per cent at 1 % noise, start known."""
-    record = simulate(model, EXPERIMENT, noise=False)
-    runner = kernel(model)
-    own = np.array([START[name] for name in model.state_names])
-    z, _ = runner.start(own, record.inputs[0], model.value_vector, 0.0)
-    run = runner.run(record.times, record.inputs, model.value_vector, z, sensitivities=True)
-    sigma = np.array([output.noise_std for output in model.outputs])
-    truth = np.array([abs(model.values[name]) for name in model.free_names])
-    slope = run.output_sensitivities[:, :, runner.n_full :] * truth / sigma[:, None]
-    rows = slope.reshape(-1, len(truth))
-    spread = 100 * np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
-    return dict(zip(model.free_names, spread, strict=True))
+SCRIPT = paper("torpedo")
+START = SCRIPT.START
 
 
 def test_noise_levels_are_shares_of_the_peaks() -> None:
@@ -95,11 +63,11 @@ def test_forces_against_a_hand_calculation() -> None:
 
 def test_what_the_record_can_tell() -> None:
     """Wind axes and slow motion identify all twelve to about five per cent, body axes do not."""
-    wind = expected_errors(PROBLEM.model)
+    wind = SCRIPT.bound_known_start(PROBLEM.model)
     assert max(wind, key=wind.get) == "lambda_26"
     assert wind["lambda_26"] == pytest.approx(4.85, abs=0.05)
     assert wind["C_x"] < 0.2
-    body = expected_errors(PROBLEM.variant("body_axes").model)
+    body = SCRIPT.bound_known_start(PROBLEM.variant("body_axes").model)
     # Not all have a finite bound: the information is singular but for rounding.
     assert np.nanmax(list(body.values())) > 50.0
     assert np.nanmax(list(wind.values())) < 5.0
@@ -108,46 +76,36 @@ def test_what_the_record_can_tell() -> None:
 def test_small_swarm_goes_the_right_way() -> None:
     """A short search lowers the misfit by orders of magnitude and lands near strong parameters."""
     fit = DifferentialSwarm(n_particles=40, n_generations=150, initial=START).fit(
-        PROBLEM.model, noisy(0.0, 0)
+        PROBLEM.model, SCRIPT.data(0.0, 0)
     )
     history = fit.extras["history"]
     assert history[-1] < 1e-2 * history[0]
-    found = errors(fit)
+    found = SCRIPT.errors(fit)
     assert found["m_z_omega"] < 5.0
     assert found["C_x"] < 10.0
 
 
 def test_gradients_need_no_swarm() -> None:
     """Multiple shooting finds the truth from the middle of the bounds."""
-    fit = MultipleShooting(disturbances="none").fit(middle(PROBLEM.model), noisy(0.0, 0))
+    fit = SCRIPT.shooting(0.0, 0)
     assert fit.status.ok
-    assert max(errors(fit).values()) < 1e-3
-
-
-def trajectory_misfit(values: dict[str, float], data: Dataset) -> float:
-    """Mean square residual in the declared noise, for the start state that the swarm is told."""
-    record = data[0]
-    run = simulate_inputs(
-        PROBLEM.model.with_values(values), record.times, inputs=record.inputs, initial=START
-    )
-    sigma = np.array([output.noise_std for output in PROBLEM.model.outputs])
-    return float(np.mean(((run.outputs - record.outputs) / sigma) ** 2))
+    assert max(SCRIPT.errors(fit).values()) < 1e-3
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("level", "seed"), [(0.0, 0), (1.0, 0), (3.0, 1)])
 def test_published_experiment(level: float, seed: int) -> None:
     """With 60 particles and 300 generations the swarm fits better than the truth does."""
-    data = noisy(level, 100 + seed)
+    data = SCRIPT.data(level, 100 + seed)
     fit = DifferentialSwarm(seed=seed, initial=START).fit(PROBLEM.model, data)
-    found = errors(fit)
+    found = SCRIPT.errors(fit)
     if level == 0:
         assert max(found.values()) < 2.0
         return
     # The optimum lies below the truth's misfit; 12 of some 3600 degrees of freedom are spent.
-    assert trajectory_misfit(fit.values, data) < trajectory_misfit(PROBLEM.truth, data)
+    assert SCRIPT.misfit(fit.values, data[0]) < SCRIPT.misfit(PROBLEM.truth, data[0])
     assert fit.extras["history"][-1] == pytest.approx(level**2, rel=0.05)
-    expected = expected_errors(PROBLEM.model)
+    expected = SCRIPT.bound_known_start(PROBLEM.model)
     strong = ("C_x", "C_y_omega", "m_z_omega", "m_z_alpha", "C_y_alpha")
     for name in strong:
         assert found[name] < 3.0 * level * expected[name], name
@@ -156,16 +114,7 @@ def test_published_experiment(level: float, seed: int) -> None:
 @pytest.mark.slow
 def test_published_accuracy_at_500_samples_per_second() -> None:
     """At 3 % noise all twelve errors stay below 7 % in most of six seeds, as their bound allows."""
-    experiment = PROBLEM.experiment("pitching_500_hz")
-    noise = {output.name: 3 * output.noise_std for output in PROBLEM.model.outputs}
-    clean = Dataset((simulate(PROBLEM.model, experiment, noise=False),))
-    truth = np.array([abs(PROBLEM.truth[name]) for name in PROBLEM.model.free_names])
-    bound = information_of(PROBLEM.model, clean, priors=None).std_errors / truth
-    assert 100 * 3 * bound.max() < 4.0
-    worst = []
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        record = simulate(PROBLEM.model, replace(experiment, noise=noise), rng=rng)
-        fit = MultipleShooting(disturbances="none").fit(middle(PROBLEM.model), Dataset((record,)))
-        worst.append(max(errors(fit).values()))
+    assert LEVEL * max(SCRIPT.bound("pitching_500_hz").values()) < 4.0
+    fits = [SCRIPT.shooting(LEVEL, seed, "pitching_500_hz") for seed in range(SEEDS)]
+    worst = [max(SCRIPT.errors(fit).values()) for fit in fits]
     assert sum(error < 7.0 for error in worst) >= 5

@@ -1,44 +1,56 @@
 """Measure the numbers of the documents' pages and write them.
 
-    python -m benchmarks.documents [page ...] [--only section ...] [--write]
+    python -m benchmarks.documents [page ...] [--write [--only section ...] | --kept]
 
-Without ``--write`` nothing is measured: pages are compared with the numbers kept.
+With ``--write`` sections are measured and pages written; with ``--kept`` pages are written from
+the numbers that were measured last; without either they are compared with these.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Collection
 
-from benchmarks.documents import extrapolation, measured_data
+from benchmarks.documents import extrapolation, measured_data, published
 from benchmarks.documents.page import Page, Unfounded
 
-PAGES = {page.name: page for page in (measured_data.PAGE, extrapolation.PAGE)}
+PAGES = {page.name: page for page in (measured_data.PAGE, extrapolation.PAGE, published.PAGE)}
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure and write; return how many pages could not be written or differ."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.documents", description=__doc__)
     parser.add_argument("pages", nargs="*", metavar="page", help=", ".join(PAGES))
-    parser.add_argument("--only", nargs="+", default=None, help="sections to measure, none: 'no'")
-    parser.add_argument("--write", action="store_true", help="measure, and write the pages")
+    parser.add_argument("--only", nargs="+", default=None, help="sections to measure")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--write", action="store_true", help="measure, and write the pages")
+    how.add_argument("--kept", action="store_true", help="write from the numbers kept")
     given = parser.parse_args(arguments)
     if unknown := [name for name in given.pages if name not in PAGES]:
         parser.error(f"there is no page {unknown[0]}; choose from {', '.join(PAGES)}")
     pages = [PAGES[name] for name in given.pages or PAGES]
-    known = {section for page in pages for section in page.sections} | {"no"}
+    known = {section for page in pages for section in page.sections}
     if unknown := [name for name in given.only or () if name not in known]:
         parser.error(f"there is no section {unknown[0]}; choose from {', '.join(sorted(known))}")
-    return sum(_worked(page, given.only, write=given.write) for page in pages)
+    if given.only and not given.write:
+        parser.error("--only says what --write measures")
+    if given.write:
+        for page in pages:
+            measure(page, given.only or page.sections)
+    return sum(_ended(page, write=given.write or given.kept) for page in pages)
 
 
-def _worked(page: Page, only: list[str] | None, *, write: bool) -> int:
-    """Measure one page's sections and write it, or compare it; 1 where that fails."""
-    if write:
-        for section in page.sections:
-            if only is None or section in only:
-                print(f"{page.name}, {section} ...", flush=True)
-                print(f"  {page.measure(section)['seconds']} s", flush=True)
+def measure(page: Page, sections: Collection[str]) -> None:
+    """Measure these sections of a page, in its order."""
+    for section in page.sections:
+        if section in sections:
+            print(f"{page.name}, {section} ...", flush=True)
+            print(f"  {page.measure(section)['seconds']} s", flush=True)
+
+
+def _ended(page: Page, *, write: bool) -> int:
+    """Write one page from the numbers kept, or compare it; 1 where that fails."""
     try:
         text = page.text()
     except Unfounded as error:

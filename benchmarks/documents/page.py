@@ -60,9 +60,11 @@ def number(value: float, form: str = ".3g") -> str:
 
     Examples
     --------
-    >>> number(-0.004, ".1f"), number(0.0314), number(2.0, "+.1f")
-    ('0.0', '0.0314', '+2.0')
+    >>> number(-0.004, ".1f"), number(0.0314), number(2.0, "+.1f"), number(12, "d")
+    ('0.0', '0.0314', '+2.0', '12')
     """
+    if form.endswith("d"):  # which has no sign of a zero to leave out
+        return f"{value:{form}}"
     sign, rest = (form[0], form[1:]) if form[0] in "+- " else ("", form)
     return f"{value:{sign}z{rest}}"
 

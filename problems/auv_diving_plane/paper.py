@@ -18,6 +18,7 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.estimators import LeastSquaresSVM, SupportVectorRegression
 from oed_sysid.estimators.baselines.regression_rows import exact_rates
 from oed_sysid.experiment import Limits
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.manoeuvres import Piecewise, ZigZagLike
 from oed_sysid.report import new_figure
 from oed_sysid.simulation import simulate, simulate_inputs
@@ -26,6 +27,8 @@ problem = load_problem("auv_diving_plane")
 TRUTH = problem.truth
 BEYOND = 5.0  # per cent, the published mark
 STATES = ("u", "w", "q", "theta", "x", "z")
+AREA = 0.5 * 1025 * 5.3**2  # rho/2 L^2, which makes forces dimensionless; times L, moments
+DIMENSIONLESS = {"u": AREA, "w": AREA, "q": AREA * 5.3}
 
 
 def published_run() -> Record:
@@ -110,9 +113,14 @@ def ways(record: Record) -> dict[str, dict[str, float]]:
     found["e-SVR"] = SupportVectorRegression(rule="simpson")
     values = {label: method.fit(problem.model, data).values for label, method in found.items()}
     values["one step"] = one_step(record)
-    away = problem.model.with_values({name: 1.3 * value for name, value in TRUTH.items()})
-    values["shooting"] = MultipleShooting(disturbances="none").fit(away, data).values
+    values["shooting"] = shooting(record).values
     return values
+
+
+def shooting(record: Record, factor: float = 1.3) -> Fit:
+    """Trajectories fitted from start values that are the truth's times ``factor``."""
+    away = problem.model.with_values({name: factor * value for name, value in TRUTH.items()})
+    return MultipleShooting(disturbances="none").fit(away, Dataset((record,)))
 
 
 def _five_points(states: np.ndarray, step: float) -> np.ndarray:
@@ -151,17 +159,38 @@ def least_sensitive(names: tuple[str, ...], order: dict[str, float]) -> bool:
     return bool(names) and set(names) == set(heave_pitch[: len(names)])
 
 
-def weights(record: Record) -> dict[float, float]:
-    """Largest error, per cent, with exact accelerations, for C in dimensionless equations."""
+def reduced_errors(record: Record) -> dict[str, float]:
+    """Error of the reduced model's u, w, q, theta, rms over the rms of each."""
+    model = problem.variant("reduced").model
+    run = simulate_inputs(model, record.times, inputs=record.inputs, initial={"z": 100.0})
+    reference = record.outputs[:, :4]
+    size = np.sqrt(np.mean(reference**2, axis=0))
+    error = np.sqrt(np.mean((run.outputs[:, :4] - reference) ** 2, axis=0))
+    return dict(zip(STATES, (error / size).tolist(), strict=False))
+
+
+def weighted(record: Record, weight: float) -> dict[str, float]:
+    """Errors, per cent, with exact accelerations and this C in dimensionless equations."""
     data = Dataset((record,))
-    rates, area = exact_rates(problem.model, data), 0.5 * 1025 * 5.3**2  # rho/2 L^2
-    scale = {"u": area, "w": area, "q": area * 5.3}
-    found = {}
-    for weight in (3e2, 3e4, 3e6, 3e14):
-        method = LeastSquaresSVM(C=weight, rule="exact", rates=rates, scale=scale)
-        values = method.fit(problem.model, data).values
-        found[weight] = max(abs(error) for error in errors(values).values())
-    return found
+    rates = exact_rates(problem.model, data)
+    method = LeastSquaresSVM(C=weight, rule="exact", rates=rates, scale=DIMENSIONLESS)
+    return errors(method.fit(problem.model, data).values)
+
+
+def forms(record: Record, scale: str | dict[str, float]) -> tuple[Fit, Fit]:
+    """Primal and dual solution of the same equations, divided by ``scale``."""
+    primal, dual = (
+        LeastSquaresSVM(form=form, rule="trapezoid", scale=scale).fit(
+            problem.model, Dataset((record,))
+        )
+        for form in ("primal", "dual")
+    )
+    return primal, dual
+
+
+def apart(primal: Fit, dual: Fit) -> float:
+    """Largest relative difference of two solutions."""
+    return float(np.max(np.abs(dual.estimates / primal.estimates - 1)))
 
 
 def figures(folder: Path, record: Record, order: dict[str, float]) -> None:
@@ -222,7 +251,8 @@ def main(arguments: list[str] | None = None) -> None:
         counts = (len(beyond(values)) for values in ways(run).values())
         print(f"{label:28}" + "".join(f"{count:11d}" for count in counts))
     print()
-    for weight, worst in weights(record).items():
+    for weight in (3e2, 3e4, 3e6, 3e14):
+        worst = max(abs(error) for error in weighted(record, weight).values())
         print(f"C = {weight:.0e} in dimensionless equations: largest error {worst:.3g} %")
     if folder:
         folder.mkdir(parents=True, exist_ok=True)

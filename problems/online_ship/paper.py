@@ -18,6 +18,9 @@ import numpy as np
 from oed_sysid import Dataset, load_problem
 from oed_sysid.errors import DataError, PrecisionWarning
 from oed_sysid.estimators import LeastSquaresSVM
+from oed_sysid.estimators.baselines.ls_svm import train
+from oed_sysid.estimators.baselines.regression_form import regression_form
+from oed_sysid.estimators.baselines.regression_rows import rows_of
 from oed_sysid.estimators.online import EquationStream, IncrementalLSSVM, RecursiveLSSVM
 from oed_sysid.report import new_figure
 from oed_sysid.simulation import simulate, simulate_inputs
@@ -25,6 +28,7 @@ from oed_sysid.simulation import simulate, simulate_inputs
 WEIGHT = 3e5  # as published
 STEP, SAMPLES = 1.5, 100  # s, and number: the measured example as published
 RUNS = ("25_05", "15_05", "10_01")
+PUBLISHED = (-0.2559, 15.6816)  # K, 1/s, and T, s
 # Rudder and rate of a step: its first samples, as the difference equation says, or their mean.
 INSTANT, AVERAGE = np.array([1.0, 0, 0, 0]), np.array([0.5, 1.0, 1.0, 0.5]) / 3
 MACHINES = {
@@ -36,10 +40,10 @@ problem = load_problem("online_ship")
 NAMES = ("Y_v", "Y_r", "Y_delta", "N_v", "N_r", "N_delta")
 
 
-def on_line() -> dict:
+def on_line(rule: str = "trapezoid") -> dict:
     """Coefficients after every sample of the 5/5 zigzag, and the distance from the batch."""
     record = simulate(problem.model, problem.experiment("zigzag_5_5"), noise=False)
-    stream = EquationStream(problem.model, rule="trapezoid")
+    stream = EquationStream(problem.model, rule=rule)
     machines = {kind: {e: make(WEIGHT) for e in ("v", "r")} for kind, make in MACHINES.items()}
     pending: dict[str, list] = {"v": [], "r": []}
     history = []
@@ -59,7 +63,7 @@ def on_line() -> dict:
         if len(pending["r"]) >= 6:
             flat = machines["flat"]
             history.append((k, np.hstack([flat[e].coefficients for e in ("v", "r")])))
-    batch = LeastSquaresSVM(C=WEIGHT, rule="trapezoid").fit(problem.model, Dataset((record,)))
+    batch = LeastSquaresSVM(C=WEIGHT, rule=rule).fit(problem.model, Dataset((record,)))
     apart = {
         kind: max(
             np.abs(m.coefficients / [batch.values[n] for n in stream.names(e)] - 1).max()
@@ -77,11 +81,79 @@ def on_line() -> dict:
     }
 
 
+def recursion_gap(
+    machine: IncrementalLSSVM | RecursiveLSSVM, features: np.ndarray, targets: np.ndarray
+) -> float:
+    """Largest relative distance of a recursion from the batch, after every sample.
+
+    Parameters
+    ----------
+    machine : IncrementalLSSVM or RecursiveLSSVM
+        Begins with two samples, as published.
+    features : ndarray (n_samples, n_features)
+    targets : ndarray (n_samples,)
+    """
+    machine.start(features[:2], targets[:2])
+    worst = 0.0
+    for k in range(2, len(targets)):
+        machine.update(features[k], targets[k])
+        # The recursion of flat cost is of the primal form, the others are of the dual.
+        form = "primal" if isinstance(machine, RecursiveLSSVM) else "dual"
+        batch = train(features[: k + 1], targets[: k + 1], C=machine.C, form=form)
+        size = np.linalg.norm(batch.coefficients)
+        away = np.linalg.norm(machine.coefficients - batch.coefficients)
+        worst = max(worst, away / size, abs(machine.bias - batch.bias) / size)
+    return float(worst)
+
+
+def yaw_rows(noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Features ``(200, 3)`` and targets of the yaw equation, noise a share of the targets' spread."""
+    record = simulate(problem.model, problem.experiment("zigzag_5_5"), noise=False)
+    rows = rows_of(regression_form(problem.model), Dataset((record,)), rule="trapezoid")
+    features, targets, _ = rows.equation(1)
+    rng = np.random.default_rng(0)
+    return features, targets + noise * targets.std() * rng.standard_normal(len(targets))
+
+
+def discrete_zigzag(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Yaw rate and rudder, degrees, of the published discrete model under a 15/5 zigzag."""
+    gain, time_constant = PUBLISHED
+    rate, rudder = np.zeros(n + 1), np.zeros(n + 1)
+    heading, order = 0.0, 15.0
+    for k in range(n + 1):
+        if order * (-heading) > 0 and abs(heading) >= 5:
+            order = -order
+        rudder[k] = order
+        if k < n:
+            rate[k + 1] = rate[k] + STEP / time_constant * (gain * order - rate[k])
+            heading += STEP * 0.5 * (rate[k] + rate[k + 1])
+    return rate, rudder
+
+
+def second_example(noise: float, seed: int) -> np.ndarray:
+    """K and T after 3 to 100 samples of the published model, ``(98, 2)``; noise of the rate's spread."""
+    rate, rudder = discrete_zigzag(SAMPLES)
+    rng = np.random.default_rng(seed)
+    seen = rate + noise * rate.std() * rng.standard_normal(len(rate))
+    machine = IncrementalLSSVM(C=WEIGHT)
+    features, targets = np.column_stack([seen[:-1], rudder[:-1]]), np.diff(seen)
+    machine.start(features[:2], targets[:2])
+    found = []
+    for row, target in zip(features[2:], targets[2:], strict=True):
+        machine.update(row, target)
+        by_rate, by_rudder = machine.coefficients
+        found.append((-by_rudder / by_rate, -STEP / by_rate))
+    return np.array(found)
+
+
 def measured(average: np.ndarray, weight: float, unit: float) -> dict[str, np.ndarray]:
-    """K and T of each measured run, ``(3, 2)``, by every recursion; and the residual of the first."""
+    """K and T of each measured run, ``(3, 2)``, by every recursion.
+
+    Also the residual of the published recursion, ``(3,)``, and whether it warned.
+    """
     data = load_problem("kvlcc2").data()
     found: dict[str, list] = {kind: [] for kind in MACHINES}
-    residuals = []
+    residuals, warned = [], []
     for run in RUNS:
         rate, rudder = (unit * s for s in (data[run].output("r"), data[run].input("delta")))
         ends = np.arange(0, 3 * SAMPLES + 1, 3)  # 2 Hz records
@@ -92,14 +164,16 @@ def measured(average: np.ndarray, weight: float, unit: float) -> dict[str, np.nd
             machine.start(rows[:2], targets[:2])
             for row, target in zip(rows[2:], targets[2:], strict=True):
                 machine.update(row, target)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", PrecisionWarning)
+            with warnings.catch_warnings(record=True) as said:
+                warnings.simplefilter("always", PrecisionWarning)
                 by_rate, by_rudder = machine.coefficients
                 if kind == "inverse":
                     residuals.append(machine.residual)
+                    warned.append(bool(said))
             found[kind].append((-by_rudder / by_rate, -STEP / by_rate))
     return {kind: np.array(values) for kind, values in found.items()} | {
-        "residual": np.array(residuals)
+        "residual": np.array(residuals),
+        "warned": np.array(warned),
     }
 
 

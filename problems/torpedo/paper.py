@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from oed_sysid import Dataset, MultipleShooting, information_of, load_problem
+from oed_sysid import Dataset, Model, MultipleShooting, Record, information_of, load_problem
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.estimators import DifferentialSwarm
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.report import new_figure
@@ -31,19 +32,35 @@ middle = problem.model.with_values(
 )
 
 
-def data(level: float, seed: int) -> Dataset:
+def data(level: float, seed: int, name: str = "pitching") -> Dataset:
     """Record with noise of ``level`` per cent of each channel's peak."""
     noise = {output.name: level * output.noise_std for output in problem.model.outputs}
     rng = np.random.default_rng(seed)
-    run = replace(experiment, noise=noise)
+    run = replace(problem.experiment(name), noise=noise)
     return Dataset((simulate(problem.model, run, rng=rng, noise=level > 0),))
 
 
-def bound() -> dict[str, float]:
+def bound(name: str = "pitching") -> dict[str, float]:
     """Standard errors that the record allows at 1 % noise, start state unknown, per cent."""
-    stds = information_of(problem.model, data(0.0, 0), priors=None).std_errors
+    stds = information_of(problem.model, data(0.0, 0, name), priors=None).std_errors
     names = problem.model.free_names
     return {n: float(100 * s / abs(problem.truth[n])) for n, s in zip(names, stds, strict=True)}
+
+
+def bound_known_start(model: Model) -> dict[str, float]:
+    """The same with the start state known, as the swarm is told it; NaN where there is none."""
+    record = simulate(model, experiment, noise=False)
+    runner = kernel(model)
+    own = np.array([START[name] for name in model.state_names])
+    z, _ = runner.start(own, record.inputs[0], model.value_vector, 0.0)
+    run = runner.run(record.times, record.inputs, model.value_vector, z, sensitivities=True)
+    sigma = np.array([output.noise_std for output in model.outputs])
+    truth = np.array([abs(model.values[name]) for name in model.free_names])
+    slope = run.output_sensitivities[:, :, runner.n_full :] * truth / sigma[:, None]
+    rows = slope.reshape(-1, len(truth))
+    with np.errstate(invalid="ignore"):  # variances below zero where only rounding informs
+        spread = 100 * np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
+    return dict(zip(model.free_names, spread.tolist(), strict=True))
 
 
 def swarm_fit(level: float, seed: int, *, generations: int = N_GENERATIONS) -> Fit:
@@ -52,6 +69,19 @@ def swarm_fit(level: float, seed: int, *, generations: int = N_GENERATIONS) -> F
         n_particles=N_PARTICLES, n_generations=generations, initial=START, seed=seed
     )
     return swarm.fit(middle, data(level, seed))
+
+
+def shooting(level: float, seed: int, name: str = "pitching") -> Fit:
+    """Multiple shooting from the middle of the bounds."""
+    return MultipleShooting(disturbances="none").fit(middle, data(level, seed, name))
+
+
+def misfit(values: dict[str, float], record: Record) -> float:
+    """Mean square residual in units of 1 % noise, from the start that the swarm is told."""
+    model = problem.model.with_values(values)
+    run = simulate_inputs(model, record.times, inputs=record.inputs, initial=START)
+    sigma = np.array([output.noise_std for output in model.outputs])
+    return float(np.mean(((run.outputs - record.outputs) / sigma) ** 2))
 
 
 def errors(fit: Fit) -> dict[str, float]:
@@ -102,11 +132,7 @@ def main(arguments: list[str] | None = None) -> None:
     for level, seed in runs:
         for label in ("swarm", "multiple shooting"):
             began = time.perf_counter()
-            fit = (
-                swarm_fit(level, seed)
-                if label == "swarm"
-                else MultipleShooting(disturbances="none").fit(middle, data(level, seed))
-            )
+            fit = swarm_fit(level, seed) if label == "swarm" else shooting(level, seed)
             seconds = time.perf_counter() - began
             found = sorted(errors(fit).items(), key=lambda pair: -pair[1])
             worst = [f"{n} {e:.1f}" for n, e in found if e > 2] or [
