@@ -216,11 +216,11 @@ class Contradiction:
         listed = ", ".join(f"{name} {value:+.1f}" for name, value in self.apart.items())
         where = f" ({listed} standard errors)" if listed else ""
         return (
-            f"what the runs say of the model differs by more than their errors allow (chi-squared "
-            f"{self.statistic:.3g} with {self.freedom} degrees of freedom, chance "
-            f"{self.chance:.1g}), most of all {self.source}{where}. The model lacks something, or "
-            "a prior is wrong: the errors below do not hold. Look for what is missing with "
-            "improve(), or correct the prior, fit again and decide then."
+            "what the runs, and what was known before, say of the model differs by more than their "
+            f"errors allow (chi-squared {self.statistic:.3g} with {self.freedom} degrees of "
+            f"freedom, chance {self.chance:.1g}), most of all {self.source}{where}. The model "
+            "lacks something, or a prior is wrong: errors do not hold. Look for what is missing "
+            "with improve(), or correct the prior, fit again and decide then."
         )
 
 
