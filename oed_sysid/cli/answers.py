@@ -210,18 +210,30 @@ def of_decision(decision: Decision, n_runs: int, hours: float) -> str:
     if run is None:
         reason = {
             "enough": "everything asked for is known well enough",
+            "contradicted": "on paper everything is known, but the records contradict it, so that "
+            "its errors do not hold; look for what the model lacks (improve)",
+            "unchecked": "on paper everything is known, but one run alone has said so, and no "
+            "other that keeps its limits could check it",
             "useless": "no run that keeps its limits brings what is missing nearer",
             "no time": "not even the next run fits into the time that is left",
         }[decision.action]
         rest = "" if met == len(decision.goals) else f" ({met} of {len(decision.goals)} goals met)"
         return f"STOP{done}: {reason}{rest}."
     words = f"GO ON{done}: {run.name} next ({run.cost / 3600:.2g} h)"
-    far = max(
-        (one for one in decision.goals if not one.is_met),
-        key=lambda one: one.now / one.goal.tolerance,
-    )
-    now, then = (far.goal.words(decision.model, value) for value in (far.now, far.then))
-    words += f" brings {far.goal.name} from {now} to {then}"
+    if decision.contradiction is not None:
+        words = (
+            "WARNING: the records contradict one another, so that the errors do not hold; look for "
+            f"what the model lacks (improve) first; {words}"
+        )
+    if decision.is_check:
+        words += " checks what one run alone has said"
+    else:
+        far = max(
+            (one for one in decision.goals if not one.is_met),
+            key=lambda one: one.now / one.goal.tolerance,
+        )
+        now, then = (far.goal.words(decision.model, value) for value in (far.now, far.then))
+        words += f" brings {far.goal.name} from {now} to {then}"
     if math.isfinite(decision.hours_left):
         n = decision.runs_left
         words += f"; {n} run{'s' if n != 1 else ''}, {decision.hours_left:.2g} h to go"

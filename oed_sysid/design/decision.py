@@ -14,13 +14,20 @@ prediction. With information :math:`F` in hand and :math:`F_i` of candidate run 
 is the next run; repeating this on paper until all goals are met tells the hours that are left.
 All of it is linear algebra on one set of derivatives, so that the answer is there before the
 vehicle has turned.
+
+Errors are those of a model that is right, and a model that lacks a term does not look wrong in one
+run: coefficients stand for it, random forces take the rest. So two more things are asked before
+everything is called known. Another run must have had the chance to contradict the first; where none
+has, the one that tells most is the next. And what was known before and every record must agree
+(:mod:`oed_sysid.fitting.agreement`), apart from differences of a tenth of the goals. Where they
+do not, no stated error holds, and no number of further runs mends it.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -34,6 +41,7 @@ from oed_sysid.design.quantities import percent, quantity, units_of
 from oed_sysid.design.robust import draw_models
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Experiment, Limits
+from oed_sysid.fitting.between_records import CHANCE
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import Information
 from oed_sysid.model import Model
@@ -44,6 +52,10 @@ from oed_sysid.sensitivity.response import plays, respond
 
 # A run that lowers what is missing by less than this per goal is not worth its fuel.
 WORTH = 0.01
+# Share of a goal's tolerance by which records may differ without a word.
+IMMATERIAL = 0.1
+# Parameters that are named where records contradict one another, and standard errors from which on.
+NAMED, APART = 3, 2.0
 _MOST_AHEAD = 40
 _VEHICLES = 20
 
@@ -173,6 +185,45 @@ class Progressed:
         return self.now <= self.goal.tolerance
 
 
+@dataclass(frozen=True)
+class Contradiction:
+    """Records, or what was known before them, that cannot all be right about the model.
+
+    Attributes
+    ----------
+    source : str
+        The record that differs most, or ``"what was known before"``.
+    statistic : float
+        Squared distance of what it says from what all others say, or of all from one another,
+        whichever is less likely.
+    freedom : int
+        What it would be about, were all right.
+    chance : float
+        Of so large a statistic then, all comparisons taken together.
+    apart : mapping of str to float
+        Parameters in which the source differs from the others clearly, in standard errors.
+    """
+
+    source: str
+    statistic: float
+    freedom: int
+    chance: float
+    apart: Mapping[str, float]
+
+    @property
+    def text(self) -> str:
+        """What was expected, what was found, what to do."""
+        listed = ", ".join(f"{name} {value:+.1f}" for name, value in self.apart.items())
+        where = f" ({listed} standard errors)" if listed else ""
+        return (
+            "what the runs, and what was known before, say of the model differs by more than their "
+            f"errors allow (chi-squared {self.statistic:.3g} with {self.freedom} degrees of "
+            f"freedom, chance {self.chance:.1g}), most of all {self.source}{where}. The model "
+            "lacks something, or a prior is wrong: errors do not hold. Look for what is missing "
+            "with improve(), or correct the prior, fit again and decide then."
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Decision:
     """What to do next.
@@ -181,8 +232,10 @@ class Decision:
     ----------
     model : Model
     action : str
-        ``"go on"``, ``"enough"`` (all goals are met), ``"useless"`` (no run that keeps its
-        limits helps) or ``"no time"``.
+        ``"go on"``, ``"enough"`` (all goals are met and another run has checked the model),
+        ``"contradicted"`` (all goals are met on paper, but records contradict one another),
+        ``"unchecked"`` (all goals are met on paper, and no run that keeps its limits could check
+        the model), ``"useless"`` (no run that keeps its limits helps) or ``"no time"``.
     goals : tuple of Progressed
     next_run : Candidate or None
     runs_left, hours_left : int, float
@@ -197,6 +250,8 @@ class Decision:
         where there are no limits, or nothing is known that vehicles could be drawn from.
     n_checked : int
         These vehicles, the nominal one included.
+    contradiction : Contradiction or None
+        Why the errors must not be believed; None where nothing says so.
     """
 
     model: Model
@@ -210,6 +265,12 @@ class Decision:
     seconds: float
     kept: float | None = None
     n_checked: int = 0
+    contradiction: Contradiction | None = None
+
+    @property
+    def is_check(self) -> bool:
+        """Whether the next run is there only to check what is known on paper."""
+        return self.action == "go on" and all(one.is_met for one in self.goals)
 
     @property
     def stop(self) -> bool:
@@ -220,11 +281,18 @@ class Decision:
         """Return the decision in words, the verdict first."""
         head = {
             "enough": "STOP: everything asked for is known well enough.",
+            "contradicted": "STOP: on paper everything is known, but the records contradict it.",
+            "unchecked": "STOP: on paper everything is known, but one run alone has said so, and "
+            "no other that keeps its limits could check it.",
             "useless": "STOP: no run that keeps its limits brings what is missing nearer.",
             "no time": "STOP: not even the next run fits into the time that is left.",
             "go on": "GO ON.",
         }[self.action]
+        if self.is_check:
+            head = "GO ON: on paper everything is known, but one run alone has said so; check it."
         lines = [head]
+        if self.contradiction is not None:
+            lines.append(f"  WARNING       {self.contradiction.text}")
         if self.action == "go on" and self.next_run is not None:
             lines.append(f"  next          {self.next_run.name}")
             if self.kept is not None:
@@ -276,6 +344,7 @@ class Decision:
             "limits_kept": self.kept,
             "vehicles_checked": self.n_checked,
             "refused": list(self.refused),
+            "contradiction": None if self.contradiction is None else asdict(self.contradiction),
             "seconds": self.seconds,
         }
 
@@ -350,11 +419,18 @@ def decide(
         told.append(found.matrix * scales[:, None] * scales)
         runs.append(run)
     now = _deviations(matrix, rows)
+    met = bool(np.all(now <= wanted))
+    contradiction = _contradiction(fit, goals) if isinstance(fit, Fit) else None
+    needs_check = met and contradiction is None and isinstance(fit, Fit) and _is_alone(fit)
     refused: list[str] = []
     chosen, share, n_checked = None, None, 0
-    if np.any(now > wanted):
+    if not met or needs_check:
         vehicles = _possible(model, known, rng)
-        while ranked := _ranked(matrix, told, runs, rows, wanted):
+        while ranked := (
+            _telling(matrix, told, runs)
+            if needs_check
+            else _ranked(matrix, told, runs, rows, wanted)
+        ):
             best = runs[ranked[0]]
             corridor = Corridor.of(
                 model, limits or best.experiment.limits, {}, kernel(model).n_full
@@ -369,11 +445,13 @@ def decide(
             told.pop(ranked[0])
             runs.pop(ranked[0])
     steps = [] if chosen is None else _path(matrix, told, runs, rows, wanted)
+    if needs_check and chosen is not None:
+        steps = [chosen]
     then = now if chosen is None else _deviations(matrix + told[chosen], rows)
-    if np.all(now <= wanted):
-        action = "enough"
+    if met and not needs_check:
+        action = "enough" if contradiction is None else "contradicted"
     elif chosen is None:
-        action = "useless"
+        action = "unchecked" if needs_check else "useless"
     elif hours is not None and runs[chosen].cost > 3600.0 * hours:
         action = "no time"
     else:
@@ -394,7 +472,61 @@ def decide(
         seconds=time.perf_counter() - began,
         kept=share,
         n_checked=n_checked,
+        contradiction=contradiction,
     )
+
+
+def _is_alone(fit: Fit) -> bool:
+    """Whether nothing but one run has told the parameters, so that nothing could contradict it."""
+    return len(tuple(fit.dataset)) < 2
+
+
+def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
+    """Records and priors of a fit that cannot all be right, by more than the goals care for."""
+    sources = fit.sources
+    if sources is None or not fit.status.ok:
+        return None
+    shared = {g.name: g for g in goals if isinstance(g, ParameterGoal)}
+    allowed = [
+        IMMATERIAL * shared[n].tolerance * fit.model.parameter(n).reference if n in shared else 0.0
+        for n in fit.names
+    ]
+    with np.errstate(invalid="ignore"):
+        grown = np.diag(fit.covariance) / np.diag(fit.information.covariance)
+    grown = grown[np.isfinite(grown)]
+    found = sources.agreement(
+        allowance=np.array(allowed), inflation=max(1.0, float(grown.mean()) if len(grown) else 1.0)
+    )
+    if found.chance >= CHANCE:
+        return None
+    least = int(np.argmin(found.chances))
+    series = [record.name for record in fit.dataset if not record.independent]
+    apart = sources.apart(found.worst)
+    order = [int(i) for i in np.argsort(-np.abs(apart)) if abs(apart[i]) > APART][:NAMED]
+    return Contradiction(
+        source="what was known before" if found.worst == 0 else repr(series[found.worst - 1]),
+        statistic=(found.statistic, *found.each)[least],
+        freedom=(found.freedom, *found.each_freedom)[least],
+        chance=found.chance,
+        apart={fit.names[i]: float(apart[i]) for i in order},
+    )
+
+
+def _telling(
+    matrix: np.ndarray, told: Sequence[np.ndarray], runs: Sequence[Candidate]
+) -> list[int]:
+    """Runs in the order of what they tell of all parameters, per second.
+
+    What a run says by itself is what it can contradict.
+    """
+    if not len(told):
+        return []
+    # Directions of which nothing is known yet count much, but not without end.
+    floor = 1e-9 * np.eye(len(matrix)) * max(float(np.diag(matrix).max(initial=0.0)), 1e-300)
+    before = np.linalg.slogdet(matrix + floor)[1]
+    after = np.linalg.slogdet(matrix + floor + np.stack(told))[1]
+    gains = (after - before) / np.array([run.cost for run in runs])
+    return [int(i) for i in np.argsort(-gains, kind="stable")]
 
 
 def _deviations(matrix: np.ndarray, rows: Sequence[np.ndarray]) -> np.ndarray:
@@ -427,8 +559,14 @@ def _ranked(
     wanted: np.ndarray,
 ) -> list[int]:
     gains = _gains(matrix, told, runs, rows, wanted)
+    if not len(gains):
+        return []
     least = np.array([WORTH / run.cost for run in runs])
-    return [int(i) for i in np.argsort(-gains, kind="stable") if gains[i] > least[i]]
+    # What is nearly met needs little: a run that meets it is worth its fuel all the same.
+    now = _deviations(matrix, rows) > wanted
+    then = _deviations(matrix + np.stack(told), rows) > wanted
+    worth = (gains > least) | (then.sum(axis=-1) < now.sum())
+    return [int(i) for i in np.argsort(-gains, kind="stable") if worth[i]]
 
 
 def _path(

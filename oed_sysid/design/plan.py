@@ -424,8 +424,8 @@ def knowledge(
         raise DesignError(f"prior is {prior!r}. Choose 'auto', None or an Information.")
     elif isinstance(given, Fit):
         information = given.information
-        if given.coloured and np.all(np.isfinite(given.covariance)):
-            # Coloured residuals: what the fit really knows is its sandwich covariance.
+        if _has_own_errors(given):
+            # Colour, scatter: what the fit really knows is the covariance that it states.
             information = Information.from_matrix(
                 given.names, np.linalg.inv(given.covariance), information.scales
             )
@@ -435,6 +435,13 @@ def knowledge(
     if not rows.any():
         return None
     return Information(names, triangle(rows) * scales, scales)
+
+
+def _has_own_errors(fit: Fit) -> bool:
+    """Whether a fit states another covariance than the inverse of its information."""
+    if not len(fit.names) or not np.all(np.isfinite(fit.covariance)):
+        return False
+    return not np.allclose(fit.covariance, fit.information.covariance, rtol=1e-9, atol=0.0)
 
 
 def joint_knowledge(

@@ -28,6 +28,7 @@ module                          subject
 ``covariance``, ``summary``     what the end says about errors, as a :class:`~.fit.Fit`
 ``narrow_band``                 errors where innovations swing with a period, as in a swell
 ``between_records``             errors from what records say apart from one another
+``agreement``                   whether records and priors can all be right about one model
 ``prediction``                  other records, with bands
 ``archive``                     fits as files
 =============================== ===========================================================

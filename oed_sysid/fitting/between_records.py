@@ -48,6 +48,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, stdtrit
 
+from oed_sysid.fitting.agreement import Sources
+
 # Records from which on their scatter tells something: three degrees of freedom.
 FEWEST_RECORDS = 4
 # Chance that a fit whose errors are right is told that its records differ.
@@ -116,8 +118,8 @@ class RecordScatter:
 
 
 def record_scatter(
-    matrices: Sequence[np.ndarray],
-    scores: Sequence[np.ndarray],
+    matrices: Sequence[np.ndarray] | np.ndarray,
+    scores: Sequence[np.ndarray] | np.ndarray,
     prior: np.ndarray,
     *,
     gradient: np.ndarray | None = None,
@@ -178,6 +180,14 @@ def record_scatter(
     squares = np.where(total > 0, (shares**2).sum(axis=0), 1.0)
     freedom = np.clip(total**2 / squares - 1.0, 1.0, n - 1.0)
     return RecordScatter(covariance, (n - 1) / n * total + np.diag(assumed), freedom, n)
+
+
+def scatter_of(sources: Sources) -> RecordScatter | None:
+    """Scatter between the records of a fit; None for fewer than four."""
+    gradient = sources.scores.sum(axis=0)
+    return record_scatter(
+        sources.matrices[1:], sources.scores[1:], sources.matrices[0], gradient=gradient
+    )
 
 
 def eliminate_own(

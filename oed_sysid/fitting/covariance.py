@@ -24,7 +24,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from oed_sysid.data.sampling import sampled_alike
-from oed_sysid.fitting.between_records import FEWEST_RECORDS, RecordScatter, record_scatter
+from oed_sysid.fitting.agreement import Sources, sources_of
 from oed_sysid.fitting.fit import COLOUR_LIMIT
 from oed_sysid.fitting.shooting import Linearisation, Loss, Shooting
 from oed_sysid.information import (
@@ -108,10 +108,9 @@ class ReducedProblem:
         return Information.from_jacobian(self.shooting.layout.shared_names, jacobian, scales)
 
     @property
-    def between_records(self) -> RecordScatter | None:
-        """Scatter of the shared parameters between records; None for fewer than four."""
-        series = sum(not record.independent for record in self.shooting.records)
-        if series < FEWEST_RECORDS or not len(self.shooting.layout.shared):
+    def sources(self) -> Sources | None:
+        """What priors and each record say of the shared parameters; None without any."""
+        if not len(self.shooting.layout.shared):
             return None
         matrices, scores = [], []
         prior = np.zeros((self.rows[0].shape[2],) * 2)
@@ -127,7 +126,7 @@ class ReducedProblem:
             own = (rows / np.sqrt(self.gain)[:, None]).reshape(-1, rows.shape[2])
             scores.append(own.T @ np.nan_to_num(residual).ravel())
         prior += sum((rows.T @ rows for rows in self.prior_rows), np.zeros_like(prior))
-        return record_scatter(matrices, scores, prior)
+        return sources_of(matrices, scores, prior)
 
     @property
     def is_coloured(self) -> bool:

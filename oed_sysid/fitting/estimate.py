@@ -12,6 +12,7 @@ from scipy.special import ndtri
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.frames import frame
 from oed_sysid.errors import DataError
+from oed_sysid.fitting.agreement import Sources
 from oed_sysid.fitting.between_records import FEWEST_RECORDS, RecordScatter
 from oed_sysid.information import Information, Whiteness, whiteness
 from oed_sysid.model import Model
@@ -71,6 +72,7 @@ class Estimate:
     innovation_std: tuple[np.ndarray, ...] | None = None
     start_states: tuple[Mapping[str, tuple[float, float]], ...] = ()
     record_scatter: RecordScatter | None = None
+    sources: Sources | None = None
 
     def __post_init__(self) -> None:
         if self.noise is None:

@@ -15,6 +15,7 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.display import as_html
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.effects.base import RandomProcess
+from oed_sysid.fitting.agreement import Sources
 from oed_sysid.fitting.archive import encode
 from oed_sysid.fitting.between_records import RecordScatter
 from oed_sysid.fitting.estimate import Estimate, Status, checked_scatter
@@ -94,6 +95,9 @@ class Fit(Estimate):
         How the estimates scatter between records, to first order; None for fewer than four, or
         where the estimator does not tell. :attr:`record_errors` and :meth:`record_interval` are
         of it.
+    sources : Sources, or None
+        What priors and each record say of the shared parameters, apart from one another; None
+        where the estimator does not tell. See :mod:`oed_sysid.fitting.agreement`.
     """
 
     @cached_property
@@ -422,6 +426,7 @@ ARCHIVED: tuple[type, ...] = (
         Information,
         NoiseModel,
         RecordScatter,
+        Sources,
         Model,
         Function,
         Parameter,

@@ -9,12 +9,8 @@ import numpy as np
 
 from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.data.record import Record
-from oed_sysid.fitting.between_records import (
-    FEWEST_RECORDS,
-    RecordScatter,
-    eliminate_own,
-    record_scatter,
-)
+from oed_sysid.fitting.agreement import Sources, sources_of
+from oed_sysid.fitting.between_records import eliminate_own, scatter_of
 from oed_sysid.fitting.covariance import ReducedProblem, tests_middle, tests_stray
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.fit import Fit, Status
@@ -88,6 +84,7 @@ def summarise(
     scattered = coloured == "always" or (coloured == "auto" and reduced.tests_stray(covariance))
     if ((use or scattered) and weighed) or shooting.loss is not None:
         covariance = reduced.sandwich(covariance, coloured=use, scattered=scattered)
+    sources = reduced.sources
     predictions, states, residuals, initial, local = [], [], [], [], []
     for index, record in enumerate(shooting.records):
         values = shooting.values(unknowns, index)
@@ -108,7 +105,8 @@ def summarise(
         estimates=layout.shared_values(unknowns)[0],
         information=information,
         covariance=covariance,
-        record_scatter=reduced.between_records,
+        record_scatter=None if sources is None else scatter_of(sources),
+        sources=sources,
         coloured=use,
         sigma=shooting.sigma.copy(),
         sigma_estimated=np.asarray(estimated, dtype=bool),
@@ -176,8 +174,8 @@ def summarise_filtered(
     noise = problem.noise(unknowns)
     measured = [np.isfinite(record.outputs) for record in problem.records]
     covariance = information.covariance
-    # Derivatives serve the scatter between records alone.
-    passes = problem.passes(unknowns, columns=len(problem.records) >= FEWEST_RECORDS)
+    # Derivatives serve the comparison of records alone.
+    passes = problem.passes(unknowns, columns=len(layout.shared) > 0)
     whitened = [
         np.full(part.innovations.shape, np.nan)
         if record.independent
@@ -191,6 +189,7 @@ def summarise_filtered(
     white = covariance
     if coloured != "never":
         covariance = _with_stray_tests(problem, unknowns, matrix, information, covariance)
+    sources = _sources(problem, unknowns, passes)
     predictions, states, residuals, initial, local = [], [], [], [], []
     free = np.array([layout.parameters(unknowns, i) for i in range(len(problem.records))])
     at = model.with_values(_means(model, layout.free_names, free))
@@ -210,7 +209,8 @@ def summarise_filtered(
         estimates=estimates,
         information=information,
         covariance=covariance,
-        record_scatter=_between_records(problem, unknowns, passes),
+        record_scatter=None if sources is None else scatter_of(sources),
+        sources=sources,
         coloured=bool(peaks),
         sigma=noise.white.copy(),
         sigma_estimated=np.asarray(estimated, dtype=bool),
@@ -289,16 +289,14 @@ def eliminate(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.nd
     return matrix[np.ix_(kept, kept)] - root @ root.T
 
 
-def _between_records(
+def _sources(
     problem: Filtered, unknowns: np.ndarray, passes: Sequence[FilterPass]
-) -> RecordScatter | None:
-    """Scatter of the shared parameters between records.
+) -> Sources | None:
+    """What priors and each record say of the shared parameters.
 
     Derivatives are those at frozen gain; levels of the noise are taken as they are, as mean and
     variance of an innovation are estimated independently of one another.
     """
-    if sum(not record.independent for record in problem.records) < FEWEST_RECORDS:
-        return None
     layout, limits = problem.layout, problem.limits
     n_shared, n_own = len(layout.shared), layout.n_own
     slopes = layout.shared_values(unknowns)[1]
@@ -330,7 +328,7 @@ def _between_records(
     if problem.knowledge is not None:
         prior = prior + problem.knowledge.information / slopes[:, None] / slopes
     gradient = slope + weight * away[:n_shared] / slopes
-    return record_scatter(matrices, scores, prior, gradient=gradient)
+    return sources_of(matrices, scores, prior, gradient=gradient)
 
 
 def _means(model: Model, names: tuple[str, ...], free: np.ndarray) -> dict[str, float]:

@@ -1,0 +1,188 @@
+"""Are errors true when a trial programme says stop? And how many dives does it take?
+
+    OMP_NUM_THREADS=1 python -m benchmarks.stopping [--seeds 20] [--hidden NAME ...] [--rules ...]
+
+Dives of the REMUS-like vehicle in a moderate sea until all eight coefficients are known to six per
+cent, or three hours are over; coefficients are up to 12 per cent off, and something may act that
+the model does not know, at its usual size unless `EFFECT=SIZE` is given. Dives are planned (those
+that `decide` chooses) or the standard programme's in turn. Three rules stop them:
+
+- *errors*: all stated errors are small enough (nothing else is asked);
+- *checked*: `decide` says stop, or that records contradict the model;
+- *searched*: the same, but what contradicts starts a search for what is missing (`improve`, all
+  forty candidates of the problem); the model found is fitted, and dives go on.
+
+Every trial is kept in benchmarks/results/stopping.jsonl, and not repeated; `--show` prints only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oed_sysid import Dataset, Limits, Model, MultipleShooting, Problem, improve, load_problem
+from oed_sysid.design import Candidate, Decision, Programme, decide, design_programme, goals_of
+from oed_sysid.errors import OedSysidError
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.noise.realisation import simulate_at_sea
+from oed_sysid.sensitivity import sea_noise
+
+RESULTS = Path(__file__).parent / "results" / "stopping.jsonl"
+HOURS, GOAL, SPREAD = 3.0, 0.06, 0.12
+RULES, ARMS = ("errors", "checked", "searched"), ("planned", "standard")
+NOTHING = "nothing"
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What all trials share: the vehicle, its sea, the programme."""
+
+    problem: Problem
+    sea: NoiseModel
+    programme: Programme
+
+    @classmethod
+    def of_auv(cls) -> Trial:
+        """The programme of `examples/programme_for_an_auv.py`."""
+        problem = load_problem("remus_diving_plane")
+        run = problem.experiment("zigzag_10_10")
+        pattern = replace(run, initial={**run.initial, "z": 25.0}, duration=60.0, sample_time=0.2)
+        sea = sea_noise(problem.model, "moderate", [pattern])
+        programme = design_programme(
+            problem.model, pattern, limits=problem.limits, hours=HOURS / 4, noise=sea,
+            rng=np.random.default_rng(7), n_draws=1, n_vehicles=4, n_rounds=0,
+            kinds=("zigzag", "3-2-1-1", "levels"),
+        )  # fmt: skip
+        return cls(problem, sea, programme)
+
+    def truth(self, hidden: str, rng: np.random.Generator) -> Model:
+        """The vehicle as it is."""
+        model = self.problem.model
+        off = {n: v * (1 + SPREAD * rng.uniform(-1, 1)) for n, v in model.values.items()}
+        values = {n: off[n] for n in model.free_names}
+        if hidden == NOTHING:
+            return model.with_values(values)
+        name, _, size = hidden.partition("=")
+        effect = self.problem.effect(name)
+        sizes = {p.name: float(size) if size else p.magnitude for p in effect.parameters}
+        return (model + effect.with_values(sizes)).with_values(values)
+
+    def run(self, hidden: str, arm: str, rule: str, seed: int) -> dict[str, Any]:
+        """One trial until it stops."""
+        rng = np.random.default_rng(1000 + seed)
+        truth, base = self.truth(hidden, rng), self.problem.model
+        goals = goals_of(base, {"all": GOAL})
+        standard_names = () if self.programme.standard is None else self.programme.standard.names
+        standard = [run for run in self.programme.candidates if run.name in standard_names]
+        model, known, records, spent, searched = base, base, (), 0.0, 0
+        added: list[str] = []
+        while True:
+            decision = decide(known, self.programme.candidates, goals, rng=rng, noise=self.sea,
+                              hours=HOURS - spent)  # fmt: skip
+            doubted = decision.contradiction is not None
+            if rule == "searched" and doubted and len(records) > searched:
+                searched = len(records)
+                found = improve(base, Dataset(records), candidates=self.problem.effects)
+                added = [step.effect.name for step in found.steps]
+                model = found.model
+                known = MultipleShooting().fit(model, Dataset(records))
+                continue
+            if stops(rule)(decision):
+                break
+            chosen = decision.next_run if arm == "planned" else standard[len(records) % 2]
+            assert isinstance(chosen, Candidate)
+            run = replace(chosen.experiment, limits=Limits())
+            record = simulate_at_sea(truth, run, self.sea, rng=rng)
+            records = (*records, replace(record, name=f"dive {len(records) + 1}"))
+            spent += chosen.cost / 3600.0
+            known = MultipleShooting().fit(model, Dataset(records))
+        apart = {
+            n: (known.values[n] - truth.values[n]) / known.std_errors[n] for n in base.free_names
+        }
+        worst = max(abs(known.values[n] / truth.values[n] - 1.0) for n in base.free_names)
+        return {
+            "hidden": hidden, "arm": arm, "rule": rule, "seed": seed, "dives": len(records),
+            "action": decision.action, "doubted": doubted, "added": added, "apart": apart,
+            "worst": worst,
+        }  # fmt: skip
+
+
+def stops(rule: str) -> Callable[[Decision], bool]:
+    """When a rule stops."""
+    if rule == "errors":
+        return lambda found: found.stop or all(one.is_met for one in found.goals)
+    if rule == "checked":
+        return lambda found: found.stop or found.contradiction is not None
+    return lambda found: found.stop
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Rows of a table in Markdown."""
+    lines = [
+        "| hidden | rule | dives | trials | dives done, median (range) | called known | 95 % "
+        "intervals hold there | worst error there, median | contradicted |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    keys = dict.fromkeys((row["hidden"], row["rule"], row["arm"]) for row in rows)
+    for key in keys:
+        own = [row for row in rows if (row["hidden"], row["rule"], row["arm"]) == key]
+        dives = [row["dives"] for row in own]
+        # By errors alone a contradiction is not asked for.
+        known = [
+            row for row in own
+            if row["action"] in ("enough", "contradicted", "go on")
+            and (key[1] == "errors" or not row["doubted"])
+        ]  # fmt: skip
+        inside = [abs(value) < 1.96 for row in known for value in row["apart"].values()]
+        held = f"{np.mean(inside):.0%} of {len(inside)}" if inside else "-"
+        worst = f"{np.median([row['worst'] for row in known]):.0%}" if known else "-"
+        doubted = "-" if key[1] == "errors" else str(sum(row["doubted"] for row in own))
+        lines.append(
+            f"| `{key[0]}` | {key[1]} | {key[2]} | {len(own)} | {np.median(dives):g} "
+            f"({min(dives)} to {max(dives)}) | {len(known)} | {held} | {worst} | {doubted} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run what is missing and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument(
+        "--hidden", nargs="*", default=[NOTHING, "pitch_quadratic_damping=-40"], metavar="NAME"
+    )
+    parser.add_argument("--arms", nargs="*", default=list(ARMS), choices=ARMS)
+    parser.add_argument("--rules", nargs="*", default=list(RULES), choices=RULES)
+    parser.add_argument("--show", action="store_true")
+    options = parser.parse_args()
+    lines = RESULTS.read_text(encoding="utf-8").splitlines() if RESULTS.exists() else []
+    rows = [json.loads(line) for line in lines]
+    done = {(row["hidden"], row["arm"], row["rule"], row["seed"]) for row in rows}
+    trial = None if options.show else Trial.of_auv()
+    wanted = [
+        (hidden, arm, rule, seed)
+        for hidden in options.hidden for rule in options.rules for arm in options.arms
+        for seed in range(options.seeds)
+    ]  # fmt: skip
+    for one in wanted:
+        if trial is None or one in done:
+            continue
+        try:
+            row = trial.run(*one)
+        except OedSysidError as error:
+            print(f"{one}: {error}", flush=True)
+            continue
+        rows.append(row)
+        with RESULTS.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()
