@@ -133,9 +133,10 @@ def improve(
         check_disjoint(train, test)
     # Overlaps of training and validation records were refused above.
     logs = train if test is None else together(train, test)
-    log = quick_check(logs, model).without("duplicate")
-    # Where nobody named what may be wrong, the log itself is asked at length.
-    asked = None if candidates else check(logs, model, inputs=False)
+    # Where nobody named what may be wrong, the log itself is asked at length; tests are no log.
+    series = not logs.only_tests
+    log = quick_check(logs, model).without("duplicate") if series else None
+    asked = None if candidates or not series else check(logs, model, inputs=False)
     ready = prepared(train, test)
     train, test = ready.train, ready.validation
     candidates, told = settled(model, train, candidates, asked)
@@ -377,7 +378,7 @@ def _at_estimates(effect: Effect, values: Mapping[str, float]) -> Effect:
 
 
 def _result(
-    found: _Reached, end: _Ended, location: Located, notes: list[str], log: LogCheck
+    found: _Reached, end: _Ended, location: Located, notes: list[str], log: LogCheck | None
 ) -> Improvement:
     state, proposals = end.state, end.proposals
     study = state.study
@@ -456,9 +457,9 @@ def _result(
     )
 
 
-def _suspect(log: LogCheck, steps: Sequence[Step]) -> str:
+def _suspect(log: LogCheck | None, steps: Sequence[Step]) -> str:
     """Why the log is not to be trusted; empty where it is, or where a sensor was put right."""
-    if not log.suspect or any(step.effect.stage == "sensor" for step in steps):
+    if log is None or not log.suspect or any(step.effect.stage == "sensor" for step in steps):
         return ""
     return log.verdict
 
