@@ -117,6 +117,11 @@ class Dataset:
         return sum(record.n_samples for record in self.records)
 
     @property
+    def only_tests(self) -> bool:
+        """Whether no record is a time series: all are independent tests, such as captive ones."""
+        return all(record.independent for record in self.records)
+
+    @property
     def content_hash(self) -> str:
         """Digest of the records' values, whatever their names and order."""
         parts = sorted(record.content_hash for record in self.records)

@@ -362,6 +362,22 @@ class Record:
             raise DataError(f"Cannot keep every {step}-th sample. Give a step of 1 or more.")
         return self._take(slice(None, None, step), self.name)
 
+    def tests(self, rows: np.ndarray, name: str) -> Record:
+        """Return some of a record's independent tests.
+
+        Parameters
+        ----------
+        rows : ndarray of int
+            Which, in ascending order.
+        name : str
+        """
+        if not self.independent:
+            raise DataError(
+                f"Record {self.name!r} is a time series, whose samples cannot be taken apart. Cut "
+                "it with window(start, stop)."
+            )
+        return self._take(rows, name)
+
     def rename(self, name: str) -> Record:
         """Return the same record under another name."""
         return replace(self, name=name)

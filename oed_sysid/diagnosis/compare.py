@@ -138,7 +138,9 @@ class Comparison:
         """Return the comparison as text."""
         lines = [
             f"comparison on {', '.join(self.dataset.names)}",
-            f"  initial states: {WAYS[self.models[0].prediction.way]}",
+            "  independent tests: motion and inputs are given, their order says nothing"
+            if self.dataset.only_tests
+            else f"  initial states: {WAYS[self.models[0].prediction.way]}",
         ]
         for part in self.models:
             lines += ["", f"{part.label}: {part.relative:.3f} x noise over all outputs", ""]
@@ -277,7 +279,8 @@ def _misfit(
     states = _states(model, dataset, prediction)
     times = [record.times for record in dataset]
     signals = _signals(model, dataset, states)
-    parts = regimes(signals, times)
+    in_time = not dataset.only_tests
+    parts = regimes(signals, times, in_time=in_time)
     outputs = tuple(
         output_misfit(
             output,
@@ -292,6 +295,7 @@ def _misfit(
             signals,
             parts,
             horizon,
+            in_time=in_time,
         )
         for column, output in enumerate(model.outputs)
     )
@@ -324,15 +328,16 @@ def _states(model: Model, dataset: Dataset, prediction: Prediction) -> tuple[np.
 
 
 def _signals(model: Model, dataset: Dataset, states: Sequence[np.ndarray]) -> list[Signal]:
-    """Inputs and own states, as far as they are finite."""
+    """Inputs and own states, as far as they are finite; of independent tests what was given."""
     result = [
         Signal(c.name, c.unit, c.label, tuple(r.inputs[:, i] for r in dataset), True)
         for i, c in enumerate(model.inputs)
     ]
-    result += [
-        Signal(s.name, s.unit, s.label, tuple(part[:, i] for part in states), False)
-        for i, s in enumerate(model.states)
-    ]
+    if not dataset.only_tests:
+        result += [
+            Signal(s.name, s.unit, s.label, tuple(part[:, i] for part in states), False)
+            for i, s in enumerate(model.states)
+        ]
     return [s for s in result if all(np.isfinite(part).all() for part in s.series)]
 
 
@@ -392,7 +397,8 @@ def _table(part: ModelMisfit) -> list[tuple[str, ...]]:
         ("output", "rmse", "unit", "x noise", "in band", "eff. samples", "of", "ahead", "worst")
     ]
     for output, ahead in zip(part.outputs, part.forecasts.relative, strict=True):
-        name, begin, end, value = output.worst
+        if not (output.n_samples or output.in_time):  # captive tests measure forces alone
+            continue
         factor, unit = shown_unit(output.output.unit)  # angles are read in degrees
         rows.append(
             (
@@ -403,8 +409,8 @@ def _table(part: ModelMisfit) -> list[tuple[str, ...]]:
                 f"{100 * output.coverage:.0f} %",
                 f"{output.effective_samples:.0f}",
                 f"{output.n_samples}",
-                f"{ahead:.3f}",
-                f"{value:.2g} in {name} {begin:.0f}-{end:.0f} s" if name else "",
+                f"{ahead:.3f}" if output.in_time else "-",
+                f"{output.worst[3]:.2g} in {output.where}" if output.where else "",
             )
         )
     return rows

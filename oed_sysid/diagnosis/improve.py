@@ -22,13 +22,20 @@ from oed_sysid.batch.threads import single_threaded
 from oed_sysid.compatibility import LogCheck, check, quick_check
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.overlap import check_disjoint, together
+from oed_sysid.diagnosis.constancy import doubt, imitates
 from oed_sysid.diagnosis.improvement import Improvement, Step, Term, Yardstick, parameter_table
 from oed_sysid.diagnosis.journal import opened
 from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.preparation import prepared
 from oed_sysid.diagnosis.propose import Proposals
 from oed_sysid.diagnosis.rank import Ranking, Refit, rank, threshold
-from oed_sysid.diagnosis.reconsider import judged_anew, on_all_samples, reviewed, with_effect
+from oed_sysid.diagnosis.reconsider import (
+    judged_anew,
+    on_all_samples,
+    reviewed,
+    with_effect,
+    without_imitations,
+)
 from oed_sysid.diagnosis.remainder import Remains, remains
 from oed_sysid.diagnosis.smoothers import ASKED, without_smoothers
 from oed_sysid.diagnosis.standing import (
@@ -126,9 +133,10 @@ def improve(
         check_disjoint(train, test)
     # Overlaps of training and validation records were refused above.
     logs = train if test is None else together(train, test)
-    log = quick_check(logs, model).without("duplicate")
-    # Where nobody named what may be wrong, the log itself is asked at length.
-    asked = None if candidates else check(logs, model, inputs=False)
+    # Where nobody named what may be wrong, the log itself is asked at length; tests are no log.
+    series = not logs.only_tests
+    log = quick_check(logs, model).without("duplicate") if series else None
+    asked = None if candidates or not series else check(logs, model, inputs=False)
     ready = prepared(train, test)
     train, test = ready.train, ready.validation
     candidates, told = settled(model, train, candidates, asked)
@@ -196,6 +204,7 @@ def _ended(
     if whole is not None:
         tell("asking all samples")
         state, notes = keep.once("all samples", partial(on_all_samples, state, whole))
+    state = keep.once("sizes", partial(without_imitations, state))
     left = _kept(keep, "what remains", lambda: remains(state.study, state.fit), notes)
     if left is None or left.is_noise:
         return _Ended(state, left or Remains(np.inf, None), None, notes)
@@ -204,6 +213,7 @@ def _ended(
     if beyond is None:
         return _Ended(state, left, None, notes)
     wider, proposals, tied = beyond
+    wider = keep.once("sizes with a term", partial(without_imitations, wider))
     again = _kept(keep, "what remains", lambda: remains(wider.study, wider.fit), notes)
     return _Ended(wider, replace(again or left, tied=tied), proposals, notes)
 
@@ -296,8 +306,14 @@ def _rounds(
         )
         yield state, ranking, []
         ranking, told = keep.once("smoothers", partial(without_smoothers, state, ranking))
-        state = replace(state, dismissed=tuple(dict.fromkeys((*state.dismissed, *told))))
-        chosen, validation_gain, refused = keep.once("choice", partial(_choose, state, ranking))
+        for name, why in told.items():
+            state = state.doubting(name, why)
+        chosen, validation_gain, refused, told = keep.once(
+            "choice", partial(_choose, state, ranking)
+        )
+        for name, why in told.items():
+            state = state.doubting(name, why)
+        ranking = ranking.without(told)
         yield state, ranking, refused
         if chosen is None:
             break
@@ -310,22 +326,33 @@ def _rounds(
         yield state, ranking, []
 
 
-def _choose(state: Standing, ranking: Ranking) -> tuple[Refit | None, float, list[str]]:
-    """Best candidate whose gain chance does not explain and the validation records confirm."""
+def _choose(
+    state: Standing, ranking: Ranking
+) -> tuple[Refit | None, float, list[str], dict[str, str]]:
+    """Best candidate that chance does not explain, the validation records confirm, and repeats.
+
+    Returns it with its validation gain, what the validation records refused, and words, by name,
+    about what cannot be told from what else is missing.
+    """
     refused: list[str] = []
+    told: dict[str, str] = {}
     study = state.study
     hopeful = [r for r in ranking.refits[:ASKED] if r.gain >= ranking.needed(r)]
-    if study.validation is None or not hopeful:
-        return (hopeful[0] if hopeful else None), np.nan, refused
-    before = study.validate(state.fit)
+    before = np.nan if study.validation is None or not hopeful else study.validate(state.fit)
     for refit in hopeful:
-        gain = difference(before, study.validate(refit.fit))
-        excess = refit.gain / ranking.needed(refit)
-        agreed = confirmed(study, state.fit, refit.fit, gain, excess)
-        if agreed and not rises(study, state.fit, refit.fit, gain):
-            return refit, gain, refused
-        refused.append(refit.name)
-    return None, np.nan, refused
+        gain = np.nan
+        if study.validation is not None:
+            gain = difference(before, study.validate(refit.fit))
+            excess = refit.gain / ranking.needed(refit)
+            agreed = confirmed(study, state.fit, refit.fit, gain, excess)
+            if not agreed or rises(study, state.fit, refit.fit, gain):
+                refused.append(refit.name)
+                continue
+        if sizes := imitates(study, refit.fit, refit.score.effect, lambda: state.fit):
+            told[refit.name] = doubt(refit.score.effect, sizes)
+            continue
+        return refit, gain, refused, told
+    return None, np.nan, refused, told
 
 
 def _located(
@@ -351,7 +378,7 @@ def _at_estimates(effect: Effect, values: Mapping[str, float]) -> Effect:
 
 
 def _result(
-    found: _Reached, end: _Ended, location: Located, notes: list[str], log: LogCheck
+    found: _Reached, end: _Ended, location: Located, notes: list[str], log: LogCheck | None
 ) -> Improvement:
     state, proposals = end.state, end.proposals
     study = state.study
@@ -424,15 +451,15 @@ def _result(
             if name not in {step.added for step in steps}
         ),
         proposed=() if term is None else (term.to_dict(),),
-        notes=(*notes, *state.dismissed),
+        notes=(*notes, *state.doubts),
         log=log,
         skipped=study.skipped,
     )
 
 
-def _suspect(log: LogCheck, steps: Sequence[Step]) -> str:
+def _suspect(log: LogCheck | None, steps: Sequence[Step]) -> str:
     """Why the log is not to be trusted; empty where it is, or where a sensor was put right."""
-    if not log.suspect or any(step.effect.stage == "sensor" for step in steps):
+    if log is None or not log.suspect or any(step.effect.stage == "sensor" for step in steps):
         return ""
     return log.verdict
 

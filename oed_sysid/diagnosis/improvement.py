@@ -77,6 +77,8 @@ class Yardstick:
             angle = output.unit.startswith("rad")
             factor = np.degrees(1.0) if angle else 1.0
             for kind in kinds:
+                if np.isnan(before[kind][index]):  # not measured
+                    continue
                 rows.append(
                     (
                         output.name,

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.diagnosis.by_motion import in_words
 from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.errors import SimulationError
 from oed_sysid.fitting.fit import align
@@ -99,6 +100,9 @@ class Located:
     agreement : dict
         Correlation of each signature with the residual forces, in units of
         their standard errors.
+    by_motion : str
+        Of independent tests, which no disturbance links, where the model fails as a function of
+        motions and inputs, in words; empty for time series.
     """
 
     places: tuple[Place, ...]
@@ -109,6 +113,7 @@ class Located:
     discrepancies: dict[str, tuple[Series, ...]]
     signatures: dict[str, tuple[np.ndarray, ...]]
     agreement: dict[str, float]
+    by_motion: str = ""
 
     @classmethod
     def nothing(cls, fit: FilteredSolution) -> Located:
@@ -140,6 +145,8 @@ class Located:
     @property
     def verdict(self) -> str:
         """The finding in one or two sentences."""
+        if self.by_motion:
+            return self.by_motion
         if self.best is None:
             return (
                 "No place stands out: noise of the sensors, as strong as it has to be, explains "
@@ -286,6 +293,8 @@ def locate(
     correlation_times : sequence of float
         Of the disturbances, s; for every place the likelier one counts.
     """
+    if fit.problem.dataset.only_tests:
+        return replace(Located.nothing(fit), by_motion=in_words(fit))
     linear, dataset = along_fit(fit, unit)
     first: dict[Place, Evidence] = {}
     for time in correlation_times:

@@ -69,7 +69,10 @@ class OutputMisfit:
     windows : tuple of ndarray (n_windows,)
         Root mean square residual in consecutive windows, in noise, per record.
     worst : tuple
-        Record, start and end of the worst window, s, and its misfit in noise.
+        Record, start and end of the worst window, s, and its misfit in noise. Of independent
+        tests the number of the worst, twice.
+    in_time : bool
+        Whether the records are time series, and not independent tests.
     """
 
     output: Output
@@ -84,6 +87,17 @@ class OutputMisfit:
     regimes: tuple[Concentration, ...]
     windows: tuple[np.ndarray, ...]
     worst: tuple[str, float, float, float]
+    in_time: bool = True
+
+    @property
+    def where(self) -> str:
+        """Record and seconds, or number of the test, of the largest misfit; empty without any."""
+        name, begin, end, _ = self.worst
+        if not name:
+            return ""
+        return (
+            f"{name}, {begin:.0f} to {end:.0f} s" if self.in_time else f"{name}, test {begin:.0f}"
+        )
 
     @property
     def relative(self) -> float:
@@ -161,6 +175,8 @@ def output_misfit(
     signals: Sequence[Signal],
     parts: Sequence[Regime],
     window: float,
+    *,
+    in_time: bool = True,
 ) -> OutputMisfit:
     """Describe the residual of one output.
 
@@ -183,11 +199,16 @@ def output_misfit(
         Parts of the manoeuvre to compare.
     window : float
         Length of the windows, s.
+    in_time : bool
+        Whether the records are time series. Rows of independent tests have no neighbours: they
+        count whole, correlations are those at the same row, and windows are single tests.
     """
     pooled = np.concatenate(residuals)
     seen = ~np.isnan(pooled)
     scaled = [residual / sigma for residual in residuals]
-    windows = tuple(_windows(t, r, window) for t, r in zip(times, scaled, strict=True))
+    windows = tuple(
+        _windows(t, r, window) if in_time else np.abs(r) for t, r in zip(times, scaled, strict=True)
+    )
     # Records on which the prediction left the numbers have no pattern to look at.
     whole = [i for i, residual in enumerate(residuals) if not np.isinf(residual).any()]
     usable = [residuals[i] for i in whole]
@@ -199,31 +220,48 @@ def output_misfit(
         record_rmse=tuple(_rms(residual) for residual in residuals),
         n_samples=int(seen.sum()),
         coverage=float(np.mean(np.concatenate(inside_band)[seen])) if seen.any() else np.nan,
-        tests=tuple(whiteness(r) for r in usable if np.isfinite(r).sum() > 10),
-        correlations=_correlations(usable, signals, times) if len(whole) == len(times) else (),
-        regimes=tuple(concentrations(scaled, parts)) if len(whole) == len(times) else (),
+        tests=tuple(
+            whiteness(r) if in_time else _apart(r) for r in usable if np.isfinite(r).sum() > 10
+        ),
+        correlations=(
+            _correlations(usable, signals, times, in_time) if len(whole) == len(times) else ()
+        ),
+        regimes=(
+            tuple(concentrations(scaled, parts, in_time=in_time))
+            if len(whole) == len(times)
+            else ()
+        ),
         windows=windows,
-        worst=_worst(windows, times, names),
+        worst=_worst(windows, times, names) if in_time else _worst_test(windows, names),
+        in_time=in_time,
     )
 
 
 def _correlations(
-    residuals: Sequence[np.ndarray], signals: Sequence[Signal], times: Sequence[np.ndarray]
+    residuals: Sequence[np.ndarray],
+    signals: Sequence[Signal],
+    times: Sequence[np.ndarray],
+    in_time: bool,
 ) -> tuple[Correlation, ...]:
-    found = [correlate(residuals, signal, times) for signal in signals]
+    found = [correlate(residuals, signal, times, in_time=in_time) for signal in signals]
     return tuple(sorted((c for c in found if c is not None), key=lambda c: -abs(c.score)))
 
 
 def correlate(
-    residuals: Sequence[np.ndarray], signal: Signal, times: Sequence[np.ndarray]
+    residuals: Sequence[np.ndarray],
+    signal: Signal,
+    times: Sequence[np.ndarray],
+    *,
+    in_time: bool = True,
 ) -> Correlation | None:
     """Largest cross-correlation of a residual with a signal that precedes it.
 
-    The standard error takes both autocorrelations into account (Bartlett 1946).
+    The standard error takes both autocorrelations into account (Bartlett 1946). Unless ``in_time``,
+    rows are independent tests: without lag and without autocorrelation.
     """
     step = float(np.median(np.diff(times[0])))
     longest = min(round(LONGEST_LAG / step), min(len(t) for t in times) // 3)
-    lags = np.arange(0, longest + 1)
+    lags = np.arange(0, longest + 1 if in_time else 1)
     covariance, pairs = np.zeros(len(lags)), np.zeros(len(lags))
     square_r = square_s = 0.0
     colour = 0.0
@@ -238,6 +276,9 @@ def correlate(
         for i, lag in enumerate(lags):
             covariance[i] += r[lag:] @ s[: len(s) - lag]
             pairs[i] += seen[lag:].sum()
+        if not in_time:
+            colour += seen.sum()
+            continue
         n_lags = min(len(s) // 3, 300)
         product = autocorrelation(residual, n_lags) * autocorrelation(series, n_lags)
         taper = 1.0 - np.arange(n_lags + 1) / (n_lags + 1.0)
@@ -267,6 +308,25 @@ def _window_index(times: np.ndarray, window: float) -> np.ndarray:
     duration = times[-1] - times[0]
     count = max(1, round(float(duration / window)))
     return np.minimum(((times - times[0]) / duration * count).astype(int), count - 1)
+
+
+def _apart(residual: np.ndarray) -> Whiteness:
+    """What independent tests are by their nature."""
+    count = int(np.isfinite(residual).sum())
+    return Whiteness(0.0, 1.0, 0.0, float(count), count)
+
+
+def _worst_test(
+    windows: Sequence[np.ndarray], names: Sequence[str]
+) -> tuple[str, float, float, float]:
+    """Series, number (twice) and misfit of the worst of independent tests."""
+    best = ("", np.nan, np.nan, np.nan)
+    for part, name in zip(windows, names, strict=True):
+        filled = np.where(np.isfinite(part), part, -1.0)
+        i = int(np.argmax(filled))
+        if filled[i] > 0 and not filled[i] <= best[3]:
+            best = (name, float(i + 1), float(i + 1), float(filled[i]))
+    return best
 
 
 def _worst(

@@ -1,7 +1,8 @@
 r"""What a search reads of the records that it is given.
 
 **Validation.** A claim is tested on records that nothing was chosen on. Where one record is given
-and no other, its last part is kept for that, :math:`t > t_0 + \alpha\,(t_N - t_0)`.
+and no other, its last part is kept for that, :math:`t > t_0 + \alpha\,(t_N - t_0)`; of a series of
+independent tests, whose order says nothing, as many are drawn by lot.
 
 **Sampling.** Evidence grows with the samples, and so does the time of the search; but a vehicle
 that turns within seconds is not known better at 50 Hz than the noise of its sensors, averaged,
@@ -32,6 +33,8 @@ from oed_sysid.fitting.noise_levels import credible_levels, signal_spread
 
 # Share of a record that is learnt from, and least samples of either part.
 LEARNT, LEAST = 0.6, 100
+# The same of independent tests, each of which tells as much as many samples of a series.
+LEAST_TESTS = 20
 # A search reads about this many samples.
 ENOUGH = 20_000
 # What a line may leave: in noise levels, and as share of the signal's spread.
@@ -79,9 +82,15 @@ def prepared(train: Dataset, validation: Dataset | None, *, enough: int = ENOUGH
     600 400
     """
     notes = []
-    if validation is None and len(train) == 1 and train[0].n_samples >= 2.5 * LEAST:
-        train, validation, words = _kept_apart(train[0])
-        notes.append(words)
+    if validation is None and len(train) == 1:
+        if train.only_tests and train[0].n_samples >= 2.5 * LEAST_TESTS:
+            train, validation, words = _drawn_apart(train[0])
+            notes.append(words)
+        elif not train.only_tests and train[0].n_samples >= 2.5 * LEAST:
+            train, validation, words = _kept_apart(train[0])
+            notes.append(words)
+    if train.only_tests:  # to leave some out would lose what they alone tell
+        return Prepared(train, validation, tuple(notes))
     strides, whole = _strides(train, validation, enough), None
     if max(strides) > 1:
         parts = [*train, *(validation or ())]
@@ -111,6 +120,19 @@ def _kept_apart(record: Record) -> tuple[Dataset, Dataset, str]:
         "better test."
     )
     return Dataset((first,)), Dataset((last,)), words
+
+
+def _drawn_apart(record: Record) -> tuple[Dataset, Dataset, str]:
+    """Tests to learn from and to validate on, drawn by lot: their order says nothing."""
+    lot = np.random.default_rng(0).permutation(record.n_samples)
+    count = round(LEARNT * record.n_samples)
+    first = record.tests(np.sort(lot[:count]), f"{record.name}, drawn")
+    rest = record.tests(np.sort(lot[count:]), f"{record.name}, the others")
+    words = (
+        f"No validation records were given: of the {record.n_samples} tests of {record.name!r} "
+        f"{rest.n_samples}, drawn by lot, were kept for validation."
+    )
+    return Dataset((first,)), Dataset((rest,)), words
 
 
 def coarser(record: Record, every: int) -> Record:

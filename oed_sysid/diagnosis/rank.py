@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtri
@@ -104,6 +104,11 @@ class Ranking:
         """Identifiers, refitted ones first by evidence, then the others by score."""
         refitted = [refit.name for refit in self.refits]
         return (*refitted, *(s.effect.name for s in self.scores if s.effect.name not in refitted))
+
+    def without(self, names: Collection[str]) -> Ranking:
+        """The same with some refits left out: no rivals of what is claimed."""
+        kept = tuple(refit for refit in self.refits if refit.name not in names)
+        return replace(self, refits=kept)
 
     def needed(self, refit: Refit) -> float:
         """Gain that a claim needs."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.diagnosis.constancy import doubt, imitates
 from oed_sysid.diagnosis.rank import Ranking, Refit, rank
 from oed_sysid.diagnosis.standing import BOUGHT, Added, Standing, absent, own_error, rises
 from oed_sysid.diagnosis.study import Study
@@ -177,6 +179,21 @@ def on_all_samples(state: Standing, whole: Dataset) -> tuple[Standing, list[str]
             "no claim."
         )
     return state, notes
+
+
+def without_imitations(state: Standing) -> Standing:
+    """Drop effects, the last first, that cannot be told from what else is missing."""
+    for one in reversed(state.added):
+        study = state.study
+        sizes = imitates(study, state.fit, one.effect, partial(_without, state, one))
+        if not sizes:
+            continue
+        without = _without(state, one)
+        if without is None:
+            continue
+        told = doubt(one.effect, sizes)
+        state = rebuilt(state.dropping(one, study.settle(without)).doubting(one.effect.name, told))
+    return state
 
 
 def _cost(fit: FilteredSolution, effect: Effect) -> float:

@@ -87,7 +87,9 @@ class Concentration:
         return self.ratio > CLEAR_RATIO and self.score > CLEAR_SCORE
 
 
-def regimes(signals: Sequence[Signal], times: Sequence[np.ndarray]) -> list[Regime]:
+def regimes(
+    signals: Sequence[Signal], times: Sequence[np.ndarray], *, in_time: bool = True
+) -> list[Regime]:
     """Regimes that the signals of a manoeuvre define.
 
     Parameters
@@ -95,6 +97,8 @@ def regimes(signals: Sequence[Signal], times: Sequence[np.ndarray]) -> list[Regi
     signals : sequence of Signal
     times : sequence of ndarray (n_times,)
         Of each record, s.
+    in_time : bool
+        Whether records are time series; rows of independent tests follow no command.
     """
     found = []
     for signal in signals:
@@ -107,7 +111,7 @@ def regimes(signals: Sequence[Signal], times: Sequence[np.ndarray]) -> list[Regi
             found += _split(signal, pooled, "positive", "negative")
         else:
             found += _split(signal, pooled, "high", "low")
-        if signal.is_input:
+        if signal.is_input and in_time:
             changed = _after_changes(signal, times)
             if changed is not None:
                 found.append(changed)
@@ -115,7 +119,7 @@ def regimes(signals: Sequence[Signal], times: Sequence[np.ndarray]) -> list[Regi
 
 
 def concentrations(
-    residuals: Sequence[np.ndarray], candidates: Sequence[Regime]
+    residuals: Sequence[np.ndarray], candidates: Sequence[Regime], *, in_time: bool = True
 ) -> list[Concentration]:
     """How strongly each regime concentrates a misfit, the most significant first.
 
@@ -124,10 +128,14 @@ def concentrations(
     residuals : sequence of ndarray (n_times,)
         In units of the noise, NaN where nothing was measured.
     candidates : sequence of Regime
+    in_time : bool
+        Whether neighbours may be alike; rows of independent tests count whole.
     """
     squares = np.concatenate(residuals) ** 2
     seen = np.isfinite(squares)
-    effective = sum(effective_sample_size(residual**2) for residual in residuals)
+    effective: float = sum(effective_sample_size(residual**2) for residual in residuals)
+    if not in_time:
+        effective = float(seen.sum())
     if seen.sum() < 20:
         return []
     result = []

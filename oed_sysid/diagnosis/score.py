@@ -44,7 +44,7 @@ class Score:
     statistic : float
         Chi-squared statistic of the amplitudes, best shape.
     freedom : int
-        Amplitudes and shape parameters.
+        Amplitudes, shape parameters, and start values of each record.
     estimate : dict
         One-step estimate of amplitudes (and the shape that goes with it).
     std_errors : dict
@@ -153,7 +153,7 @@ def scores(
     for variant in _variants(study, fit, candidates, rows, smooth):
         raw = variant.columns
         projected = raw - basis @ (basis.T @ raw)
-        score = _score(variant, raw, projected, residual)
+        score = _score(variant, raw, projected, residual, len(rows.seen))
         name = variant.effect.name
         if name not in best or score.statistic > best[name].statistic:
             best[name] = score
@@ -161,7 +161,8 @@ def scores(
 
 
 def _local_names(effect: Effect) -> tuple[str, ...]:
-    return tuple(p.name for p in effect.parameters if p.per_record)
+    sizes = effect.amplitude_names
+    return tuple(p.name for p in effect.parameters if p.per_record and p.name in sizes)
 
 
 def _rows(fit: FilteredSolution, smooth: Sequence[str]) -> _Rows:
@@ -201,14 +202,18 @@ def _rows(fit: FilteredSolution, smooth: Sequence[str]) -> _Rows:
 
 
 def _score(
-    variant: _Variant, raw: np.ndarray, projected: np.ndarray, residual: np.ndarray
+    variant: _Variant,
+    raw: np.ndarray,
+    projected: np.ndarray,
+    residual: np.ndarray,
+    n_records: int,
 ) -> Score:
     effect = variant.effect
     size = np.linalg.norm(raw, axis=0)
     left = np.linalg.norm(projected, axis=0)
     distinct = float(np.min(left / np.where(size > 0, size, np.inf)))
     local = _local_names(effect)
-    freedom = raw.shape[1] + len(effect.shape_names)
+    freedom = raw.shape[1] + len(effect.shape_names) + n_records * len(effect.start_names)
     if distinct < ABSORBED:
         nothing = dict.fromkeys(variant.amplitudes, 0.0)
         endless = dict.fromkeys(variant.amplitudes, np.inf)

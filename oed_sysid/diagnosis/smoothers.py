@@ -13,19 +13,17 @@ from oed_sysid.fitting.gauss_newton import FilteredSolution
 ASKED = 3
 
 
-def without_smoothers(state: Standing, ranking: Ranking) -> tuple[Ranking, tuple[str, ...]]:
+def without_smoothers(state: Standing, ranking: Ranking) -> tuple[Ranking, dict[str, str]]:
     """The ranking without refits that only smooth the noise of a logged input, and why."""
-    study, kept, told = state.study, [], []
+    study, told = state.study, dict[str, str]()
     asked = [r for r in ranking.refits[:ASKED] if r.gain >= ranking.needed(r)]
     if study.smoothed is None or not asked:
-        return ranking, ()
+        return ranking, {}
     before = smoothed_fit(study, state.fit)
     for refit in ranking.refits:
         if refit in asked and not persists(study, before, refit.fit, ranking.needed(refit)):
-            told.append(dismissal(study, refit.name))
-        else:
-            kept.append(refit)
-    return replace(ranking, refits=tuple(kept)), tuple(told)
+            told[refit.name] = dismissal(study, refit.name)
+    return ranking.without(told), told
 
 
 def smoothed_fit(study: Study, fit: FilteredSolution) -> FilteredSolution | None:

@@ -41,14 +41,17 @@ class Added:
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """Where the loop stands: what was added, the fit with it, and all fits on the way."""
+    """Where the loop stands: what was added, the fit with it, and all fits on the way.
+
+    ``dismissed`` holds names of likelier effects that are no claims, and why.
+    """
 
     study: Study
     added: tuple[Added, ...]
     fit: FilteredSolution
     path: tuple[FilteredSolution, ...]
     replaced: tuple[str, ...] = ()
-    dismissed: tuple[str, ...] = ()
+    dismissed: tuple[tuple[str, str], ...] = ()
     dropped: tuple[str, ...] = ()
 
     @property
@@ -74,6 +77,16 @@ class Standing:
     def others(self, one: Added) -> tuple[Added, ...]:
         """What was added besides."""
         return tuple(other for other in self.added if other is not one)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why likelier effects are no claims, but those that became claims after all."""
+        claimed = {effect.name for effect in self.effects}
+        return tuple(why for name, why in self.dismissed if name not in claimed)
+
+    def doubting(self, name: str, why: str) -> Standing:
+        """The same with a word about an effect that is no claim, in place of an earlier one."""
+        return replace(self, dismissed=tuple((dict(self.dismissed) | {name: why}).items()))
 
     def dropping(self, one: Added, fit: FilteredSolution) -> Standing:
         """The same without one effect, which does not come back."""

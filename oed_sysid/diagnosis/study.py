@@ -148,7 +148,10 @@ class Study:
                 "missing."
             ) from error
         free = np.full(len(white), not known_noise)
-        inputs = [place for place in every_place(model) if place.stage == "actuator"]
+        tests = train.only_tests
+        if tests:  # no disturbance links one with the next
+            disturbances = "none"
+        inputs = [place for place in every_place(model) if place.stage == "actuator" and not tests]
         acting = places
         if disturbances == "none":
             acting = ()
@@ -162,7 +165,7 @@ class Study:
             places,
             white,
             free,
-            colour=not known_noise,
+            colour=not known_noise and not tests,
             inputs=inputs,
             known=absent,
             drifting=disturbances != "none",
@@ -177,7 +180,7 @@ class Study:
         test = _best_test(model, train, setting, starts, kernel)
         level = np.where(np.isin(test.noise.places, absent), 0.0, test.noise.force)
         test = replace(test, noise=replace(test.noise, force=level))
-        noisy = noisy_inputs(train)
+        noisy = {} if tests else noisy_inputs(train)
         study = cls(
             base=model,
             candidates=effects,

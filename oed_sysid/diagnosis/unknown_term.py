@@ -75,7 +75,7 @@ def with_term(
         or not persists(option.study, smoothed_fit(study, state.fit), found, PLACE_MARGIN)
     ):
         told = dismissal(study, term.name)
-        return replace(state, dismissed=(*state.dismissed, told)), None, ()
+        return state.doubting(term.name, told), None, ()
     validation_gain = np.nan
     if study.validation is not None:
         validation_gain = difference(study.validate(state.fit), option.study.validate(found))

@@ -141,6 +141,11 @@ def settled(
     """
     if candidates:
         return tuple(candidates), []
+    if dataset.only_tests:
+        raise DataError(
+            "These records are independent tests at given motion (captive tests), from which no "
+            "usual candidates are made: name candidates= yourself, in the signals of the model."
+        )
     usual = usual_effects(model, dataset)
     if not usual:
         raise DataError(

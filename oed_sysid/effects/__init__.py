@@ -80,6 +80,7 @@ from oed_sysid.effects.sensors import (
     sensor_misalignment,
     sensor_scale,
 )
+from oed_sysid.effects.starts import unknown_start
 from oed_sysid.effects.steering import (
     nonlinear_yaw_damping,
     rudder_in_slipstream,
@@ -180,4 +181,5 @@ __all__ = [
     "diving_plane_effects",
     "surface_ship_effects",
     "roll_effects",
+    "unknown_start",
 ]

@@ -271,9 +271,23 @@ class Effect:
 
     @property
     def shape_names(self) -> tuple[str, ...]:
-        """Estimated parameters that are not amplitudes, such as a frequency."""
+        """Estimated parameters that are no amplitudes and that records share, as a frequency."""
         amplitudes = self.amplitude_names
-        return tuple(p.name for p in self.parameters if not p.fixed and p.name not in amplitudes)
+        return tuple(
+            p.name
+            for p in self.parameters
+            if not (p.fixed or p.per_record) and p.name not in amplitudes
+        )
+
+    @property
+    def start_names(self) -> tuple[str, ...]:
+        """Estimated parameters of each record that are no amplitudes, such as a start value."""
+        amplitudes = self.amplitude_names
+        return tuple(
+            p.name
+            for p in self.parameters
+            if p.per_record and not p.fixed and p.name not in amplitudes
+        )
 
     def absent(self) -> Effect:
         """Return the effect with every amplitude at zero."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -23,6 +23,7 @@ from oed_sysid.estimators.options import (
     check_levels,
     check_positive,
 )
+from oed_sysid.fitting.actuator_starts import clear_starts
 from oed_sysid.fitting.beginning import (
     DOUBTFUL,
     FAR,
@@ -452,9 +453,11 @@ class MultipleShooting:
         if found is None:
             return fit
         extras = {**found.extras, "disturbance_test": test.gain}
-        # Random forces absorb a delay, so that it is looked for where they are not.
+        # Random forces absorb a delay, and the start of an actuator: both are looked for without.
         if fit.names and (late := clear_delay(fit, estimate_delays(fit))) is not None:
             extras["white_delay"] = (late.signal, late.kind, late.seconds, late.std)
+        if fit.names and (elsewhere := clear_starts(fit)):
+            extras["white_starts"] = tuple(astuple(one) for one in elsewhere)
         if auto and _no_likelier(found, fit):
             return replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
         return replace(found, extras=extras, model=with_levels(found.model, found.noise))

@@ -143,7 +143,7 @@ class Estimate:
     @property
     def tests_alone(self) -> bool:
         """Whether there are independent tests only, whose signals are those of a towed model."""
-        return all(record.independent for record in self.dataset)
+        return self.dataset.only_tests
 
     @property
     def series(self) -> tuple[np.ndarray, ...]:

@@ -36,6 +36,7 @@ import numpy as np
 from scipy.special import ndtr, stdtr
 
 from oed_sysid.compiled.kernels import kernel
+from oed_sysid.fitting.actuator_starts import ActuatorStart, clear_starts
 from oed_sysid.fitting.delays import (
     CLEAR,
     COLOUR_SHARE,
@@ -49,6 +50,7 @@ from oed_sysid.fitting.input_noise import fast_level, noisy_inputs
 from oed_sysid.fitting.narrow_band import clear_peaks
 from oed_sysid.fitting.noise_levels import signal_spread, white_levels
 from oed_sysid.fitting.spikes import spike_masks, spike_sizes
+from oed_sysid.language.units import shown_unit
 
 # A fit goes through the verdict as what it is.
 Found = TypeVar("Found", bound=Estimate)
@@ -90,16 +92,17 @@ class Concern:
     Attributes
     ----------
     kind : str
-        ``noise_level``, ``colour``, ``swing``, ``spikes``, ``delay``, ``per_record_follows``,
-        ``records_differ``, ``input_noise``, ``absorbed``, ``integration``, ``runaway``,
-        ``degenerate`` or ``few_samples``.
+        ``noise_level``, ``colour``, ``swing``, ``spikes``, ``delay``, ``actuator_start``,
+        ``per_record_follows``, ``records_differ``, ``input_noise``, ``absorbed``,
+        ``integration``, ``runaway``, ``degenerate`` or ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
     record : str
         Empty where it is all records.
     size : float
         A factor of the level (``noise_level``, ``absorbed``), the share of independent samples
-        (``colour``), a number of samples (``spikes``), seconds (``delay``, ``swing``), a
+        (``colour``), a number of samples (``spikes``), seconds (``delay``, ``swing``), the unit of
+        a command (``actuator_start``), a
         correlation (``per_record_follows``), a factor of the standard error
         (``records_differ``), noise levels (``integration``, ``input_noise``), multiples of the
         scale (``runaway``) or of the signal (``degenerate``), samples per unknown
@@ -165,6 +168,7 @@ def judge(fit: Estimate) -> tuple[Concern, ...]:
         *_records_differ(fit),
         *spikes,
         *delay_concerns(fit),
+        *start_concerns(fit),
         *level_concerns(fit),
         *_absorbed(fit),
         *input_concerns(fit),
@@ -413,6 +417,37 @@ def delay_concerns(fit: Estimate) -> tuple[Concern, ...]:
             f"shift {best.signal}, or add a delay or lag to the model.",
         ),
     )
+
+
+def start_concerns(fit: Estimate) -> tuple[Concern, ...]:
+    """Actuators that did not begin at their first command, the clearest record of each."""
+    if "white_starts" in fit.extras:  # random forces absorb a start
+        clear = tuple(ActuatorStart(*one) for one in fit.extras["white_starts"])
+    elif fit.innovations is not None or not fit.names:
+        return ()
+    else:
+        clear = clear_starts(fit)
+    found: dict[tuple[str, str], Concern] = {}
+    for one in clear:
+        same = {other.record for other in clear if other.effect == one.effect}
+        others = f" and {len(same) - 1} more records" if len(same) > 1 else ""
+        unit = next((i.unit for i in fit.model.inputs if i.name == one.signal), "")
+        factor, shown = shown_unit(unit)
+        found.setdefault(
+            (one.effect, one.signal),
+            Concern(
+                "actuator_start",
+                one.signal,
+                one.record,
+                one.size,
+                f"In {one.record!r}{others} {one.effect} did not begin at the first command of "
+                f"{one.signal}, but {factor * one.size:.2g} +/- {1.96 * factor * one.std:.2g} "
+                f"{shown} beside it, and parameters bend to that. Let the start of each record be "
+                "estimated: unknown_start(effect, std) of oed_sysid.effects, or begin records "
+                "later.",
+            ),
+        )
+    return tuple(found.values())
 
 
 def input_concerns(fit: Estimate) -> tuple[Concern, ...]:

@@ -298,37 +298,64 @@ def _sources(
     variance of an innovation are estimated independently of one another.
     """
     layout, limits = problem.layout, problem.limits
-    n_shared, n_own = len(layout.shared), layout.n_own
+    n_shared = len(layout.shared)
     slopes = layout.shared_values(unknowns)[1]
-    away = limits.prior_mean - unknowns
     matrices, scores = [], []
     tests = np.zeros((n_shared, n_shared))
     slope = np.zeros(n_shared)
     for index, part in enumerate(passes):
-        columns = layout.record_columns(index)
-        size = np.concatenate([np.ones(n_own), layout.slopes(unknowns[columns[n_own:]])])
-        width = len(columns)
-        matrix = part.gram[:width, :width] * size[:, None] * size
-        right = -part.gram[:width, -1] * size
-        shared = n_own + layout.shared
-        others = np.setdiff1d(np.arange(width), shared)
-        others = others[~limits.held[columns[others]]]
-        own = limits.prior_weight[columns[others]]
-        matrix[others, others] += own
-        right[others] += own * away[columns[others]]
-        information, score = eliminate_own(matrix, right, shared, others)
-        slope += score / slopes
+        information, score = record_information(problem, unknowns, index, part)
+        slope += score
         if problem.records[index].independent:
-            tests += information / slopes[:, None] / slopes
+            tests += information
             continue
-        matrices.append(information / slopes[:, None] / slopes)
-        scores.append(score / slopes)
+        matrices.append(information)
+        scores.append(score)
     weight = limits.prior_weight[:n_shared]
     prior = np.diag(weight / slopes**2) + tests
     if problem.knowledge is not None:
         prior = prior + problem.knowledge.information / slopes[:, None] / slopes
-    gradient = slope + weight * away[:n_shared] / slopes
+    away = limits.prior_mean[:n_shared] - unknowns[:n_shared]
+    gradient = slope + weight * away / slopes
     return sources_of(matrices, scores, prior, gradient=gradient)
+
+
+def record_information(
+    problem: Filtered, unknowns: np.ndarray, index: int, part: FilterPass
+) -> tuple[np.ndarray, np.ndarray]:
+    """Information and score of the shared parameters from one record.
+
+    Its start states and own parameters are estimated along; levels of the noise are as they are.
+
+    Parameters
+    ----------
+    problem : Filtered
+    unknowns : ndarray (n_unknowns,)
+    index : int
+        Of the record.
+    part : FilterPass
+        Of this record at these unknowns, with derivatives.
+
+    Returns
+    -------
+    information : ndarray (n_shared, n_shared)
+    score : ndarray (n_shared,)
+    """
+    layout, limits = problem.layout, problem.limits
+    n_own, columns = layout.n_own, layout.record_columns(index)
+    size = np.concatenate([np.ones(n_own), layout.slopes(unknowns[columns[n_own:]])])
+    width = len(columns)
+    matrix = part.gram[:width, :width] * size[:, None] * size
+    right = -part.gram[:width, -1] * size
+    shared = n_own + layout.shared
+    others = np.setdiff1d(np.arange(width), shared)
+    others = others[~limits.held[columns[others]]]
+    own = limits.prior_weight[columns[others]]
+    matrix[others, others] += own
+    right[others] += own * (limits.prior_mean - unknowns)[columns[others]]
+    information, score = eliminate_own(matrix, right, shared, others)
+    slopes = layout.shared_values(unknowns)[1]
+    return information / slopes[:, None] / slopes, score / slopes
 
 
 def _means(model: Model, names: tuple[str, ...], free: np.ndarray) -> dict[str, float]:

@@ -66,7 +66,8 @@ def comparison_sections(comparison: Comparison) -> tuple[Section, ...]:
 def _table(part: ModelMisfit) -> Table:
     rows = []
     for one, ahead in zip(part.outputs, part.forecasts.relative, strict=True):
-        name, begin, end, value = one.worst
+        if not (one.n_samples or one.in_time):  # captive tests measure forces alone
+            continue
         factor, unit = shown_unit(one.output.unit)
         rows.append(
             (
@@ -76,8 +77,8 @@ def _table(part: ModelMisfit) -> Table:
                 f"{one.relative:.3g}",
                 f"{100 * one.coverage:.0f} %",
                 f"{one.effective_samples:.0f} of {one.n_samples}",
-                f"{ahead:.3g}",
-                f"{name}, {begin:.0f} to {end:.0f} s ({value:.2g} × noise)" if name else "",
+                f"{ahead:.3g}" if one.in_time else "-",
+                f"{one.where} ({one.worst[3]:.2g} × noise)" if one.where else "",
             )
         )
     headers = (

@@ -49,6 +49,8 @@ def diagnosis_page(diagnosis: Diagnosis, train: Dataset | None = None, *, title:
 
 def located_section(located: Located, train: Dataset | None) -> Section:
     """Where the nominal model fails, with residual forces where the records are given."""
+    if located.by_motion:
+        return Section("Where the nominal model fails", (located.by_motion,))
     figure, axes = new_figure(1, 1, size=(7.6, 1.3 + 0.3 * min(len(located.gains), 14)))
     plot_located(located, ax=axes[0, 0])
     pictures = [

@@ -18,11 +18,14 @@ from oed_sysid.report.style import (
     NEUTRAL,
     TRUTH,
     TWO_SIDED_95,
+    abscissa,
     clean,
+    joined,
     label,
     model_style,
     new_axes,
     new_figure,
+    plot_band,
     say,
     shown,
     spread_legend,
@@ -54,20 +57,21 @@ def plot_output(
         Where to draw.
     """
     ax = new_axes(ax)
-    row, times = _record(fit, record)
+    row, times, words = _record(fit, record)
     column = fit.model.output_names.index(output)
     channel = fit.model.outputs[column]
     measured = shown(channel, fit.dataset[row].outputs[:, column])
     predicted = shown(channel, fit.predictions[row][:, column])
     half = TWO_SIDED_95 * shown(channel, fit.sigma[column])
     look = model_style(style)
+    data = fit.dataset[row]
     ax.plot(times, measured, ".", color=DATA, ms=2.5, label="measured", rasterized=True)
-    ax.fill_between(
-        times, predicted - half, predicted + half, color=look.colour, alpha=0.25, lw=0,
+    plot_band(
+        ax, data, predicted - half, predicted + half, color=look.colour, alpha=0.25, lw=0,
         label="model ± noise (95 %)", rasterized=True,
     )  # fmt: skip
-    ax.plot(times, predicted, color=look.colour, lw=1.5, label="model")
-    ax.set(xlabel="time $t$ [s]", ylabel=label(channel))
+    ax.plot(times, predicted, color=look.colour, lw=1.5, label="model", **joined(data))
+    ax.set(xlabel=words, ylabel=label(channel))
     return say(
         clean(ax),
         f"{fit.dataset[row].name}: residuals of {output} are "
@@ -80,7 +84,7 @@ def plot_residual(
 ) -> Axes:
     """Plot measured minus model of one output, with the 95 % band of its noise."""
     ax = new_axes(ax)
-    row, times = _record(fit, record)
+    row, times, words = _record(fit, record)
     column = fit.model.output_names.index(output)
     channel = fit.model.outputs[column]
     half = TWO_SIDED_95 * float(shown(channel, fit.sigma[column]))
@@ -90,7 +94,7 @@ def plot_residual(
         times, shown(channel, fit.residuals[row][:, column]), ".", ms=2.5,
         color=model_style(style).colour, label="measured − model", rasterized=True,
     )  # fmt: skip
-    ax.set(xlabel="time $t$ [s]", ylabel=f"residual [{shown_unit(channel.unit)[1]}]")
+    ax.set(xlabel=words, ylabel=f"residual [{shown_unit(channel.unit)[1]}]")
     return clean(ax)
 
 
@@ -100,8 +104,9 @@ def plot_input(record: Record, name: str, *, ax: Axes | None = None) -> Axes:
     channel = record.channels.inputs[record.channels.input_names.index(name)]
     values = shown(channel, record.input(name))
     drawstyle = "steps-post" if channel.interpolation == "hold" else "default"
-    ax.plot(record.times, values, color=TRUTH, lw=1.0, drawstyle=drawstyle)
-    ax.set(xlabel="time $t$ [s]", ylabel=label(channel))
+    along, words = abscissa(record)
+    ax.plot(along, values, color=TRUTH, lw=1.0, drawstyle=drawstyle, **joined(record))
+    ax.set(xlabel=words, ylabel=label(channel))
     return clean(ax)
 
 
@@ -244,7 +249,7 @@ def plot_correlation(fit: Fit, *, ax: Axes | None = None) -> Axes:
 
 def figure_fit(fit: Fit, record: str | int = 0, *, style: int = 0) -> Figure:
     """Data and model on the left, residuals on the right, commands below, of one record."""
-    row, _ = _record(fit, record)
+    row, _, _ = _record(fit, record)
     data = fit.dataset[row]
     outputs = [name for name in fit.model.output_names if name not in data.missing_outputs]
     inputs = [name for name in fit.model.input_names if name not in data.constant_channels]
@@ -321,9 +326,9 @@ def _closest(fit: Fit) -> str:
     )
 
 
-def _record(fit: Fit, record: str | int) -> tuple[int, np.ndarray]:
+def _record(fit: Fit, record: str | int) -> tuple[int, np.ndarray, str]:
     row = fit.dataset.names.index(fit.dataset[record].name)
-    return row, fit.dataset[row].times
+    return row, *abscissa(fit.dataset[row])
 
 
 def _reference(fits: Sequence[Fit], name: str) -> float:

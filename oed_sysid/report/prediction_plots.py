@@ -16,11 +16,14 @@ from oed_sysid.report.style import (
     NEUTRAL,
     TRUTH,
     TWO_SIDED_95,
+    abscissa,
     clean,
+    joined,
     label,
     model_style,
     new_axes,
     new_figure,
+    plot_band,
     say,
     shown,
     spread_legend,
@@ -64,23 +67,24 @@ def plot_prediction(
     ax = new_axes(ax)
     data = several[0].dataset[row]
     channel = data.channels.outputs[column]
+    along, words = abscissa(data)
     ax.plot(
-        data.times, shown(channel, data.outputs[:, column]), ".", color=DATA, ms=2.5,
+        along, shown(channel, data.outputs[:, column]), ".", color=DATA, ms=2.5,
         label="measured", rasterized=True,
     )  # fmt: skip
     for number, (place, one) in enumerate(zip(styles, several, strict=True)):
         look = model_style(place)
         mean = shown(channel, one.outputs[row][:, column])
         half = TWO_SIDED_95 * shown(channel, one.std[row][:, column])
-        ax.fill_between(
-            data.times, mean - half, mean + half, color=look.colour, alpha=0.2, lw=0,
+        plot_band(
+            ax, data, mean - half, mean + half, color=look.colour, alpha=0.2, lw=0,
             rasterized=True,
         )  # fmt: skip
         ax.plot(
-            data.times, mean, color=look.colour, linestyle=look.dashes, lw=1.5,
+            along, mean, color=look.colour, lw=1.5, **joined(data, look.dashes),
             label=labels[number] if labels else f"model {number + 1}",
         )  # fmt: skip
-    ax.set(xlabel="time $t$ [s]", ylabel=label(channel))
+    ax.set(xlabel=words, ylabel=label(channel))
     return say(clean(ax), " ".join(_errors(several, row, column, labels)))
 
 
@@ -104,12 +108,14 @@ def plot_prediction_error(
     ax.axhline(0.0, color=TRUTH, lw=0.8)
     for number, (place, one) in enumerate(zip(styles, several, strict=True)):
         look = model_style(place)
+        data = one.dataset[row]
+        along, words = abscissa(data)
         ax.plot(
-            one.dataset[row].times, one.residuals[row][:, column] / one.sigma[column],
+            along, one.residuals[row][:, column] / one.sigma[column],
             color=look.colour, lw=0.9, label=labels[number] if labels else f"model {number + 1}",
-            rasterized=True,
+            rasterized=True, **joined(data),
         )  # fmt: skip
-    ax.set(xlabel="time $t$ [s]", ylabel="error [noise]")
+    ax.set(xlabel=words, ylabel="error [noise]")
     return clean(ax)
 
 

@@ -7,7 +7,18 @@ from matplotlib.figure import Figure
 
 from oed_sysid.channels import Input, Output
 from oed_sysid.data.record import Record
-from oed_sysid.report.style import DATA, TRUTH, between, clean, label, new_figure, say, shown
+from oed_sysid.report.style import (
+    DATA,
+    TRUTH,
+    abscissa,
+    between,
+    clean,
+    joined,
+    label,
+    new_figure,
+    say,
+    shown,
+)
 
 
 def figure_record(record: Record) -> Figure:
@@ -21,6 +32,7 @@ def figure_record(record: Record) -> Figure:
     record : Record
         The record.
     """
+    along, words = abscissa(record)
     measured = [o for o in record.channels.outputs if np.isfinite(record.output(o.name)).any()]
     channels: list[Input | Output] = [*record.channels.inputs, *measured]
     columns = 1 if len(channels) < 4 else 2
@@ -30,16 +42,16 @@ def figure_record(record: Record) -> Figure:
         if isinstance(channel, Input):
             style = "steps-post" if channel.interpolation == "hold" else "default"
             values = shown(channel, record.input(channel.name))
-            ax.plot(record.times, values, color=TRUTH, lw=1.0, drawstyle=style)
+            ax.plot(along, values, color=TRUTH, lw=1.0, drawstyle=style, **joined(record))
         else:
             values = shown(channel, record.output(channel.name))
-            ax.plot(record.times, values, ".", color=DATA, ms=2.0, rasterized=True)
+            ax.plot(along, values, ".", color=DATA, ms=2.0, rasterized=True)
         ax.set_ylabel(label(channel, lines=2))
         say(clean(ax), between(channel, values))
     for ax in list(grid.T.flat)[len(channels) :]:
         ax.set_visible(False)
     for column in grid.T:
         lowest = [ax for ax in column if ax.get_visible()][-1]
-        lowest.set_xlabel("time $t$ [s]")
+        lowest.set_xlabel(words)
         lowest.tick_params(labelbottom=True)
     return figure

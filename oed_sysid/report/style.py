@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from oed_sysid.channels import Input, Output, State
+from oed_sysid.data.record import Record
 from oed_sysid.errors import FileError
 from oed_sysid.files import whole_file
 from oed_sysid.language import notation
@@ -136,6 +137,27 @@ def label(channel: State | Input | Output, *, lines: int = 1) -> str:
     else:
         parts = (channel.label or symbol, unit)
     return ("\n" if lines > 1 else " ").join(part for part in parts if part)
+
+
+def abscissa(record: Record) -> tuple[np.ndarray, str]:
+    """Along what a record is drawn, and the label of that: its times, or numbers of its tests."""
+    if record.independent:
+        return np.arange(1.0, record.n_samples + 1.0), "test"
+    return record.times, "time $t$ [s]"
+
+
+def joined(record: Record, dashes: Any = "-") -> dict[str, Any]:
+    """Line of a signal of a record; rows of independent tests are marks that nothing joins."""
+    return {"ls": "", "marker": "_", "ms": 5.0} if record.independent else {"ls": dashes}
+
+
+def plot_band(ax: Axes, record: Record, low: np.ndarray, high: np.ndarray, **look: Any) -> None:
+    """Draw a band along a record, or a bar at each of its independent tests."""
+    along, _ = abscissa(record)
+    if record.independent:
+        ax.vlines(along, low, high, **{**look, "lw": 1.5})
+    else:
+        ax.fill_between(along, low, high, **look)
 
 
 def shown(channel: State | Input | Output, values: ArrayLike) -> np.ndarray:
