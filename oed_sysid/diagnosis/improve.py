@@ -48,6 +48,7 @@ from oed_sysid.errors import OedSysidError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import FilteredSolution
 from oed_sysid.fitting.noise_levels import credible_levels, signal_spread
+from oed_sysid.fitting.other_way import other_way
 from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.model import Model
 
@@ -163,7 +164,9 @@ def improve(
     location = _located(study, found.base, found.first, notes, keep)
     notes += _bought(end.state.study, end.state.fit)
     tell("fits and errors of every step")
-    return keep.once("every step", lambda: _result(found, end, location, notes, log))
+    result = keep.once("every step", lambda: _result(found, end, location, notes, log))
+    told = other_way(result.fit, {p.name: p.value for p in model.free_parameters})
+    return replace(result, notes=(*(one.text for one in told), *result.notes))
 
 
 def _searched(
@@ -393,7 +396,7 @@ def _result(
     fast = np.where(study.estimated, np.minimum(sigma, credible_levels(study.train)[0]), sigma)
     excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0))
     shares, ratios = (
-        {name: float(v) for name, v in zip(names, excess / unit, strict=True) if np.isfinite(v)}
+        {name: float(v) for name, v in zip(names, excess / unit, strict=True) if not np.isnan(v)}
         for unit in (yardstick.spread, fast)
     )
     term = None
