@@ -70,7 +70,7 @@ class RandomForceFound:
         if np.isnan(self.elsewhere) or not self.told:
             return True
         low, high = sorted((self.level, self.elsewhere))
-        return low > 0 and high / low < SAME_LEVEL
+        return bool(low > 0 and high / low < SAME_LEVEL)
 
     @property
     def text(self) -> str:
