@@ -112,3 +112,22 @@ def test_what_shows_in_one_amplitude_is_not_said_to_be_invisible() -> None:
 
     assert not Ranking((of(9.0, 0.01),), (), np.ones(3)).undetectable()
     assert set(Ranking((of(9.0, 9.0),), (), np.ones(3)).undetectable()) == {"wind"}
+
+
+def test_what_would_not_show_is_asked_of_the_last_round() -> None:
+    """Beside the nominal model the wind would not show; beside the better one it would."""
+    first = Ranking((candidate("wind", "", 9.0),), (), np.ones(3))
+    last = Ranking((candidate("wind", "", 0.01),), (), np.ones(3))
+    assert set(first.undetectable()) == {"wind"}
+    assert len(advice((), first, (), explained=True)) == 2  # a title and a line
+    assert not advice((), first, (), explained=True, last=last)
+
+
+def test_what_free_parameters_do_is_named_apart() -> None:
+    """An effect whose signature the parameters imitate is not one that would not show."""
+    wind, same = candidate("wind", "", 9.0), candidate("same", "", np.inf)
+    ranking = Ranking((wind, replace(same, distinct=0.0)), (), np.ones(3))
+    assert ranking.imitated() == ("same",)
+    _, unseen, imitated = advice((), ranking, (), explained=True)
+    assert ("wind" in unseen, "same" in unseen) == (True, False)
+    assert ("wind" in imitated, "same" in imitated) == (False, True)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, improve
-from oed_sysid.diagnosis.remainder import Remains
+from oed_sysid.diagnosis.remainder import RandomForceFound, Remains, remains
+from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Force
 from oed_sysid.simulation import simulate_inputs
 
@@ -78,3 +79,61 @@ def test_declared_noise_leaves_less_room(share: float, ratio: float, kind: str) 
     """Slow misfit of five times the declared noise is no sensor's, however large the signal."""
     left = Remains(0.0, 30.0, shares={"psi": share}, over_wiggles={"psi": ratio}, declared=("psi",))
     assert left.kind == kind
+
+
+@pytest.mark.parametrize(("told", "kind"), [(True, "structure missing"), (False, "random forces")])
+def test_levels_differ_where_the_records_tell_them_apart(told: bool, kind: str) -> None:
+    """Three times the level is another sea only where the records are likelier with it."""
+    force = RandomForceFound("force Y", "N", 6.0, 0.5, 500.0, 2.0, told)
+    assert force.is_the_same_elsewhere is not told
+    assert Remains(500.0, None, random=(force,), shares={"y": 0.2}, follows=()).kind == kind
+
+
+def test_a_model_that_leaves_the_numbers_is_not_adequate() -> None:
+    """However likely the records are with random forces or noise alone."""
+    left = Remains(0.0, None, shares={"u": np.inf, "z": 0.01}, over_wiggles={"u": np.inf})
+    assert left.kind == "structure missing"
+    assert left.diverging == ("u",)
+    assert left.to_dict()["shares"] == {"u": None, "z": 0.01}
+
+
+DRIFTER = Model(
+    "drifter",
+    (State("u", "m/s", scale=1.0), State("x", "m", scale=10.0)),
+    (Input("push", "N"),),
+    (Output("x", "m", noise_std=0.3),),
+    {"u": "(push - d*u)/m", "x": "u"},
+    parameters=(Parameter("m", 60.0, "kg", fixed=True), Parameter("d", 2.0, "kg/s", lower=0.0)),
+    step=0.1,
+)
+
+
+def drifts(seed: int, level: float, n: int, seconds: float = 40.0) -> Dataset:
+    """Positions of a craft of 60 kg and 3 kg/s under a force that lasts a second, N."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for index in range(n):
+        times = np.arange(0.0, seconds, 0.1)
+        push = np.repeat(rng.choice([5.0, 15.0, 25.0], len(times) // 60 + 1), 60)[: len(times)]
+        x, u, w = np.zeros(len(times)), 3.0, 0.0
+        for k in range(len(times) - 1):
+            w = np.exp(-0.1) * w + np.sqrt(1 - np.exp(-0.2)) * level * rng.standard_normal()
+            x[k + 1] = x[k] + 0.1 * u
+            u += 0.1 * (push[k] + w - 3.0 * u) / 60.0
+        seen = x + 0.3 * rng.standard_normal(len(times))
+        seen[np.arange(len(times)) % 5 > 0] = np.nan
+        found.append(
+            Record(f"run {seed} {index}", times, push[:, None], seen[:, None], DRIFTER.channels)
+        )
+    return Dataset(tuple(found))
+
+
+@pytest.mark.parametrize("level", [8.0, 32.0])
+def test_short_records_do_not_tell_level_from_time(level: float) -> None:
+    """The same sea is the same where another level and time fit as well; a fourfold one is not."""
+    train, test = drifts(19, 8.0, 2), drifts(20, level, 1)
+    study, fit = Study.begin(DRIFTER, train, test, (), known_noise=False)
+    (force,) = remains(study, study.settle(fit)).random
+    assert max(force.level, force.elsewhere) > 2.0 * min(force.level, force.elsewhere)
+    assert force.told is (level == 32.0)
+    assert force.is_the_same_elsewhere is (level == 8.0)

@@ -69,6 +69,10 @@ def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
     from oed_sysid.cli.terminal import note
     from oed_sysid.errors import UnitWarning
 
+    if isinstance(
+        message, RuntimeWarning
+    ):  # a trial step that overflowed; results say how it ended
+        return
     if isinstance(message, UnitWarning):  # so likely wrong that --quiet does not hide it
         print(f"Note: {message}", file=sys.stderr)
     else:

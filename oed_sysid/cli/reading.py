@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from oed_sysid.cli.arguments import TIME_UNIT
-from oed_sysid.cli.terminal import kept
+from oed_sysid.cli.terminal import kept, note
 from oed_sysid.errors import DataError
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ def _read(files: Sequence[str], model: Model, intervals: Iterable[float]) -> Dat
 
     unit = kept(TIME_UNIT)
     dataset = read_csv(files, model.channels, units={"time": unit} if unit else None)
+    _say_unmeasured(dataset)
     usual = max([model.step, *intervals])
     for record in dataset:
         interval = record.sample_time
@@ -55,3 +56,22 @@ def _read(files: Sequence[str], model: Model, intervals: Iterable[float]) -> Dat
                 "--time-unit ms; if they are seconds, add --time-unit s."
             )
     return dataset
+
+
+def _say_unmeasured(dataset: Dataset) -> None:
+    """Note outputs without a sample in any record: a misnamed column is one, silently left out."""
+    import numpy as np
+
+    seen = np.any([np.isfinite(record.outputs).any(axis=0) for record in dataset], axis=0)
+    names = [output.name for output in dataset.channels.outputs]
+    absent = [name for name, one in zip(names, seen, strict=True) if not one]
+    if absent:
+        wanted = ", ".join(
+            repr(output.column or output.name)
+            for output, one in zip(dataset.channels.outputs, seen, strict=True)
+            if not one
+        )
+        note(
+            f"Note: no record measures {', '.join(absent)}: no file has samples in a column "
+            f"{wanted}. If one is meant, rename its header or set Output(column=...)."
+        )

@@ -54,10 +54,14 @@ from oed_sysid.effects import Effect
 from oed_sysid.errors import OedSysidError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.gauss_newton import FilteredSolution
+from oed_sysid.fitting.judgement import level_concerns
 from oed_sysid.fitting.noise_levels import credible_levels, signal_spread
+from oed_sysid.fitting.other_way import other_way
 from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.model import Model
 
+# Factor of a declared noise level from which it is worth a word.
+OTHER_NOISE = 1.3
 # Share of a signal that whole runs must miss before a search is worth making again.
 MUCH = 0.1
 
@@ -70,6 +74,7 @@ class _Reached:
     base: FilteredSolution
     first: Ranking
     rejected: tuple[str, ...]
+    last: Ranking | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +176,22 @@ def improve(
     location = _located(study, found.base, found.first, notes, keep)
     notes += _bought(end.state.study, end.state.fit)
     tell("fits and errors of every step")
-    return keep.once("every step", lambda: _result(found, end, location, notes, log))
+    result = keep.once("every step", lambda: _result(found, end, location, notes, log))
+    acting = other_way(result.fit, {p.name: p.value for p in model.free_parameters})
+    said = (*(one.text for one in acting), *_other_noise(result.fit))
+    return replace(result, notes=(*said, *result.notes))
+
+
+def _other_noise(fit: Fit) -> list[str]:
+    """Words where sensors are not as loud as declared."""
+    found = [c for c in level_concerns(fit) if not 1.0 / OTHER_NOISE < c.size < OTHER_NOISE]
+    if not found:
+        return []
+    told = ", ".join(f"{concern.signal} {concern.size:.2g} times" for concern in found)
+    return [
+        f"The noise is not as declared: {told}. Errors in units of the noise count the declared "
+        "levels; gains and standard errors are of those found. Correct noise_std, or leave it out."
+    ]
 
 
 def _searched(
@@ -184,11 +204,12 @@ def _searched(
 ) -> _Reached:
     """Search from the nominal model to the end."""
     state, first, rejected = Standing(study, (), base, (base,)), None, []
+    last: Ranking | None = None
     for reached, ranking, refused in _search(state, max_effects, tell, keep, notes):
-        state, first = reached, first or ranking
+        state, first, last = reached, first or ranking, ranking
         rejected += refused
     first = first or rank(study, base, study.candidates, n_refits=0, share=state.share)
-    return _Reached(state, base, first, tuple(rejected))
+    return _Reached(state, base, first, tuple(rejected), None if last is first else last)
 
 
 def _ended(
@@ -420,7 +441,7 @@ def _result(
     fast = np.where(study.estimated, np.minimum(sigma, credible_levels(study.train)[0]), sigma)
     excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0))
     shares, ratios = (
-        {name: float(v) for name, v in zip(names, excess / unit, strict=True) if np.isfinite(v)}
+        {name: float(v) for name, v in zip(names, excess / unit, strict=True) if not np.isnan(v)}
         for unit in (yardstick.spread, fast)
     )
     term = None
@@ -454,6 +475,7 @@ def _result(
         notes=(*notes, *state.doubts),
         log=log,
         skipped=study.skipped,
+        last=found.last if steps else None,
     )
 
 

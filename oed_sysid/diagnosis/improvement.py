@@ -221,6 +221,9 @@ class Improvement:
         Noise and spread of the signals, to compare errors with.
     rejected : tuple of str
         Best candidates that the validation records refused.
+    last : Ranking or None
+        Of the last round, in which everything found was part of the model; it tells what the
+        records would not have shown. None where the first was the last.
     """
 
     model: Model
@@ -240,6 +243,7 @@ class Improvement:
     notes: tuple[str, ...] = ()
     log: LogCheck | None = None
     skipped: tuple[str, ...] = ()
+    last: Ranking | None = None
 
     _repr_html_ = as_html
 
@@ -289,6 +293,7 @@ class Improvement:
             explained=self.remains.kind in ("adequate", "random forces"),
             suspect=self.remains.kind == "log suspect",
             commanded=bool(self.base.inputs),
+            last=self.last,
         )
 
     @property
@@ -359,7 +364,7 @@ class Improvement:
                 "",
                 self.location.report(),
                 "",
-                self.ranking.report(),
+                self.ranking.report(hidden=self.last is None),
                 "",
                 *self._story(),
                 "",
@@ -480,6 +485,7 @@ def advice(
     suspect: bool = False,
     before: float = np.nan,
     commanded: bool = True,
+    last: Ranking | None = None,
 ) -> list[str]:
     """Sentences for whoever goes to sea again.
 
@@ -498,6 +504,8 @@ def advice(
         Validation error of the nominal model, in units of the noise.
     commanded : bool
         Whether the model has inputs, so that a manoeuvre can be designed.
+    last : Ranking, optional
+        Of the last round, where that was not the first: it says what would not have shown.
     """
     known = {score.effect.name: score.effect for score in ranking.scores}
     estimates = {row["name"]: row for row in parameters}
@@ -530,12 +538,19 @@ def advice(
             sea += _manoeuvre(step.group, known, commanded)
         if not tested:
             doubt.append(f"{step.added} before a validation record has confirmed it.")
-    hidden = sorted(set(ranking.undetectable()) - {step.added for step in steps})
+    ended = ranking if last is None else last
+    added = {step.added for step in steps}
+    imitated = [name for name in ended.imitated() if name not in added]
+    hidden = sorted(set(ended.undetectable()) - added - set(imitated))
     if hidden:
-        more = f" and {len(hidden) - NAMED} more" if len(hidden) > NAMED else ""
         doubt.append(
-            f"that {', '.join(hidden[:NAMED])}{more} {'is' if len(hidden) == 1 else 'are'} absent: "
+            f"that {_several(hidden)} {'is' if len(hidden) == 1 else 'are'} absent: "
             f"{'its' if len(hidden) == 1 else 'their'} typical size would not show here."
+        )
+    if imitated:
+        doubt.append(
+            f"that these records say anything about {_several(imitated)}: parameters that are free "
+            "already do the same."
         )
     if not explained:
         doubt.append("standard errors of the parameters: more is missing than was found.")
@@ -544,6 +559,12 @@ def advice(
         *_listed("Do not believe", doubt),
         *_listed("Next at sea", list(dict.fromkeys(sea))),
     ]
+
+
+def _several(names: Sequence[str]) -> str:
+    """The first of some names, and how many more there are."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f"{', '.join(names[:NAMED])}{more}"
 
 
 def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) -> list[str]:

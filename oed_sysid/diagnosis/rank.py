@@ -167,8 +167,11 @@ class Ranking:
         names = (name, *(refit.name for refit in self.group()), *self.alike(name))
         return tuple(dict.fromkeys(names))
 
-    def report(self) -> str:
-        """Return the best candidates and what these records cannot show, as text."""
+    def report(self, *, hidden: bool = True) -> str:
+        """Return the best candidates, and with ``hidden`` what these records cannot show, as text.
+
+        What they cannot show beside the nominal model they may show beside a better one.
+        """
         rows = [("candidate effect", "score", "gain", "needed", "distinct")]
         refits = {refit.name: refit for refit in self.refits}
         scores = {score.effect.name: score for score in self.scores}
@@ -178,11 +181,19 @@ class Ranking:
             needed = f"{self.needed_by(score):.1f}"
             rows.append((name, f"{score.statistic:.1f}", gain, needed, f"{score.distinct:.2f}"))
         lines = align(rows)
-        hidden = self.undetectable()
-        if hidden:
+        imitated = self.imitated()
+        unseen = sorted(set(self.undetectable()) - set(imitated))
+        if hidden and unseen:
             text = "These records would not show the typical size of: "
-            lines += ["", text + ", ".join(sorted(hidden))]
+            lines += ["", text + ", ".join(unseen)]
+        if hidden and imitated:
+            text = "Parameters that are free already do the same in these records as: "
+            lines += ["", text + ", ".join(imitated)]
         return "\n".join(lines)
+
+    def imitated(self) -> tuple[str, ...]:
+        """Effects that free parameters of the model imitate completely, by name."""
+        return tuple(sorted(score.effect.name for score in self.scores if score.absorbed))
 
     def statistics(self) -> list[tuple[str, float]]:
         """Gain after refitting where refitted, score statistic elsewhere; best first."""

@@ -48,6 +48,8 @@ class RandomForceFound:
         What dropping it, all else estimated again, loses in twice the log-likelihood.
     elsewhere : float
         Its level on the validation records; NaN without any.
+    told : bool
+        Whether the validation records tell the levels estimated there from those of the training.
     """
 
     place: str
@@ -56,14 +58,19 @@ class RandomForceFound:
     time: float
     gain: float
     elsewhere: float
+    told: bool = True
 
     @property
     def is_the_same_elsewhere(self) -> bool:
-        """Whether its level on validation records is about that on the training records."""
-        if np.isnan(self.elsewhere):
+        """Whether its level on validation records is about that on the training records.
+
+        Level and time of a short force are told together only, and each badly where records are
+        short: levels that differ say nothing where the records are as likely with the same ones.
+        """
+        if np.isnan(self.elsewhere) or not self.told:
             return True
         low, high = sorted((self.level, self.elsewhere))
-        return low > 0 and high / low < SAME_LEVEL
+        return bool(low > 0 and high / low < SAME_LEVEL)
 
     @property
     def text(self) -> str:
@@ -90,7 +97,8 @@ class Remains:
     random : tuple of RandomForceFound
         Those that are real, largest gain first.
     shares : mapping of str to float
-        Error of the model on its own, as a share of each signal's spread.
+        Error of the model on its own, as a share of each signal's spread; infinite where it leaves
+        the numbers.
     over_wiggles : mapping of str to float
         The same error, over the declared noise of each signal, or over what its fastest wiggles
         show.
@@ -125,6 +133,11 @@ class Remains:
         return bool(self.shares) and max((self.shares or {}).values()) > ABSORBED
 
     @property
+    def diverging(self) -> tuple[str, ...]:
+        """Signals for which the model on its own leaves the numbers."""
+        return tuple(name for name, share in (self.shares or {}).items() if share == np.inf)
+
+    @property
     def drifting(self) -> tuple[str, ...]:
         """Signals whose misfit is said to be slow noise of a sensor whose wiggles are far finer."""
         if self.sensor_time is None or not self.over_wiggles:
@@ -142,6 +155,8 @@ class Remains:
         """``"adequate"``, ``"random forces"``, ``"structure missing"`` or ``"log suspect"``."""
         if self.suspect:
             return "log suspect"
+        if self.diverging:
+            return "structure missing"
         if self.is_noise or not self.random:
             return "structure missing" if self.is_absorbed or self.drifting else "adequate"
         same = all(force.is_the_same_elsewhere for force in self.random)
@@ -155,6 +170,12 @@ class Remains:
         """What is left, with its size."""
         if self.suspect:
             return f"log suspect: {self.suspect} Nothing is certified before that is put right."
+        if self.diverging:
+            return (
+                "structure missing: on its own the model leaves the numbers in "
+                f"{', '.join(self.diverging)}, whatever the likelihood says. Bound the parameters, "
+                "or declare noise_std, and look at the values of the fit."
+            )
         colour = (
             ""
             if self.sensor_time is None
@@ -226,11 +247,16 @@ class Remains:
                 }
                 for f in self.random
             ],
-            "shares": dict(self.shares or {}),
-            "over_wiggles": dict(self.over_wiggles or {}),
+            "shares": _plain(self.shares),
+            "over_wiggles": _plain(self.over_wiggles),
             "tied": list(self.tied),
             "follows": None if self.follows is None else [asdict(one) for one in self.follows],
         }
+
+
+def _plain(sizes: Mapping[str, float] | None) -> dict[str, float | None]:
+    """Sizes for JSON, which knows no infinity."""
+    return {name: size if np.isfinite(size) else None for name, size in (sizes or {}).items()}
 
 
 def remains(study: Study, fit: FilteredSolution) -> Remains:
@@ -254,6 +280,7 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
         return Remains(forces, time)
     validated = None if study.validation is None else study.on_records(fit, study.validation)
     elsewhere = np.full(len(noise.force), np.nan) if validated is None else validated.noise.force
+    told = validated is not None and _tells_levels(study, fit, validated)
     units = {place.name: place.unit for place in places(study.base)}
     found = []
     for index in np.flatnonzero(noise.force > 0):
@@ -265,10 +292,17 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
             name = noise.places[index]
             level, tau = float(noise.force[index]), float(noise.force_time[index])
             other = elsewhere[index]
-            found.append(RandomForceFound(name, units.get(name, ""), level, tau, gain, other))
+            found.append(RandomForceFound(name, units.get(name, ""), level, tau, gain, other, told))
     found.sort(key=lambda force: -force.gain)
     follows = repeated(study, fit, validated) if found else None
     return Remains(forces, time, tuple(found), follows=follows)
+
+
+def _tells_levels(study: Study, fit: FilteredSolution, validated: FilteredSolution) -> bool:
+    """Whether validation records are clearly likelier with levels of their own."""
+    assert study.validation is not None
+    same = study.on_records(fit, study.validation, same_forces=True)
+    return same is None or same.objective - validated.objective > REMAINDER_LIMIT
 
 
 def _without(study: Study, fit: FilteredSolution, kept: np.ndarray) -> FilteredSolution | None:

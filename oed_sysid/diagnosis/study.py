@@ -375,12 +375,20 @@ class Study:
         occam = value - own if sign > 0 and own_sign > 0 else 0.0
         return float(solution.objective + max(occam, 0.0))
 
-    def on_records(self, found: FilteredSolution, dataset: Dataset) -> FilteredSolution | None:
-        """A fit on other records: parameters held, start states and noise levels estimated."""
+    def on_records(
+        self, found: FilteredSolution, dataset: Dataset, *, same_forces: bool = False
+    ) -> FilteredSolution | None:
+        """A fit on other records: parameters held, start states and noise levels estimated.
+
+        With ``same_forces`` random forces are as strong and last as long as the fit says; only the
+        sensors' levels are estimated.
+        """
+        noise = found.noise if same_forces else self.loosened(found.noise)
+        levels = self.levels(noise, dataset)
         problem = self.problem(
             self.effects_of(found),
             found.values,
-            self.levels(self.loosened(found.noise), dataset),
+            levels.holding_forces() if same_forces else levels,
             dataset,
         )
         alone = self.alone(found, dataset)

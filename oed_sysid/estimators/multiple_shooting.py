@@ -335,6 +335,7 @@ class MultipleShooting:
         fit = with_step_advice(fit, shooting, solution)
         told: dict[str, object] = {"excluded": excluded} if excluded else {}
         told["magnitudes"] = {p.name: p.magnitude for p in model.free_parameters}
+        told["nominal"] = {p.name: p.value for p in model.free_parameters}
         return with_verdict(replace(fit, extras={**fit.extras, **told}))
 
     def _without_spikes(

@@ -49,6 +49,7 @@ from oed_sysid.fitting.estimate import Estimate
 from oed_sysid.fitting.input_noise import fast_level, noisy_inputs
 from oed_sysid.fitting.narrow_band import clear_peaks
 from oed_sysid.fitting.noise_levels import signal_spread, white_levels
+from oed_sysid.fitting.other_way import other_way
 from oed_sysid.fitting.spikes import spike_masks, spike_sizes
 from oed_sysid.language.units import shown_unit
 
@@ -93,7 +94,7 @@ class Concern:
     ----------
     kind : str
         ``noise_level``, ``colour``, ``swing``, ``spikes``, ``delay``, ``actuator_start``,
-        ``per_record_follows``, ``records_differ``, ``input_noise``, ``absorbed``,
+        ``per_record_follows``, ``records_differ``, ``input_noise``, ``other_way``, ``absorbed``,
         ``integration``, ``runaway``, ``degenerate`` or ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
@@ -102,11 +103,10 @@ class Concern:
     size : float
         A factor of the level (``noise_level``, ``absorbed``), the share of independent samples
         (``colour``), a number of samples (``spikes``), seconds (``delay``, ``swing``), the unit of
-        a command (``actuator_start``), a
-        correlation (``per_record_follows``), a factor of the standard error
-        (``records_differ``), noise levels (``integration``, ``input_noise``), multiples of the
-        scale (``runaway``) or of the signal (``degenerate``), samples per unknown
-        (``few_samples``).
+        a command (``actuator_start``), a correlation (``per_record_follows``), a factor of the standard error
+        (``records_differ``), the true input over the logged one (``other_way``), noise levels
+        (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of the signal
+        (``degenerate``), samples per unknown (``few_samples``).
     text : str
         What was expected, what was found, what to do.
     """
@@ -165,6 +165,7 @@ def judge(fit: Estimate) -> tuple[Concern, ...]:
     return (
         *found,
         *_few_samples(fit),
+        *_other_way(fit),
         *_records_differ(fit),
         *spikes,
         *delay_concerns(fit),
@@ -491,6 +492,17 @@ def input_concerns(fit: Estimate) -> tuple[Concern, ...]:
             )
         )
     return tuple(found)
+
+
+def _other_way(fit: Estimate) -> tuple[Concern, ...]:
+    """Inputs that act the other way round, or in another unit, than the start values say."""
+    nominal = fit.extras.get("nominal")
+    if not fit.status.ok or not nominal:
+        return ()
+    return tuple(
+        Concern("other_way", one.channel.name, "", one.factor, one.text)
+        for one in other_way(fit, nominal)
+    )
 
 
 # -- the trajectory ------------------------------------------------------------------

@@ -23,6 +23,7 @@ from oed_sysid.fitting.gauss_newton import (
     Progress,
     solve_filtered,
 )
+from oed_sysid.fitting.noise_levels import credible_levels
 from oed_sysid.fitting.score_test import ScoreTest
 from oed_sysid.fitting.setting import Setting
 from oed_sysid.fitting.shooting import Point
@@ -43,6 +44,8 @@ LEAST_START = 1.0
 # Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
 # a model hardly damps what disturbs it, records tell of levels far below those that act.
 DECADES, STRIDE = 21, 3
+# Fastest wiggles, over the level declared, from which levels also begin at what these show.
+LOUD = 1.5
 # Steps of everything else before levels move too.
 HELD_STEPS = 2
 # Iterations after which the likeliest of several starts goes on, and the others only where they
@@ -99,9 +102,12 @@ def fit_disturbed(
             np.maximum(test.noise.force, LEAST_START * unit.force),
         ),
     )
+    beginnings = [(start, begin) for start in starts]
+    if (loud := _louder(begin, dataset, setting)) is not None:
+        beginnings += [(start, loud) for start in starts if start.noise is None]
     begun = []
-    for start in starts:
-        own = begin if start.noise is None else _carried(begin, start.noise, setting)
+    for start, noise in beginnings:
+        own = noise if start.noise is None else _carried(noise, start.noise, setting)
         problem = Filtered(
             model.with_values(dict(start.values)),
             dataset,
@@ -110,7 +116,7 @@ def fit_disturbed(
             known_starts=setting.known_starts,
         )
         if start.noise is None:
-            begun.append((problem, *_begun(problem, start, setting, begin)))
+            begun.append((problem, *_begun(problem, start, setting, noise)))
         else:
             point = problem.point(start.initial, start.local, own)
             begun.append((problem, point, problem.objective(point.unknowns)))
@@ -131,6 +137,17 @@ def fit_disturbed(
                 reason=best.reason if stood else again.reason,
             )
     return best
+
+
+def _louder(begin: NoiseModel, dataset: Dataset, setting: Setting) -> NoiseModel | None:
+    """Sensors as loud as their fastest wiggles, where these are clearly louder than declared.
+
+    Levels that are to be estimated begin at what was declared. Where that is far too small, forces
+    that follow every wiggle seem likely, and parameters follow the forces.
+    """
+    shown, seen = credible_levels(dataset)
+    loud = setting.estimated & seen & (shown > LOUD * begin.white)
+    return replace(begin, white=np.where(loud, shown, begin.white)) if loud.any() else None
 
 
 def _stayed(

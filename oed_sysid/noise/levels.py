@@ -324,12 +324,19 @@ class Levels:
             for kind, index in self.entries
         ]
         noise = replace(self.noise, force=np.where(dropped, 0.0, self.noise.force))
+        return replace(self._only(keep), noise=noise)
+
+    def holding_forces(self) -> Levels:
+        """Return the same unknowns, levels and times of disturbances known."""
+        return self._only([kind not in (FORCE_VARIANCE, FORCE_TIME) for kind, _ in self.entries])
+
+    def _only(self, keep: Sequence[bool]) -> Levels:
+        """Some of the unknowns; the others stay at the noise model's values."""
         return replace(
             self,
-            noise=noise,
             entries=tuple(e for e, kept in zip(self.entries, keep, strict=True) if kept),
             **{
-                name: getattr(self, name)[keep]
+                name: getattr(self, name)[np.array(keep, dtype=bool)]
                 for name in ("lower", "upper", "scale", "prior_mean", "prior_weight")
             },
         )
