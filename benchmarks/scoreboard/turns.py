@@ -90,7 +90,8 @@ def start_of(record: Record, turn: Record) -> dict[str, float]:
 
 def turns(dataset: Dataset) -> tuple[Callable[[Fit], Mapping[str, float]], dict[str, float]]:
     """What is asked of a fit, and what was measured, for some turning tests."""
-    parts, measured = [], {}
+    parts: list[tuple[str, Record, dict[str, float]]] = []
+    measured: dict[str, float] = {}
     for record in dataset:
         turn = turn_of(record)
         parts.append((record.name, turn, start_of(record, turn)))

@@ -103,10 +103,10 @@ class Concern:
     size : float
         A factor of the level (``noise_level``, ``absorbed``), the share of independent samples
         (``colour``), a number of samples (``spikes``), seconds (``delay``, ``swing``), the unit of
-        a command (``actuator_start``), a correlation (``per_record_follows``), a factor of the standard error
-        (``records_differ``), the true input over the logged one (``other_way``), noise levels
-        (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of the signal
-        (``degenerate``), samples per unknown (``few_samples``).
+        a command (``actuator_start``), a correlation (``per_record_follows``), a factor of the
+        standard error (``records_differ``), the true input over the logged one (``other_way``),
+        noise levels (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of
+        the signal (``degenerate``), samples per unknown (``few_samples``).
     text : str
         What was expected, what was found, what to do.
     """

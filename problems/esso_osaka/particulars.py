@@ -6,6 +6,8 @@ marked *assumed*.
 
 from __future__ import annotations
 
+import math
+
 from oed_sysid import Parameter
 
 LENGTH, DRAUGHT = 3.0, 0.201  # m
@@ -25,11 +27,10 @@ def believed(
     spread: float,
     description: str,
     *,
-    lower: float | None = None,
-    upper: float | None = None,
+    lower: float = -math.inf,
+    upper: float = math.inf,
 ) -> Parameter:
     """Return a dimensionless number that the data may correct."""
-    limits = {key: at for key, at in (("lower", lower), ("upper", upper)) if at is not None}
     return Parameter(
         name,
         value,
@@ -38,7 +39,8 @@ def believed(
         prior_std=spread,
         scale=max(abs(value), spread),
         description=description,
-        **limits,
+        lower=lower,
+        upper=upper,
     )
 
 

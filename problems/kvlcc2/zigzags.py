@@ -25,7 +25,7 @@ def zigzags(channels: Channels, *, step: int = STEP) -> Dataset:
     records = [
         read_csv(fetch(path), channels, name=name)[0].thin(step) for name, path in paths.items()
     ]
-    return Dataset(records)
+    return Dataset(tuple(records))
 
 
 def zigzag_reader(channels: Channels) -> Callable[[], Dataset]:
