@@ -25,6 +25,7 @@ do not, no stated error holds, and no number of further runs mends it.
 
 from __future__ import annotations
 
+import textwrap
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -292,7 +293,12 @@ class Decision:
             head = "GO ON: on paper everything is known, but one run alone has said so; check it."
         lines = [head]
         if self.contradiction is not None:
-            lines.append(f"  WARNING       {self.contradiction.text}")
+            lines.append(
+                textwrap.fill(
+                    self.contradiction.text, 96, initial_indent="  WARNING       ",
+                    subsequent_indent=16 * " ",
+                )
+            )  # fmt: skip
         if self.action == "go on" and self.next_run is not None:
             lines.append(f"  next          {self.next_run.name}")
             if self.kept is not None:
