@@ -34,15 +34,19 @@ NEARLY = 0.015
 FALSE_CLAIMS, FALSE_CLAIMS_BEFORE_TEST = 0.01, 0.05
 
 
-def threshold(n_candidates: int, freedom: int, share: float = FALSE_CLAIMS) -> float:
+def threshold(
+    n_candidates: int, freedom: int, share: float = FALSE_CLAIMS, *, trials: float = 1.0
+) -> float:
     """Gain in twice the log-likelihood that chance exceeds rarely, however many candidates.
+
+    ``trials`` counts the frequencies of which a candidate takes the best.
 
     Examples
     --------
     >>> round(threshold(40, 1), 1)
     13.4
     """
-    return float(chdtri(freedom, share / max(n_candidates, 1)))
+    return float(chdtri(freedom, share / (max(n_candidates, 1) * max(trials, 1.0))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +77,11 @@ class Refit:
         """Gain less what freedom costs (two per parameter, as in Akaike's criterion).
 
         A size for every record costs twice that: it is estimated anew on validation records, too,
-        so that these cannot refuse it in favour of one that all share.
+        so that these cannot refuse it in favour of one that all share. The best of many frequencies
+        gains twice their logarithm by chance.
         """
-        return self.gain - 2.0 * self.score.freedom - 2.0 * self.score.apart
+        chance = 2.0 * float(np.log(self.score.trials))
+        return self.gain - 2.0 * self.score.freedom - 2.0 * self.score.apart - chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +122,7 @@ class Ranking:
 
     def needed_by(self, score: Score) -> float:
         """Gain that a claim of one candidate needs."""
-        return threshold(len(self.scores), score.freedom, self.share)
+        return threshold(len(self.scores), score.freedom, self.share, trials=score.trials)
 
     def group(self, width: float = GROUP_WIDTH) -> tuple[Refit, ...]:
         """The best refit and all that these data cannot tell from it.
@@ -265,7 +271,7 @@ def rank(
     best = quick[0].gain if quick else 0.0
 
     def worth(position: int, r: Refit) -> bool:
-        needed = threshold(len(scored), r.score.freedom, share)
+        needed = threshold(len(scored), r.score.freedom, share, trials=r.score.trials)
         return position < N_FULL and r.gain > SHARE * best and r.gain > HOPELESS * needed
 
     refits = [deepen(study, fit, r) if worth(n, r) else r for n, r in enumerate(quick)]

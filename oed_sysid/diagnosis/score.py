@@ -12,12 +12,13 @@ refitting with it would gain in twice the log-likelihood.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from oed_sysid.compiled.filtering import FilterPass
+from oed_sysid.diagnosis.lines import lines
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.filtered import Filtered
@@ -53,6 +54,9 @@ class Score:
         Share of the effect's signature that free parameters cannot imitate.
     signature : ndarray (n_rows, n_amplitudes)
         Whitened sensitivities with existing unknowns projected out.
+    trials : float
+        Frequencies that the records tell apart, of which the best was taken; 1 where the effect
+        does not swing in time.
     """
 
     effect: Effect
@@ -62,6 +66,7 @@ class Score:
     std_errors: dict[str, float]
     distinct: float
     signature: np.ndarray
+    trials: float = 1.0
 
     @property
     def apart(self) -> int:
@@ -88,14 +93,15 @@ class _Variant:
 class _Rows:
     """Innovations of all records in units of their standard deviation, with derivatives.
 
-    ``seen``, ``roots`` (standard deviations) and ``passes`` are per record; ``known`` are columns
-    of the unknowns of the fit, ``extra`` those of candidates, by name.
+    ``seen``, ``roots`` (standard deviations), ``passes`` and ``times`` are per record; ``known``
+    are columns of the unknowns of the fit, ``extra`` those of candidates, by name.
     """
 
     seen: list[np.ndarray]
     roots: list[np.ndarray]
     innovations: list[np.ndarray]
     passes: list[FilterPass]
+    times: list[np.ndarray]
     residual: np.ndarray
     known: np.ndarray
     extra: dict[str, np.ndarray]
@@ -105,6 +111,16 @@ class _Rows:
         return np.concatenate(
             [part[s] / root for part, s, root in zip(parts, self.seen, self.roots, strict=True)]
         )
+
+    @property
+    def scaled(self) -> list[np.ndarray]:
+        """Innovations ``(n_times, n_outputs)`` per record in standard deviations, NaN if none."""
+        found = []
+        for part, seen, root in zip(self.innovations, self.seen, self.roots, strict=True):
+            whole = np.full(part.shape, np.nan)
+            whole[seen] = part[seen] / root
+            found.append(whole)
+        return found
 
     def by_record(self, columns: np.ndarray) -> np.ndarray:
         """A column for every record in place of one for all, ``(n_rows, n_columns*n_records)``."""
@@ -154,6 +170,7 @@ def scores(
         raw = variant.columns
         projected = raw - basis @ (basis.T @ raw)
         score = _score(variant, raw, projected, residual, len(rows.seen))
+        score = replace(score, trials=_trials(variant.effect, rows))
         name = variant.effect.name
         if name not in best or score.statistic > best[name].statistic:
             best[name] = score
@@ -198,7 +215,8 @@ def _rows(fit: FilteredSolution, smooth: Sequence[str]) -> _Rows:
         away = problem.limits.prior_mean[column] - unknowns[column]
         residual[begin + position] = np.sqrt(priors[column]) * away
     innovations = [part.innovations for part in found]
-    return _Rows(seen, roots, innovations, found, residual, known, extra)
+    times = [record.times for record in problem.records]
+    return _Rows(seen, roots, innovations, found, times, residual, known, extra)
 
 
 def _score(
@@ -264,7 +282,7 @@ def _variants(
     for effect in candidates:
         amplitudes = effect.amplitude_names
         is_smooth = all(name in smooth for name in amplitudes)
-        for shape in _shapes(effect) if effect.shape_names else [{}]:
+        for shape in _shapes(effect, rows) if effect.shape_names else [{}]:
             columns = (
                 np.column_stack([rows.extra[name] for name in amplitudes])
                 if is_smooth
@@ -316,15 +334,38 @@ def _secant(
     return np.array(columns).T
 
 
-def _shapes(effect: Effect) -> list[dict[str, float]]:
-    """Grid over the bounds of the shape parameters, fine in the first and coarse in others."""
+def _swings(effect: Effect, parameter: Parameter) -> bool:
+    """Whether a shape is the frequency of something that swings in time."""
+    return parameter.unit == "rad/s" and "t" in effect.uses()
+
+
+def _trials(effect: Effect, rows: _Rows) -> float:
+    """Frequencies that the longest record tells apart within the bounds of an effect."""
+    longest = max(float(t[-1] - t[0]) for t in rows.times)
+    ranges = [
+        p.upper - p.lower
+        for p in effect.parameters
+        if p.name in effect.shape_names and _swings(effect, p) and np.isfinite(p.upper - p.lower)
+    ]
+    return max(1.0, max(ranges, default=0.0) * longest / (2.0 * np.pi))
+
+
+def _shapes(effect: Effect, rows: _Rows) -> list[dict[str, float]]:
+    """Grid over the bounds of the shape parameters, fine in the first and coarse in others.
+
+    Where a term swings in time, the frequencies at which the innovations do are beside the grid,
+    which is coarser than a long record tells them apart.
+    """
     axes = []
     for position, name in enumerate(effect.shape_names):
         parameter = _parameter(effect, name)
         low, high = parameter.lower, parameter.upper
         if not (np.isfinite(low) and np.isfinite(high)):
             low, high = sorted((0.5 * parameter.value, 2.0 * parameter.value))
-        axes.append(np.linspace(low, high, N_SHAPES if position == 0 else N_OTHER_SHAPES))
+        grid = np.linspace(low, high, N_SHAPES if position == 0 else N_OTHER_SHAPES)
+        if _swings(effect, parameter):
+            grid = np.append(grid, lines(rows.times, rows.scaled, low, high))
+        axes.append(grid)
     return [
         dict(zip(effect.shape_names, map(float, point), strict=True)) for point in product(*axes)
     ]
