@@ -131,3 +131,12 @@ def test_what_free_parameters_do_is_named_apart() -> None:
     _, unseen, imitated = advice((), ranking, (), explained=True)
     assert ("wind" in unseen, "same" in unseen) == (True, False)
     assert ("wind" in imitated, "same" in imitated) == (False, True)
+
+
+@pytest.mark.parametrize(("std_error", "doubted"), [(0.1, 0), (1.5, 1)])
+def test_a_claim_whose_interval_holds_zero_is_doubted(std_error: float, doubted: int) -> None:
+    """Correlated residuals widen the interval after the likelihood has spoken."""
+    row = {"name": "E_drag", "value": 2.0, "std_error": std_error, "unit": "N"}
+    lines = advice([step("drag")], RANKING, (row,), explained=True)
+    told = lines[lines.index("Do not believe:") :] if "Do not believe:" in lines else []
+    assert sum("drag" in line for line in told) == doubted

@@ -184,7 +184,13 @@ def improve(
 
 def _other_noise(fit: Fit) -> list[str]:
     """Words where sensors are not as loud as declared."""
-    found = [c for c in level_concerns(fit) if not 1.0 / OTHER_NOISE < c.size < OTHER_NOISE]
+    slow = {n for n, level in zip(fit.noise.outputs, fit.noise.colour, strict=True) if level > 0}
+    found = [
+        concern
+        for concern in level_concerns(fit)
+        # Where some of it is slow, its white part is no level of the sensor.
+        if concern.signal not in slow and not 1.0 / OTHER_NOISE < concern.size < OTHER_NOISE
+    ]
     if not found:
         return []
     told = ", ".join(f"{concern.signal} {concern.size:.2g} times" for concern in found)

@@ -521,6 +521,11 @@ def advice(
             f"{what} is missing{', the validation records agree' if tested else ''}"
             + (f": {', '.join(sizes)}." if sizes and not rivals else ".")
         )
+        if own and not any(_clear(estimates[p.name]) for p in own):
+            doubt.append(
+                f"{what} before more records have shown it: the 95 % interval holds zero "
+                f"({', '.join(sizes)})."
+            )
         unknown = [p.name for p in own if not _is_told(estimates[p.name], p)]
         if unknown:
             doubt.append(f"the size of {', '.join(unknown)}: these records do not give it.")
@@ -539,7 +544,7 @@ def advice(
         if not tested:
             doubt.append(f"{step.added} before a validation record has confirmed it.")
     ended = ranking if last is None else last
-    added = {step.added for step in steps}
+    added = {name for step in steps for name in (step.added, *step.group)}
     imitated = [name for name in ended.imitated() if name not in added]
     hidden = sorted(set(ended.undetectable()) - added - set(imitated))
     if hidden:
@@ -583,6 +588,11 @@ def _is_told(row: Mapping[str, Any], parameter: Parameter) -> bool:
     """Whether the records give a size: its interval is within what was possible anyway."""
     widest = min(parameter.upper - parameter.lower, UNTOLD * parameter.magnitude)
     return bool(TWO_SIDED_95 * row["std_error"] < widest)
+
+
+def _clear(row: Mapping[str, Any]) -> bool:
+    """Whether an interval leaves zero out; correlated residuals widen it after a claim was made."""
+    return bool(abs(row["value"]) > TWO_SIDED_95 * row["std_error"])
 
 
 def _size(row: Mapping[str, Any], parameter: Parameter) -> str:

@@ -108,6 +108,8 @@ def _powers(
     angle = RIGHTING.get(equation)
     if angle in model.state_names:
         yield f"righting_{angle}", f"sin({angle})", (), sizes.level[angle]
+        thrice = ((angle, False),) * 3  # a hull that hardens or softens as it heels
+        yield f"hardening_{angle}", f"{angle}**3", thrice, sizes.level[angle] ** 3
 
 
 def _coupled(model: Model, equation: str, state: str) -> list[str]:

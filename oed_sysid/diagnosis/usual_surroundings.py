@@ -32,6 +32,8 @@ def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
     elif {"u", "v"} <= set(states) and "psi" in angles:
         flow = (states["u"], states["v"])
         yield environment.current_horizontal_plane(flow=flow, scale=OF_SPEED * speed)
+    elif "u" in states and "psi" in angles and "v" not in angles:
+        yield _head_current(states["u"], OF_SPEED * speed)
     if {"u", "w"} <= set(states) and "theta" in angles and "v" not in states:
         flow = (states["u"], states["w"])
         yield environment.current_forward(flow=flow, scale=OF_SPEED * speed)
@@ -72,6 +74,22 @@ def _current(flow: dict[str, str], scale: float) -> Effect:
         description="steady current",
         source=environment.CURRENT,
         needs="position or velocity over ground, on several headings",
+    )
+
+
+def _head_current(flow: str, scale: float) -> Effect:
+    """A current of which a vehicle without sway meets the part along its heading."""
+    north, east = (
+        Parameter(f"E_current_{way}", 0.0, "m/s", -20 * scale, 20 * scale, scale=scale)
+        for way in ("north", "east")
+    )
+    return Environment(
+        "current",
+        {flow: f"{flow} - ({north.name}*cos(psi) + {east.name}*sin(psi))"},
+        (north, east),
+        description="steady horizontal current along the heading",
+        source=environment.CURRENT,
+        needs="velocity over ground, on several headings",
     )
 
 
