@@ -184,4 +184,7 @@ def test_turns_are_summed_up_by_quantity() -> None:
     found["advance turn_port"], found["advance turn_starboard"] = 2.06, 1.92  # 3 and -4 per cent
     found["tactical_diameter turn_port"] = 2.2
     found["transfer turn_port"] = 9.0
-    assert turns._reached(found, measured) == "4 / 7"
+    reached = turns._reached(found, measured)
+    assert reached["advance"] == pytest.approx(np.sqrt((3.0**2 + 4.0**2) / 2))
+    assert set(reached) == {"advance", "tactical_diameter"}
+    assert 6.5 < reached["tactical_diameter"] < 7.5
