@@ -187,4 +187,4 @@ def test_turns_are_summed_up_by_quantity() -> None:
     reached = turns._reached(found, measured)
     assert reached["advance"] == pytest.approx(np.sqrt((3.0**2 + 4.0**2) / 2))
     assert set(reached) == {"advance", "tactical_diameter"}
-    assert 6.5 < reached["tactical_diameter"] < 7.5
+    assert reached["tactical_diameter"] == pytest.approx(np.sqrt(10.0**2 / 2))
