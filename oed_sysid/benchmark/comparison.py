@@ -6,11 +6,10 @@ import csv
 import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import groupby, product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from oed_sysid.benchmark.contest import (
     run_cell,
 )
 from oed_sysid.benchmark.world import IDEAL, world_by_name
+from oed_sysid.display import as_dict
 from oed_sysid.errors import ProblemError
 
 # A parameter counts as determined where the data allow a standard error below this share.
@@ -120,9 +120,7 @@ class Row:
         """Problem, noise, its unit, sampling and world."""
         return self.problem, self.noise, self.noise_unit, self.sampling, self.world
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the row as plain data."""
-        return asdict(self)
+    to_dict = as_dict()
 
 
 @dataclass(frozen=True)
@@ -146,9 +144,7 @@ class Verdict:
     outcome: str
     ratio: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the verdict as plain data."""
-        return asdict(self)
+    to_dict = as_dict()
 
 
 def measure(outcomes: Iterable[Outcome]) -> tuple[Row, ...]:
@@ -452,12 +448,7 @@ class Benchmark:
         """Return one line per row, for a spreadsheet."""
         return as_csv(self.rows)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return rows and verdicts as plain data for JSON."""
-        return {
-            "rows": [row.to_dict() for row in self.rows],
-            "verdicts": [verdict.to_dict() for verdict in self.verdicts()],
-        }
+    to_dict = as_dict("rows", verdicts=lambda self: self.verdicts())
 
 
 def benchmark(

@@ -14,12 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from oed_sysid.design.quantities import percent
 from oed_sysid.design.robust import draw_models
+from oed_sysid.display import as_dict
 from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment
 from oed_sysid.fitting.fit import Fit
@@ -73,15 +73,12 @@ class AccuracyRange:
         low, high = stated(self.lowest[i], self.sea), stated(self.highest[i], self.sea)
         return f"{low} to {high}" if low != high else low
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "n_drawn": self.n_drawn,
-            "parameters": {
-                name: [float(low), float(high)]
-                for name, low, high in zip(self.names, self.lowest, self.highest, strict=True)
-            },
-        }
+    to_dict = as_dict(
+        "n_drawn",
+        parameters=lambda self: dict(
+            zip(self.names, zip(self.lowest, self.highest, strict=True), strict=True)
+        ),
+    )
 
 
 def accuracy_range(

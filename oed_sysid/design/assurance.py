@@ -25,6 +25,7 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.caution import Guards
 from oed_sysid.design.corridor import Corridor
 from oed_sysid.design.robust import draw_structures
+from oed_sysid.display import as_dict
 from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.information import Information
@@ -67,12 +68,7 @@ class AbortRule:
     fires: float
     limited: bool
 
-    def to_dict(self) -> dict[str, object]:
-        """Return plain data for JSON."""
-        return {
-            "signal": self.signal, "lower": self.lower, "upper": self.upper, "fires": self.fires,
-            "limited": self.limited,
-        }  # fmt: skip
+    to_dict = as_dict("signal", "lower", "upper", "fires", "limited")
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,20 +160,10 @@ class Assurance:
             f"({self.drawn}) this run leaves its limits."
         )
 
-    def to_dict(self) -> dict[str, object]:
-        """Return plain data for JSON."""
-        return {
-            "n_kept": self.n_kept,
-            "n_checked": self.n_checked,
-            "at_least": self.at_least,
-            "wanted": self.wanted,
-            "spread": self.spread,
-            "left": dict(self.left),
-            "waves": self.waves,
-            "abort_rules": [rule.to_dict() for rule in self.rules],
-            "any_rule_fires": self.any_fires,
-            "ranges": {name: list(pair) for name, pair in self.ranges.items()},
-        }
+    to_dict = as_dict(
+        "n_kept", "n_checked", "at_least", "wanted", "spread", "left", "waves", "ranges",
+        abort_rules="rules", any_rule_fires="any_fires",
+    )  # fmt: skip
 
 
 def assess_limits(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from oed_sysid.design.card import sea_trial_card
 from oed_sysid.design.quantities import percent
 from oed_sysid.design.reference import Reference
 from oed_sysid.design.reveal import Chance, missing_physics
-from oed_sysid.display import as_html
+from oed_sysid.display import as_dict, as_html
 from oed_sysid.experiment import Experiment
 from oed_sysid.information import Information
 from oed_sysid.model import Model
@@ -191,44 +190,29 @@ class Design:
         """Return one page for the people who run the trial."""
         return sea_trial_card(self)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        gains = [self.gain(reference) for reference in self.references]
-        return {
-            "experiment": self.experiment.to_dict(),
-            "model": self.model.name,
-            "criterion": self.criterion,
-            "parametrisation": self.parametrisation,
-            "value": self.value,
-            "start_values": list(self.start_values),
-            "parameters": [
-                {
-                    "name": name,
-                    "value": self.model.values[name],
-                    "before": float(self.prior_errors[i] * self.sizes[i]),
-                    "after": float(self.information.std_errors[i]),
-                }
-                for i, name in enumerate(self.names)
-            ],
-            "references": [
-                {
-                    "name": r.name,
-                    "note": r.note,
-                    "std_errors": r.information.std_errors.tolist(),
-                    "mean_gain": mean,
-                    "worst_gain": worst,
-                }
-                for r, (mean, worst) in zip(self.references, gains, strict=True)
-            ],
-            "sea": None if self.sea is None else self.sea.to_dict(),
-            "accuracy_range": None if self.spread is None else self.spread.to_dict(),
-            "active_limits": list(self.active),
-            "assurance": None if self.assurance is None else self.assurance.to_dict(),
-            "misfits": [[a, b, value] for (a, b), value in self.misfits.items()],
-            "chances": [one.to_dict() for one in self.chances],
-            "n_evaluations": self.n_evaluations,
-            "seconds": self.seconds,
-        }
+    to_dict = as_dict(
+        "experiment", "criterion", "parametrisation", "value", "start_values", "sea",
+        "assurance", "chances", "n_evaluations", "seconds",
+        model="model.name",
+        parameters=lambda self: [
+            {"name": name, "value": self.model.values[name], "before": before, "after": after}
+            for name, before, after in zip(
+                self.names, self.prior_errors * self.sizes, self.information.std_errors,
+                strict=True,
+            )
+        ],
+        references=lambda self: [
+            {
+                "name": one.name,
+                "note": one.note,
+                "std_errors": one.information.std_errors,
+                **dict(zip(("mean_gain", "worst_gain"), self.gain(one), strict=True)),
+            }
+            for one in self.references
+        ],
+        accuracy_range="spread", active_limits="active",
+        misfits=lambda self: [[*pair, value] for pair, value in self.misfits.items()],
+    )  # fmt: skip
 
     def write_csv(self, path: str | Path, *, predicted: bool = False) -> None:
         """Write the commands as a table that an autopilot can play.

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -31,6 +30,7 @@ from scipy.special import chdtri, chndtr
 from oed_sysid.design.criteria import Measure
 from oed_sysid.design.discrimination import noncentrality, told_apart
 from oed_sysid.design.elimination import eliminate
+from oed_sysid.display import as_dict
 from oed_sysid.effects import Effect
 from oed_sysid.errors import DesignError
 from oed_sysid.model import Model
@@ -187,13 +187,7 @@ class Chance:
     after: float
     least: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "name": self.name, "sizes": dict(self.sizes), "gain_before": self.gain_before,
-            "gain_after": self.gain_after, "before": self.before, "after": self.after,
-            "least": self.least,
-        }  # fmt: skip
+    to_dict = as_dict("name", "sizes", "gain_before", "gain_after", "before", "after", "least")
 
 
 def missing_physics(

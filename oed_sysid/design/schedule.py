@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import wrap
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.library import Candidate
 from oed_sysid.design.quantities import percent
 from oed_sysid.design.reveal import Chance, missing_physics
-from oed_sysid.display import as_html
+from oed_sysid.display import as_dict, as_html
 from oed_sysid.files import make_folder
 from oed_sysid.information import Information
 from oed_sysid.model import Model
@@ -52,6 +51,8 @@ class Standard:
     hours: float
     own_hours: float
     errors: Mapping[str, float]
+
+    to_dict = as_dict("names", "hours", "ratio")
 
     @property
     def ratio(self) -> float:
@@ -277,58 +278,34 @@ class Programme:
             lines.append(row)
         return lines
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "model": self.model.name,
-            "hours": self.hours,
-            "runs": [
-                {
-                    "name": run.name,
-                    "kind": run.kind,
-                    "cost_s": run.cost,
-                    "experiment": run.experiment.to_dict(),
-                    "limits_kept": self.assurances[run.name].to_dict(),
-                }
-                for run in self.runs
-            ],
-            "limits_kept": self.kept if self.limited else None,
-            "criterion": self.criterion,
-            "value": self.value,
-            "relaxed": self.relaxed,
-            "bound": self.bound,
-            "gap": self.gap,
-            "share_of_bound": self.share,
-            "greedy_share": self.greedy_share,
-            "refined_factor": self.refined_factor,
-            "weights": {
-                run.name: float(x)
-                for run, x in zip(self.candidates, self.weights, strict=True)
-                if x > 1e-6
-            },
-            "parameters": [
-                {
-                    "name": name,
-                    "value": self.model.values[name],
-                    "relative_error": float(self.relative_errors[i]),
-                }
-                for i, name in enumerate(self.names)
-            ],
-            "accuracy_range": None if self.spread is None else self.spread.to_dict(),
-            "standard": None
-            if self.standard is None
-            else {
-                "names": list(self.standard.names),
-                "hours": self.standard.hours,
-                "ratio": self.standard.ratio,
-            },
-            "sea": None if self.sea is None else self.sea.to_dict(),
-            "outputs": list(self.outputs),
-            "sensors": {name: list(pair) for name, pair in self.sensor_options.items()},
-            "misfits": [[a, b, value] for (a, b), value in self.misfits.items()],
-            "chances": [one.to_dict() for one in self.chances],
-            "seconds": self.seconds,
-        }
+    to_dict = as_dict(
+        "hours", "runs", "criterion", "value", "relaxed", "bound", "gap", "greedy_share",
+        "refined_factor", "standard", "sea", "outputs", "chances", "seconds",
+        model="model.name",
+        runs=lambda self: [
+            {
+                "name": run.name,
+                "kind": run.kind,
+                "cost_s": run.cost,
+                "experiment": run.experiment,
+                "limits_kept": self.assurances[run.name],
+            }
+            for run in self.runs
+        ],
+        limits_kept=lambda self: self.kept if self.limited else None,
+        share_of_bound="share",
+        weights=lambda self: {
+            run.name: x
+            for run, x in zip(self.candidates, self.weights, strict=True)
+            if x > 1e-6
+        },
+        parameters=lambda self: [
+            {"name": name, "value": self.model.values[name], "relative_error": error}
+            for name, error in zip(self.names, self.relative_errors, strict=True)
+        ],
+        accuracy_range="spread", sensors="sensor_options",
+        misfits=lambda self: [[*pair, value] for pair, value in self.misfits.items()],
+    )  # fmt: skip
 
     def write(self, folder: str | Path) -> tuple[Path, ...]:
         """Write the commands of every run as a table, numbered in order.

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from joblib import Parallel, delayed
 from scipy.special import chdtri
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.display import as_dict
 from oed_sysid.errors import DesignError
 from oed_sysid.estimators import MultipleShooting
 from oed_sysid.experiment import Experiment
@@ -88,18 +89,9 @@ class Confirmation:
             )
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "names": list(self.names),
-            "predicted": self.predicted.tolist(),
-            "found": self.found.tolist(),
-            "bias": self.bias.tolist(),
-            "coverage": self.coverage.tolist(),
-            "n_runs": self.n_runs,
-            "n_failed": self.n_failed,
-            "confirmed": self.confirmed,
-        }
+    to_dict = as_dict(
+        "names", "predicted", "found", "bias", "coverage", "n_runs", "n_failed", "confirmed"
+    )
 
 
 def confirm_bound(

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from scipy.linalg import qr
 
+from oed_sysid.display import as_dict
 from oed_sysid.errors import DesignError
 from oed_sysid.information import Information
 from oed_sysid.sensitivity.bound import rows_to_parameters
@@ -126,15 +126,7 @@ class Subset:
             ]
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "order": list(self.order),
-            "collinearity": list(self.collinearity),
-            "relative_errors": list(self.relative_errors),
-            "identifiable": list(self.names),
-            "limit": self.limit,
-        }
+    to_dict = as_dict("order", "collinearity", "relative_errors", "limit", identifiable="names")
 
 
 def identifiable_subset(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.signal import periodogram
 
+from oed_sysid.display import as_dict
 from oed_sysid.errors import DesignError
 from oed_sysid.model import Model
 from oed_sysid.simulation import Equilibrium, linearise
@@ -166,14 +166,7 @@ class Stability:
                 lines.append(f"  {kind}")
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "states": list(self.states),
-            "poles": [[float(p.real), float(p.imag)] for p in self.poles],
-            "criterion": self.criterion,
-            "stable": self.stable,
-        }
+    to_dict = as_dict("states", "poles", "criterion", "stable")
 
 
 def straight_line_stability(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from oed_sysid.batch.threads import single_threaded
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.display import as_dict, plain
 from oed_sysid.errors import DesignError
 from oed_sysid.information import Information
 from oed_sysid.model import Model
@@ -146,18 +146,11 @@ class SensitivityRanking:
         lines += [f"Not determined: {text}." for text in self.information.null_directions()]
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "runs": list(self.runs),
-            "signals": list(self.signals),
-            "change": self.change,
-            "parameters": [asdict(row) | {"inflation": row.inflation} for row in self.rows],
-            "by_information": list(self.by_information),
-            "by_output_change": list(self.by_output_change),
-            "disagreements": list(self.disagreements),
-            "null_directions": list(self.information.null_directions()),
-        }
+    to_dict = as_dict(
+        "runs", "signals", "change", "by_information", "by_output_change", "disagreements",
+        parameters=lambda self: [plain(row) | {"inflation": row.inflation} for row in self.rows],
+        null_directions=lambda self: self.information.null_directions(),
+    )  # fmt: skip
 
 
 @single_threaded

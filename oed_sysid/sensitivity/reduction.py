@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.display import as_dict
 from oed_sysid.errors import SimulationError
 from oed_sysid.model import Model
 from oed_sysid.sensitivity.bound import information_of
@@ -38,6 +39,8 @@ class Drop:
     cost: float
     predicted_rms: float
     rms: Mapping[str, float]
+
+    to_dict = as_dict("name", "cost", "predicted_rms", "rms")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,22 +90,7 @@ class Reduction:
             )
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "model": self.full.name,
-            "dropped": list(self.dropped),
-            "n_samples": self.n_samples,
-            "steps": [
-                {
-                    "name": drop.name,
-                    "cost": drop.cost,
-                    "predicted_rms": drop.predicted_rms,
-                    "rms": dict(drop.rms),
-                }
-                for drop in self.drops
-            ],
-        }
+    to_dict = as_dict("dropped", "n_samples", model="full.name", steps="drops")
 
 
 def reduce_model(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from oed_sysid.display import as_dict
 from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.information import Information
 from oed_sysid.model import Model
@@ -61,16 +61,7 @@ class Structure:
             [head, "No manoeuvre separates:", *(f"  {text}" for text in self.directions)]
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "names": list(self.names),
-            "rank": self.rank,
-            "ranks": list(self.ranks),
-            "identifiable": self.identifiable,
-            "directions": list(self.directions),
-            "margin": self.margin,
-        }
+    to_dict = as_dict("names", "rank", "ranks", "identifiable", "directions", "margin")
 
 
 def structural_identifiability(
