@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import statistics
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -68,6 +69,7 @@ CASADI_LAYERS = (
 )
 MATPLOTLIB_LAYERS = ("report",)
 FORBIDDEN_NAMES = ("utils", "util", "helpers", "helper", "common", "misc")
+MEDIAN_LINES = 360
 
 
 def modules(folder: Path) -> list[Path]:
@@ -166,6 +168,12 @@ def test_library_is_confined(library: str, layers: tuple[str, ...]) -> None:
 def test_module_has_a_noun(path: Path) -> None:
     """No module is a drawer for leftovers."""
     assert path.stem not in FORBIDDEN_NAMES, f"{label(path)}: name the noun that it holds"
+
+
+def test_median_module_is_short() -> None:
+    """Half of the modules of the package are read on a few screens."""
+    sizes = [len(path.read_text(encoding="utf-8").splitlines()) for path in modules(PACKAGE)]
+    assert statistics.median(sizes) < MEDIAN_LINES
 
 
 @pytest.mark.parametrize("path", sorted(ROOT.glob("problems/*/*.py")), ids=label)
