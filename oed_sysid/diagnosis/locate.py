@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -30,6 +29,7 @@ from oed_sysid.diagnosis.residual_forces import (
     agreement,
     let_in,
 )
+from oed_sysid.display import as_dict
 from oed_sysid.fitting.filtered import Filtered, disturbed_model
 from oed_sysid.fitting.fit import align
 from oed_sysid.fitting.gauss_newton import FilteredSolution, solve_filtered
@@ -181,28 +181,11 @@ class Located:
             lines += ["", *align(pairs)]
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the finding as plain data for JSON."""
-        return {
-            "best": self.best,
-            "group": list(self.group),
-            "verdict": self.verdict,
-            "gains": dict(self.gains),
-            "levels": dict(self.levels),
-            "units": {place.name: place.unit for place in self.places},
-            "forces": {
-                "names": list(self.force_names),
-                "records": [series.to_dict() for series in self.forces],
-            },
-            "discrepancies": {
-                name: [series.to_dict() for series in parts]
-                for name, parts in self.discrepancies.items()
-            },
-            "signatures": {
-                name: [part.tolist() for part in parts] for name, parts in self.signatures.items()
-            },
-            "agreement": dict(self.agreement),
-        }
+    to_dict = as_dict(
+        "best", "group", "verdict", "gains", "levels", "discrepancies", "signatures", "agreement",
+        units=lambda self: {place.name: place.unit for place in self.places},
+        forces=lambda self: {"names": self.force_names, "records": self.forces},
+    )  # fmt: skip
 
 
 def locate(

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from oed_sysid.display import as_dict
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.fitting.gauss_newton import FilteredSolution
 from oed_sysid.noise.model import NoiseModel
@@ -52,13 +53,7 @@ class Series:
         """Some of the signals."""
         return Series(self.times, self.values[:, chosen], self.std[:, chosen])
 
-    def to_dict(self) -> dict[str, list]:
-        """Return plain data for JSON."""
-        return {
-            "times": self.times.tolist(),
-            "values": self.values.tolist(),
-            "std": self.std.tolist(),
-        }
+    to_dict = as_dict("times", "values", "std")
 
 
 def let_in(
