@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from oed_sysid.compiled.filtering import FilterPass
-from oed_sysid.noise.smoother import Path
+from oed_sysid.likelihood.smoother import Path
 
 N_TIMES, N_STATES, N_FORCES, N_OUTPUTS = 30, 3, 2, 2
 SAMPLE = 0.2

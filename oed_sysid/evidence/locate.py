@@ -1,0 +1,504 @@
+r"""Locate where a model fails: at which stage of the signal chain, in which equation, when.
+
+At one place of the chain after the other a disturbance of first order is let in: its level, its
+time, the parameters and the start states are estimated together by the likelihood of
+:mod:`oed_sysid.likelihood.filtered`, and its gain over white noise alone,
+
+.. math:: 2 \Delta \ln L = -2 \ln L(0) + 2 \ln L(\hat\sigma, \hat\tau)
+
+compared. What parameters and start states can explain accuses no place. A disturbance of a sensor
+is autocorrelated noise of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.evidence.by_motion import in_words
+from oed_sysid.evidence.rank import Ranking
+from oed_sysid.evidence.residual_forces import (
+    LEAST_WHITE,
+    ResidualForces,
+    Series,
+    agreement,
+    let_in,
+)
+from oed_sysid.likelihood.disturbances import Place, disturbance, places
+from oed_sysid.likelihood.filtered import Filtered, disturbed_model
+from oed_sysid.likelihood.fit import align
+from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
+from oed_sysid.likelihood.levels import Levels
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.shooting import Point
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict
+
+# Shortest and longest correlation time of the disturbances, s: passing and lasting.
+CORRELATION_TIMES = (1.0, 20.0)
+# Gain in twice the log-likelihood below which no place is accused: chance gives more in
+# less than one of a hundred records, fourteen places looked at.
+CLEAR = 12.0
+# Places whose gain is this near the best cannot be told from it.
+GROUP_WIDTH = 6.0
+# Share of its gain that a kinematic relation has to be ahead of other places: it is exact, and
+# mostly stands for two sensors that disagree.
+IDENTITY = 0.01
+# Candidates whose signatures are put beside the residual forces, and places that are estimated to
+# the end, their own disturbance smoothed.
+N_RIVALS, N_FIRST = 2, 4
+# Most steps of the fit to white noise and of the first places, of every place at first; the
+# promised fall of the cost at which they end; and decades of levels that are tried first.
+MOST_STEPS, FIRST_STEPS, NEAR_ENOUGH, DECADES = 20, 5, 0.3, 7
+# Most pieces into which a record is cut where the model diverges along it.
+MOST_PIECES = 8
+# Places that a report lists.
+LISTED = 8
+
+WORDS = {
+    "actuator": "between the command and the actual {signal}",
+    "flow": "in the flow past the hull, {signal}",
+    "force": "in the forces of the {signal} equation",
+    "kinematics": "in the kinematics of {signal}",
+    "sensor": "in the measurement of {signal}",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """Where a model fails.
+
+    Attributes
+    ----------
+    places : tuple of Place
+        Largest gain first.
+    gains : dict
+        Log-likelihood gain that a disturbance at each place brings over white
+        noise alone, keys such as ``"force Z"``.
+    levels : dict
+        Most likely standard deviation of that disturbance, in its unit.
+    force_names : tuple of str
+        Equations, in the order of the columns of ``forces``.
+    forces : tuple of Series
+        Smoothed residual forces, all let in together, per record.
+    discrepancies : dict
+        For the places with the largest gain, the smoothed disturbance there
+        if nothing else is wrong; one :class:`Series` per record.
+    signatures : dict
+        For every rival, the residual forces ``(n_times, n_forces)`` that would
+        be seen if it were the truth and nothing were noisy, per record.
+    agreement : dict
+        Correlation of each signature with the residual forces, in units of
+        their standard errors.
+    by_motion : str
+        Of independent tests, which no disturbance links, where the model fails as a function of
+        motions and inputs, in words; empty for time series.
+    """
+
+    places: tuple[Place, ...]
+    gains: dict[str, float]
+    levels: dict[str, float]
+    force_names: tuple[str, ...]
+    forces: tuple[Series, ...]
+    discrepancies: dict[str, tuple[Series, ...]]
+    signatures: dict[str, tuple[np.ndarray, ...]]
+    agreement: dict[str, float]
+    by_motion: str = ""
+
+    @classmethod
+    def nothing(cls, fit: FilteredSolution) -> Located:
+        """A finding without any gain, where locating was not possible."""
+        where = places(fit.problem.model)
+        zero = {place.name: 0.0 for place in where}
+        return cls(where, zero, dict(zero), (), (), {}, {}, {})
+
+    @property
+    def evidence(self) -> dict[str, float]:
+        """Earlier name of ``gains``."""
+        return self.gains
+
+    @property
+    def best(self) -> str | None:
+        """Place with the largest gain; None where chance explains all of it."""
+        name = self.places[0].name
+        return name if self.gains[name] > CLEAR else None
+
+    @property
+    def group(self) -> tuple[str, ...]:
+        """The best place and those that these records cannot tell from it."""
+        if self.best is None:
+            return ()
+        top = self.gains[self.best]
+        near = (name for name, gain in self.gains.items() if abs(top - gain) < GROUP_WIDTH)
+        return tuple(near)
+
+    @property
+    def verdict(self) -> str:
+        """The finding in one or two sentences."""
+        if self.by_motion:
+            return self.by_motion
+        if self.best is None:
+            return (
+                "No place stands out: noise of the sensors, as strong as it has to be, explains "
+                "what is left as well as a disturbance at any one place would."
+            )
+        words = {place.name: _words(place) for place in self.places}
+        text = f"Something is missing {words[self.best]}"
+        rivals = [words[name] for name in self.group if name != self.best]
+        if rivals:
+            text += ", or as likely " + ", or ".join(rivals)
+        later = [name for name in self.gains if name not in self.group]
+        if later:
+            lag = self.gains[self.best] - self.gains[later[0]]
+            text += f" (next: {later[0]}, log-likelihood gain {lag:.0f} lower)" if lag > 0 else ""
+        return text + "."
+
+    def report(self) -> str:
+        """Return the finding as text."""
+        rows = [("where the model fails", "log-likelihood gain", "behind the best", "size", "unit")]
+        top = max(self.gains.values())
+        for place in self.places[:LISTED]:
+            gain = self.gains[place.name]
+            if gain > CLEAR:
+                size = f"{self.levels[place.name]:.2g}"
+                rows.append((place.name, _count(gain), _count(top - gain), size, place.unit))
+        lines = [*align(rows), ""] if len(rows) > 1 else []
+        lines.append(self.verdict)
+        if self.best is not None:
+            lines += [
+                "The smoothed residual force is the part of the missing force that the free",
+                "parameters could not absorb, not the missing force itself: compare it with the",
+                "signature of a candidate, which has been through the same projection.",
+            ]
+        if self.agreement:
+            pairs = [("candidate", "agreement with the residual forces")]
+            pairs += [(name, f"{value:.2f}") for name, value in self.agreement.items()]
+            lines += ["", *align(pairs)]
+        return "\n".join(lines)
+
+    to_dict = as_dict(
+        "best", "group", "verdict", "gains", "levels", "discrepancies", "signatures", "agreement",
+        units=lambda self: {place.name: place.unit for place in self.places},
+        forces=lambda self: {"names": self.force_names, "records": self.forces},
+    )  # fmt: skip
+
+
+def locate(
+    fit: FilteredSolution,
+    unit: NoiseModel,
+    rivals: Mapping[str, FilteredSolution] | None = None,
+    *,
+    correlation_times: tuple[float, float] = CORRELATION_TIMES,
+) -> Located:
+    """Locate where a model fails.
+
+    At one place of the chain after the other (every actuator, flow, equation, kinematic relation
+    and sensor) a disturbance is let in, estimated with everything else, and its gain over white
+    noise alone compared.
+
+    Parameters
+    ----------
+    fit : FilteredSolution
+        The present model, with estimated noise levels.
+    unit : NoiseModel
+        Natural size of every level.
+    rivals : mapping of str to FilteredSolution, optional
+        Fits of models that may be right, as a ranking's refits hold them;
+        their signatures are put beside the residual forces.
+    correlation_times : tuple of float
+        Shortest and longest time of a disturbance, s.
+    """
+    if fit.problem.dataset.only_tests:
+        return replace(Located.nothing(fit), by_motion=in_words(fit))
+    found = evidence(fit, unit, correlation_times)
+    if found is None:
+        return Located.nothing(fit)
+    # Of places that are one and the same to the records, the equation is named first.
+    found.sort(key=lambda part: (-round(_weight(part)), part.place.stage != "force"))
+    smoother = ResidualForces.of(*let_in(fit, unit))
+    names = fit.noise.places
+    chosen = [i for i, name in enumerate(names) if name.startswith("force ")]
+    forces = tuple(series.only(chosen) for series in smoother.series())
+    signatures = {}
+    for name, rival in (rivals or {}).items():
+        runs = [simulated(rival, index) for index in range(len(fit.problem.records))]
+        if all(np.isfinite(run).any() for run in runs):
+            # Nothing is noisy there, but what was not measured is not known.
+            seen = [
+                np.where(np.isfinite(record.outputs), run, np.nan)
+                for run, record in zip(runs, fit.problem.records, strict=True)
+            ]
+            signatures[name] = tuple(part[:, chosen] for part in smoother.signature(seen))
+    return Located(
+        places=tuple(part.place for part in found),
+        gains={part.place.name: part.gain for part in found},
+        levels={part.place.name: part.level for part in found},
+        force_names=tuple(names[i].removeprefix("force ") for i in chosen),
+        forces=forces,
+        discrepancies={
+            part.place.name: part.smoothed() for part in found[:N_FIRST] if part.gain > CLEAR
+        },
+        signatures=signatures,
+        agreement={name: agreement(forces, parts) for name, parts in signatures.items()},
+    )
+
+
+def simulated(fit: FilteredSolution, index: int) -> np.ndarray:
+    """Outputs of a fit's model on its own along one record, ``(n_times, n_outputs)``."""
+    return fit.problem.alone(fit.point.unknowns, index)[0]
+
+
+def likeliest(ranking: Ranking) -> dict[str, FilteredSolution]:
+    """Fits with each of the best candidates, for their signatures."""
+    return {refit.name: refit.fit for refit in ranking.refits[:N_RIVALS]}
+
+
+def _weight(part: Evidence) -> float:
+    """Gain by which places are ordered; a geometric identity has to be accused clearly."""
+    return part.gain * (1.0 - IDENTITY if part.place.stage == "kinematics" else 1.0)
+
+
+def _words(place: Place) -> str:
+    return WORDS[place.stage].format(signal=place.signal)
+
+
+def _count(gain: float) -> str:
+    return f"{gain:.0f}" if gain < 1e5 else f"{gain:.2g}"
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """One place with its most likely disturbance.
+
+    Attributes
+    ----------
+    place : Place
+    gain : float
+        Gain in twice the log-likelihood over white noise alone.
+    level : float
+        Standard deviation of the disturbance, in the place's unit.
+    fit : FilteredSolution
+        With that disturbance and white noise.
+    """
+
+    place: Place
+    gain: float
+    level: float
+    fit: FilteredSolution
+
+    def smoothed(self) -> tuple[Series, ...]:
+        """The disturbance if nothing else is wrong, per record."""
+        held = self.fit.problem.levels.held().starting(self.fit.noise)
+        old = self.fit.problem
+        problem = Filtered(
+            old.model.with_values(self.fit.values), old.dataset, held, kernel=old.kernel,
+            known_starts=old.known_starts,
+        )  # fmt: skip
+        unknowns = problem.point(self.fit.initial, self.fit.local).unknowns
+        return ResidualForces.of(problem, unknowns).series()
+
+
+def evidence(
+    fit: FilteredSolution, unit: NoiseModel, times: tuple[float, float] = CORRELATION_TIMES
+) -> list[Evidence] | None:
+    """Evidence for every place of the chain, largest first; None where nothing can be told.
+
+    Where the model diverges along a record on its own (missing damping, an unstable vehicle),
+    records are cut, each piece with start states of its own.
+    """
+    kernel = _kernel(fit)
+    pieces = 1
+    while True:
+        bench = _Bench.of(fit, unit, kernel, times, pieces)
+        if bench is not None:
+            break
+        pieces *= 2
+        shortest = min(record.n_samples for record in fit.problem.records) / pieces
+        if pieces > MOST_PIECES or shortest < 20:
+            return None
+    found = [bench.judged(place) for place in places(fit.problem.model)]
+    found.sort(key=lambda part: -part.gain)
+    first = [bench.finished(part) for part in found[:N_FIRST]]
+    return sorted([*first, *found[N_FIRST:]], key=lambda part: -part.gain)
+
+
+def _kernel(fit: FilteredSolution) -> FilterKernel:
+    """A filter with a disturbance at every place but the sensors."""
+    known = fit.problem.kernel.model
+    chain = [disturbance(p).name for p in places(fit.problem.model) if p.stage != "sensor"]
+    if set(chain) <= set(known.parameter_names):
+        return fit.problem.kernel
+    return filter_kernel(disturbed_model(known, chain))
+
+
+@dataclass(frozen=True, eq=False)
+class _Bench:
+    """What every place is judged by.
+
+    Attributes
+    ----------
+    quiet : FilteredSolution
+        The fit to white noise alone.
+    model : Model
+        At the values of the fit with random forces.
+    initial, local : sequence
+        Start states and values of each record of that fit.
+    unknown : ndarray of bool (n_outputs,)
+        Sensors whose noise nobody declared: it must not make every misfit evidence.
+    times : tuple of float
+    """
+
+    quiet: FilteredSolution
+    model: Model
+    initial: Sequence[np.ndarray]
+    local: Sequence[Mapping[str, float]]
+    unknown: np.ndarray
+    times: tuple[float, float]
+
+    @classmethod
+    def of(
+        cls,
+        fit: FilteredSolution,
+        unit: NoiseModel,
+        kernel: FilterKernel,
+        times: tuple[float, float],
+        pieces: int,
+    ) -> _Bench | None:
+        """Fit to white noise alone; None where the model diverges along a record."""
+        model = fit.problem.model.with_values(fit.values)
+        dataset, initial, local = _cut(fit, pieces)
+        white = np.maximum(fit.noise.white, LEAST_WHITE * unit.white)
+        unknown = np.array([output.noise_std is None for output in model.outputs])
+        noise = NoiseModel.white_only(white, model.output_names)
+        none = np.zeros(len(white), dtype=bool)
+        levels = Levels.of(noise, noise, (), white=unknown, colour=none, force=none[:0])
+        known = fit.problem.known_starts if pieces == 1 else None
+        problem = Filtered(model, dataset, levels, kernel=kernel, known_starts=known)
+        point = problem.point(initial, local)
+        quiet = solve_filtered(problem, point, max_iterations=MOST_STEPS, polish=0)
+        return None if quiet is None else cls(quiet, model, initial, local, unknown, times)
+
+    def judged(self, place: Place) -> Evidence:
+        """The most likely disturbance of one place."""
+        base = self.quiet
+        # Parameters bend to what is missing: those of the fit with random forces are nearer.
+        found = self._fitted(place, self.model.values, self.initial, self.local)
+        if found is None or not found.objective < base.objective:
+            found = self._fitted(place, base.values, base.initial, base.local)
+        return self._evidence(place, found)
+
+    def finished(self, part: Evidence) -> Evidence:
+        """The same, estimated to the end."""
+        if part.fit is self.quiet or part.fit.reason == "converged":
+            return part
+        found = solve_filtered(
+            part.fit.problem, part.fit.point, max_iterations=MOST_STEPS, tolerance=NEAR_ENOUGH,
+            polish=0,
+        )  # fmt: skip
+        return self._evidence(part.place, found)
+
+    def _evidence(self, place: Place, found: FilteredSolution | None) -> Evidence:
+        if found is None or not found.objective < self.quiet.objective:
+            return Evidence(place, 0.0, 0.0, self.quiet)
+        level = found.noise.colour.max() if place.stage == "sensor" else found.noise.force[0]
+        return Evidence(place, self.quiet.objective - found.objective, float(level), found)
+
+    def _fitted(
+        self,
+        place: Place,
+        values: Mapping[str, float],
+        initial: Sequence[np.ndarray],
+        local: Sequence[Mapping[str, float]],
+    ) -> FilteredSolution | None:
+        """Fit with a disturbance at one place, from the likeliest of some decades of its level."""
+        old = self.quiet.problem
+        model = self.model.with_values(dict(values))
+
+        def problem(size: float) -> Filtered:
+            return Filtered(
+                model, old.dataset, self._levels(place, size), kernel=old.kernel,
+                known_starts=old.known_starts,
+            )  # fmt: skip
+
+        # At variance zero its information says of which variance the records begin to tell.
+        first = problem(1.0)
+        point = first.point(initial, local).unknowns
+        point[first.layout.levels.start] = 0.0
+        parts = first.passes(point, levels_only=True)
+        told = sum(
+            float(part.level_information[0, 0] + part.gram[0, 0]) for part in parts if part.ok
+        )
+        size = told**-0.25 if told > 0 else 1.0
+        best: tuple[Filtered, Point, float] | None = None
+        for decade in range(DECADES):
+            trial = problem(size * 10.0**decade)
+            at = trial.point(initial, local)
+            objective = trial.objective(at.unknowns)
+            if best is not None and objective > best[2]:
+                break
+            if best is None or objective < best[2]:
+                best = trial, at, objective
+        if best is None or not np.isfinite(best[2]):
+            return None
+        return solve_filtered(
+            best[0], best[1], max_iterations=FIRST_STEPS, tolerance=NEAR_ENOUGH, polish=0
+        )
+
+    def _levels(self, place: Place, size: float) -> Levels:
+        """The level and time of one place unknown, and what nobody declared of the sensors."""
+        noise = self.quiet.noise
+        nothing = np.zeros(len(noise.white))
+        time = float(np.sqrt(self.times[0] * self.times[1]))
+        colour = np.zeros(len(nothing), dtype=bool)
+        acting = [] if place.stage == "sensor" else [place]
+        if not acting:
+            colour[noise.outputs.index(place.signal)] = True
+        begin = NoiseModel(
+            noise.white,
+            np.where(colour, size, nothing),
+            np.full(len(acting), size),
+            time,
+            time,
+            noise.outputs,
+            tuple(one.name for one in acting),
+        )
+        return Levels.of(
+            begin,
+            replace(begin, colour=np.full(len(nothing), size)),
+            [disturbance(one).name for one in acting],
+            white=self.unknown,
+            colour=colour,
+            force=np.ones(len(acting), dtype=bool),
+            times=self.times,
+        )
+
+
+def _cut(
+    fit: FilteredSolution, pieces: int
+) -> tuple[Dataset, list[np.ndarray], list[dict[str, float]]]:
+    """Records of a fit, each in some pieces, with start states along the filtered path."""
+    problem = fit.problem
+    if pieces == 1:
+        return problem.dataset, fit.initial, list(fit.local)
+    passes = problem.passes(fit.point.unknowns, columns=False)
+    records, initial, local = [], [], []
+    for record, part, own in zip(problem.records, passes, fit.local, strict=True):
+        edges = np.linspace(0, record.n_samples, pieces + 1).astype(int)
+        for number, (first, stop) in enumerate(pairwise(edges), start=1):
+            records.append(
+                replace(
+                    record,
+                    name=f"{record.name}, part {number}",
+                    times=record.times[first:stop],
+                    inputs=record.inputs[first:stop],
+                    outputs=record.outputs[first:stop],
+                )
+            )
+            initial.append(part.path[first, : len(problem.model.states)])
+            local.append(own)
+    return Dataset(tuple(records)), initial, local
