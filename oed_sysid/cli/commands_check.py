@@ -51,8 +51,8 @@ def check(
     """
     from oed_sysid.data.dataset import write_csv
     from oed_sysid.data.overlap import together
-    from oed_sysid.evidence.log_check import check as look
-    from oed_sysid.evidence.log_check import corrected_copies, why_not_more
+    from oed_sysid.evidence.check import check as look
+    from oed_sysid.evidence.check import corrected_copies, why_not_more
     from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
