@@ -1,4 +1,4 @@
-"""How objects show themselves in a notebook, and numbers in a sentence.
+"""How objects show themselves in a notebook, numbers in a sentence, and packages to others.
 
 HTML is written by :mod:`oed_sysid.report`, above everything that it shows. An object below
 offers ``_repr_html_ = as_html``; the writer is looked up by name when a notebook asks, so
@@ -7,7 +7,9 @@ that nothing imports upwards and nothing is imported before it is needed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import import_module
+from types import ModuleType
 
 # Sizes that are written without an exponent.
 ORDINARY = (1e-4, 1e6)
@@ -40,3 +42,18 @@ def digits(value: float, count: int = 2) -> str:
     if "e" not in text or not ORDINARY[0] <= abs(float(text)) < ORDINARY[1]:
         return text
     return f"{float(text):.0f}"
+
+
+def exported(names: Mapping[str, object]) -> list[str]:
+    """Return the public names of a package's ``__init__``, for its ``__all__``: what it hands on.
+
+    Parameters
+    ----------
+    names : mapping of str to object
+        Its ``globals()``; modules and private names are left out.
+    """
+    return sorted(
+        name
+        for name, thing in names.items()
+        if not (name.startswith("_") or isinstance(thing, ModuleType) or thing is exported)
+    )

@@ -4,6 +4,7 @@
 constructor of its name.
 """
 
+from oed_sysid.display import exported
 from oed_sysid.effects.base import (
     STAGES,
     Actuator,
@@ -101,36 +102,4 @@ from oed_sysid.effects.unknown import (
 )
 from oed_sysid.effects.variants import in_each_record, unknown_start
 
-__all__ = [
-    "LIBRARY",
-    "STAGES",
-    "Actuator",
-    "Effect",
-    "Environment",
-    "ExtraState",
-    "Force",
-    "Inertia",
-    "InputNoise",
-    "Memory",
-    "RandomForce",
-    "Sensor",
-    "SensorDrift",
-    "UnknownForce",
-    "UnknownInput",
-    "amplitude",
-    "derivative",
-    "derivative_group",
-    "diving_plane_effects",
-    "hull_derivatives",
-    "in_each_record",
-    "maximum_rate",
-    "mechanical_effects",
-    "nonlinear_yaw_damping",
-    "roll_effects",
-    "rudder_neutral_angle",
-    "speed_loss_in_turn",
-    "surface_ship_effects",
-    "table_from_csv",
-    "unknown_start",
-    *LIBRARY,
-]
+__all__ = exported(globals())

@@ -3,7 +3,8 @@
 Examples
 --------
 >>> from math import radians
->>> from oed_sysid.manoeuvres import Combined, Constant, ZigZag
+>>> from oed_sysid.display import exported
+from oed_sysid.manoeuvres import Combined, Constant, ZigZag
 >>> trial = Combined((Constant("thrust", 700.0), ZigZag("rudder", radians(10), radians(10))))
 >>> trial.describe()
 'thrust constant at 700; zigzag 10/10 deg of rudder, reversed on psi, positive side first, from 0 s'
@@ -24,46 +25,25 @@ from oed_sysid.manoeuvres.indices import (
     turning_indices,
     zigzag_indices,
 )
-from oed_sysid.manoeuvres.orthogonal import orthogonal_multisines, peak_factor
-from oed_sysid.manoeuvres.prbs import PRBS, maximum_length_sequence
-from oed_sysid.manoeuvres.pulses import Doublet, ThreeTwoOneOne
-from oed_sysid.manoeuvres.sines import Chirp, Multisine, schroeder_phases
-from oed_sysid.manoeuvres.spirals import ReverseSpiral, Spiral
-from oed_sysid.manoeuvres.tabulated import FromRecord, Piecewise
-from oed_sysid.manoeuvres.turning import Constant, PullOut, TurningCircle
-from oed_sysid.manoeuvres.zigzag import ZigZag, ZigZagLike
+from oed_sysid.manoeuvres.reacting import ReverseSpiral, ZigZag, ZigZagLike
+from oed_sysid.manoeuvres.schedules import (
+    PRBS,
+    Constant,
+    Doublet,
+    FromRecord,
+    Piecewise,
+    PullOut,
+    Spiral,
+    ThreeTwoOneOne,
+    TurningCircle,
+    maximum_length_sequence,
+)
+from oed_sysid.manoeuvres.sines import (
+    Chirp,
+    Multisine,
+    orthogonal_multisines,
+    peak_factor,
+    schroeder_phases,
+)
 
-__all__ = [
-    "PRBS",
-    "Chirp",
-    "Combined",
-    "Constant",
-    "Controller",
-    "Doublet",
-    "Excitation",
-    "FromRecord",
-    "Manoeuvre",
-    "Multisine",
-    "OpenLoop",
-    "Piecewise",
-    "PullOut",
-    "RateLimited",
-    "ReverseSpiral",
-    "Saturated",
-    "Sequence",
-    "Spiral",
-    "Stepwise",
-    "ThreeTwoOneOne",
-    "TurningCircle",
-    "TurningIndices",
-    "ZigZag",
-    "ZigZagIndices",
-    "ZigZagLike",
-    "command_all",
-    "maximum_length_sequence",
-    "orthogonal_multisines",
-    "peak_factor",
-    "schroeder_phases",
-    "turning_indices",
-    "zigzag_indices",
-]
+__all__ = exported(globals())
