@@ -6,8 +6,7 @@ positions in NED; SI and radians.
 Examples
 --------
 >>> from oed_sysid import Input
->>> from oed_sysid.display import exported
-from oed_sysid.bodies import rigid_body
+>>> from oed_sysid.bodies import rigid_body
 >>> body = rigid_body(
 ...     6, mass=30.5, inertia=(0.18, 3.45, 3.45), centre_of_gravity=(0, 0, 0.02),
 ...     added_mass={"X_udot": -0.93, "Y_vdot": -35.5, "Z_wdot": -35.5}, weight=299.0,
@@ -22,5 +21,6 @@ from oed_sysid.bodies.builder import rigid_body
 from oed_sysid.bodies.rigid_body import RigidBody
 from oed_sysid.bodies.sensing import load_cell
 from oed_sysid.bodies.vocabulary import catamaran_effects, underwater_vehicle_effects
+from oed_sysid.version import exported
 
 __all__ = exported(globals())

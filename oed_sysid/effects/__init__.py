@@ -4,7 +4,6 @@
 constructor of its name.
 """
 
-from oed_sysid.display import exported
 from oed_sysid.effects.base import (
     STAGES,
     Actuator,
@@ -101,5 +100,6 @@ from oed_sysid.effects.unknown import (
     UnknownInput,
 )
 from oed_sysid.effects.variants import in_each_record, unknown_start
+from oed_sysid.version import exported
 
 __all__ = exported(globals())

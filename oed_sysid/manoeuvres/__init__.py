@@ -3,8 +3,7 @@
 Examples
 --------
 >>> from math import radians
->>> from oed_sysid.display import exported
-from oed_sysid.manoeuvres import Combined, Constant, ZigZag
+>>> from oed_sysid.manoeuvres import Combined, Constant, ZigZag
 >>> trial = Combined((Constant("thrust", 700.0), ZigZag("rudder", radians(10), radians(10))))
 >>> trial.describe()
 'thrust constant at 700; zigzag 10/10 deg of rudder, reversed on psi, positive side first, from 0 s'
@@ -45,5 +44,6 @@ from oed_sysid.manoeuvres.sines import (
     peak_factor,
     schroeder_phases,
 )
+from oed_sysid.version import exported
 
 __all__ = exported(globals())

@@ -4,9 +4,9 @@
 :func:`new_problem` writes a folder to begin with.
 """
 
-from oed_sysid.display import exported
 from oed_sysid.problem.catalogue import catalogue_folder, list_problems, load_problem
 from oed_sysid.problem.definition import Problem
 from oed_sysid.problem.starter import new_problem
+from oed_sysid.version import exported
 
 __all__ = exported(globals())

@@ -10,11 +10,11 @@
 ================================  ==================================================
 """
 
-from oed_sysid.display import exported
 from oed_sysid.simulation.batch import simulate_batch
 from oed_sysid.simulation.reference import reference_trajectory
 from oed_sysid.simulation.run import simulate
 from oed_sysid.simulation.steady import Equilibrium, equilibrium, linearise
 from oed_sysid.simulation.trajectory import Trajectory, simulate_inputs
+from oed_sysid.version import exported
 
 __all__ = exported(globals())
