@@ -358,7 +358,9 @@ class Experiment:
 def _range(kind: str, name: str, given: Sequence[float]) -> tuple[float, float]:
     try:
         words = any(isinstance(bound, str | bool) for bound in given)
-        pair = () if words else tuple(float(bound) for bound in given)
+        # A stored open side is no number: JSON knows no infinity.
+        sides = zip(given, (-math.inf, math.inf), strict=True)
+        pair = () if words else tuple(float(open_ if b is None else b) for b, open_ in sides)
     except (TypeError, ValueError):
         pair = ()
     if len(pair) != 2 or not pair[0] < pair[1]:
