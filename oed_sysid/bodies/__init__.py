@@ -16,10 +16,8 @@ Examples
 (12, ['K', 'M', 'N', 'X', 'Y', 'Z'])
 """
 
-from oed_sysid.bodies.appendages import fin, thruster
 from oed_sysid.bodies.builder import rigid_body
-from oed_sysid.bodies.rigid_body import RigidBody
-from oed_sysid.bodies.sensing import load_cell
+from oed_sysid.bodies.rigid_body import RigidBody, fin, load_cell, thruster
 from oed_sysid.bodies.vocabulary import catamaran_effects, underwater_vehicle_effects
 from oed_sysid.version import exported
 

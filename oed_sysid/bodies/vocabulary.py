@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
+from oed_sysid.bodies.frames import plus, times
 from oed_sysid.bodies.rigid_body import RigidBody
-from oed_sysid.bodies.texts import plus, times
 from oed_sysid.effects import forces, signals
 from oed_sysid.effects.base import Effect, Force, amplitude
 from oed_sysid.language import notation

@@ -50,7 +50,7 @@ _GENERATOR = (
     "language/expressions.py",
     "language/grammar.py",
     "language/callables.py",
-    "model/validation.py",
+    "model/structure.py",
     "compiled/generate.py",
     "compiled/trajectory.c",
     "compiled/filter.c",

@@ -45,7 +45,7 @@ from oed_sysid.effects import Effect
 from oed_sysid.errors import ModelError
 from oed_sysid.language.expressions import names, to_casadi
 from oed_sysid.model import Model
-from oed_sysid.model.validation import is_sampled
+from oed_sysid.model.structure import is_sampled
 
 Scope = dict[str, ca.SX]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from oed_sysid.bodies.attitude import rotation
+from oed_sysid.bodies.frames import rotation
 from oed_sysid.diagnosis.dictionary import HORIZONTAL
 from oed_sysid.diagnosis.sizes import Sizes
 from oed_sysid.effects import Effect, Environment, Force, forces

@@ -15,9 +15,7 @@ from oed_sysid.display import as_html
 from oed_sysid.effects import Effect
 from oed_sysid.errors import ModelError
 from oed_sysid.language import callables, expressions, notation
-from oed_sysid.model.parts import settle_parts
-from oed_sysid.model.structure import Structure
-from oed_sysid.model.validation import validate
+from oed_sysid.model.structure import Structure, settle_parts, validate
 from oed_sysid.parameters import Parameter, with_parameters
 
 
