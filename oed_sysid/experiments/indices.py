@@ -1,0 +1,508 @@
+"""Numbers that describe standard manoeuvres: overshoot angles, advance, tactical diameter."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.errors import DataError
+from oed_sysid.experiments.base import FloatArray, Numbers
+from oed_sysid.runtime.display import as_dict
+
+_SIDE_SHARE = 0.2  # of the largest rudder angle: below, the rudder is on neither side
+_PLATEAU_SHARE = 0.05  # of a leg's angle: within, the rudder still holds it
+_STEADY_ARC = math.pi / 2  # least heading change from which a steady turn is measured [rad]
+
+
+@dataclass(frozen=True)
+class ZigZagIndices:
+    """Indices of a zigzag test; times from the record's clock [s], angles [rad].
+
+    Parameters
+    ----------
+    executes : tuple of float
+        Times at which the rudder began to move: first execute, second, ...
+    overshoots : tuple of float
+        Heading beyond that at the execute, after the second, third, ... execute.
+    check_times : tuple of float
+        Time from each of these executes to the largest heading.
+    initial_turning_time : float
+        Time from the first to the second execute.
+    initial_turning_heading : float
+        Heading change in that time.
+    initial_turning_track : float or None
+        Distance travelled in that time [m]; None without speed.
+    reach : float or None
+        Time from the first execute until the heading is back at its original
+        value; None if the record ends before.
+    period : float or None
+        Time from the second to the fourth execute; None with fewer executes.
+    """
+
+    executes: tuple[float, ...]
+    overshoots: tuple[float, ...]
+    check_times: tuple[float, ...]
+    initial_turning_time: float
+    initial_turning_heading: float
+    initial_turning_track: float | None
+    reach: float | None
+    period: float | None
+
+    @property
+    def first_overshoot(self) -> float:
+        """Overshoot after the second execute [rad]."""
+        return self.overshoots[0]
+
+    @property
+    def second_overshoot(self) -> float | None:
+        """Overshoot after the third execute [rad]; None if the record ends before."""
+        return self.overshoots[1] if len(self.overshoots) > 1 else None
+
+    to_dict = as_dict()
+
+    def report(self) -> str:
+        """Return the numbers in lines of text, angles in degrees."""
+        overshoots = ", ".join(f"{math.degrees(angle):.2f}" for angle in self.overshoots)
+        return "\n".join(
+            [
+                f"overshoot angles       {overshoots} deg",
+                f"initial turning time   {self.initial_turning_time:.2f} s to "
+                f"{math.degrees(self.initial_turning_heading):.2f} deg",
+                f"initial turning track  {_text(self.initial_turning_track, 'm')}",
+                f"reach                  {_text(self.reach, 's')}",
+                f"period                 {_text(self.period, 's')}",
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class TurningIndices:
+    """Indices of a turning circle; lengths [m], times since the execute [s], angles [rad].
+
+    Lengths to the side of the turn are positive for port and starboard turns.
+
+    Parameters
+    ----------
+    side : int
+        +1 for a turn to starboard (heading grows), -1 to port.
+    advance : float
+        Distance along the original course when the heading has changed by 90 degrees.
+    transfer : float
+        Distance across the original course at that moment.
+    tactical_diameter : float
+        Distance across the original course at 180 degrees.
+    time_90, time_180 : float
+        Time to these heading changes.
+    turned : float
+        Largest heading change in the record.
+    steady_radius : float or None
+        Radius of the circle through the steady part; None if it is too short.
+    steady_speed_ratio : float or None
+        Speed in the steady part over that at the execute.
+    drift : float or None
+        Heading minus course in the steady part, positive with the bow inside
+        the track.
+    """
+
+    side: int
+    advance: float
+    transfer: float
+    tactical_diameter: float
+    time_90: float
+    time_180: float
+    turned: float
+    steady_radius: float | None
+    steady_speed_ratio: float | None
+    drift: float | None
+
+    @property
+    def steady_diameter(self) -> float | None:
+        """Twice the steady radius [m]."""
+        return None if self.steady_radius is None else 2 * self.steady_radius
+
+    to_dict = as_dict()
+
+    def report(self) -> str:
+        """Return the numbers in lines of text, angles in degrees."""
+        drift = None if self.drift is None else math.degrees(self.drift)
+        return "\n".join(
+            [
+                f"turn to {'starboard' if self.side > 0 else 'port'}, "
+                f"{math.degrees(self.turned):.0f} deg",
+                f"advance             {self.advance:.2f} m at 90 deg, {self.time_90:.2f} s",
+                f"transfer            {self.transfer:.2f} m at 90 deg",
+                f"tactical diameter   {self.tactical_diameter:.2f} m at 180 deg, "
+                f"{self.time_180:.2f} s",
+                f"steady diameter     {_text(self.steady_diameter, 'm')}",
+                f"steady speed ratio  {_text(self.steady_speed_ratio, '')}".rstrip(),
+                f"drift               {_text(drift, 'deg')}",
+            ]
+        )
+
+
+def zigzag_indices(
+    times: Numbers,
+    heading: Numbers,
+    rudder: Numbers,
+    *,
+    speed: Numbers | None = None,
+    execute: float | None = None,
+) -> ZigZagIndices:
+    """Return overshoot angles and times of a zigzag test.
+
+    Executes are found from the rudder: the moment at which it leaves the angle
+    that it held, back along its slope where it moves over several samples.
+    Overshoots count from the heading at that moment, so a rudder *order* and a
+    measured rudder *angle* with a slow gear agree. The largest heading is that
+    of a parabola through the three samples around it.
+
+    Parameters
+    ----------
+    times : array_like, shape (n_times,)
+        Increasing times [s].
+    heading : array_like, shape (n_times,)
+        Heading [rad]; jumps by a full turn are removed.
+    rudder : array_like, shape (n_times,)
+        Rudder order or angle [rad], with zero as its middle.
+    speed : array_like, shape (n_times,), optional
+        Speed [m/s], for the distance travelled in the initial turn.
+    execute : float, optional
+        Time of the first execute [s]; by default found from the rudder.
+
+    Returns
+    -------
+    ZigZagIndices
+        The indices.
+
+    Raises
+    ------
+    DataError
+        If the rudder is never reversed, or the record ends before the heading
+        turns back.
+
+    References
+    ----------
+    IMO Resolution MSC.137(76), Annex, 4.2.5 to 4.2.8 and 5.3 (2002). ITTC
+    Recommended Procedure 7.5-04-02-01, Full Scale Manoeuvring Trials.
+
+    Examples
+    --------
+    A heading of constant acceleration between the executes at 0 s and 10 s:
+
+    >>> import numpy as np
+    >>> times = np.arange(0.0, 31.0)
+    >>> rudder = np.where(times < 10, 0.2, -0.2)
+    >>> after = times - 10
+    >>> heading = np.where(after < 0, times**2, 100 + 20 * after - after**2) / 1000
+    >>> result = zigzag_indices(times, heading, rudder)
+    >>> print(round(result.first_overshoot, 3), round(result.check_times[0], 3))
+    0.1 10.0
+    """
+    moments, angle, helm = columns(times, heading=heading, rudder=rudder)
+    angle = np.unwrap(angle)
+    executes = rudder_executes(moments, helm, execute)
+    at_execute = np.interp(executes, moments, angle)
+    original = float(at_execute[0])
+    side = math.copysign(1.0, at_execute[1] - original)
+
+    overshoots: list[float] = []
+    check_times: list[float] = []
+    for index in range(1, len(executes)):
+        sign = side * (-1) ** (index - 1)
+        end = executes[index + 1] if index + 1 < len(executes) else math.inf
+        peak = summit(moments, sign * angle, begin=executes[index], end=end)
+        if peak is None:
+            break
+        overshoots.append(peak[1] - sign * float(at_execute[index]))
+        check_times.append(peak[0] - executes[index])
+    if not overshoots:
+        raise DataError(
+            f"The record ends at {moments[-1]:g} s, before the heading turns back after the rudder "
+            f"reversal at {executes[1]:.4g} s. Record the zigzag for longer."
+        )
+    track = None
+    if speed is not None:
+        _, speeds = columns(times, speed=speed)
+        track = travelled(moments, speeds, executes[0], executes[1])
+    turned_back = executes[1] + check_times[0]
+    back = first_reach(moments, -side * (angle - original), 0.0, after=turned_back)
+    return ZigZagIndices(
+        executes=tuple(executes),
+        overshoots=tuple(overshoots),
+        check_times=tuple(check_times),
+        initial_turning_time=executes[1] - executes[0],
+        initial_turning_heading=abs(float(at_execute[1]) - original),
+        initial_turning_track=track,
+        reach=None if back is None else back - executes[0],
+        period=executes[3] - executes[1] if len(executes) > 3 else None,
+    )
+
+
+def turning_indices(
+    times: Numbers,
+    x: Numbers,
+    y: Numbers,
+    heading: Numbers,
+    *,
+    speed: Numbers | None = None,
+    execute: float | None = None,
+    steady_from: float = 2 * math.pi,
+) -> TurningIndices:
+    """Return advance, transfer, tactical diameter and the steady turn of a turning circle.
+
+    Parameters
+    ----------
+    times : array_like, shape (n_times,)
+        Increasing times [s].
+    x, y : array_like, shape (n_times,)
+        Position north and east [m] of the midship point.
+    heading : array_like, shape (n_times,)
+        Heading [rad] from north to east; jumps by a full turn are removed.
+    speed : array_like, shape (n_times,), optional
+        Speed [m/s]; by default that of the track.
+    execute : float, optional
+        Time of the rudder execute [s]; by default the first time. The heading
+        then is the original course.
+    steady_from : float
+        Heading change from which the turn counts as steady [rad]. At least 90
+        degrees more are needed for the steady values.
+
+    Returns
+    -------
+    TurningIndices
+        The indices.
+
+    Raises
+    ------
+    DataError
+        If the heading changes by less than 180 degrees.
+
+    Notes
+    -----
+    Wind and current are not corrected for. A course made good that differs
+    from the heading at the execute rotates advance and transfer.
+
+    References
+    ----------
+    IMO Resolution MSC.137(76), Annex, 4.2.2 to 4.2.4 (2002). ITTC Recommended
+    Procedure 7.5-04-02-01, Full Scale Manoeuvring Trials.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> angle = np.linspace(0.0, 3 * np.pi, 1000)
+    >>> result = turning_indices(angle, 100 * np.sin(angle), 100 - 100 * np.cos(angle), angle)
+    >>> print(round(result.advance, 1), round(result.transfer, 1), round(result.tactical_diameter))
+    100.0 100.0 200
+    """
+    moments, north, east, angle = columns(times, x=x, y=y, heading=heading)
+    begin = within_record(moments, execute)
+    angle = np.unwrap(angle)
+    course = float(np.interp(begin, moments, angle))
+    change = angle - course
+    during = moments >= begin
+    side = 1 if np.max(change[during]) >= -np.min(change[during]) else -1
+    turned = float(np.max(side * change[during]))
+    if turned < math.pi:
+        raise DataError(
+            f"The turn reaches {math.degrees(turned):.1f} degrees of heading change, but the "
+            "tactical diameter is defined at 180. Record a longer turn (540 degrees are usual), "
+            "or check that heading is in radians."
+        )
+    origin = np.interp(begin, moments, north), np.interp(begin, moments, east)
+    along = (north - origin[0]) * math.cos(course) + (east - origin[1]) * math.sin(course)
+    across = (east - origin[1]) * math.cos(course) - (north - origin[0]) * math.sin(course)
+    quarter, half = (
+        _time_of_turn(moments, side * change, angle, begin) for angle in (math.pi / 2, math.pi)
+    )
+    track_north, track_east = np.gradient(north, moments), np.gradient(east, moments)
+    if speed is None:
+        speeds = np.hypot(track_north, track_east)
+    else:
+        _, speeds = columns(times, speed=speed)
+
+    radius = ratio = drift = None
+    steady = during & (side * change >= steady_from)
+    if turned >= steady_from + _STEADY_ARC and np.count_nonzero(steady) >= 3:
+        radius = circle_radius(north[steady], east[steady])
+        ratio = float(np.mean(speeds[steady]) / np.interp(begin, moments, speeds))
+        slip = angle[steady] - np.arctan2(track_east[steady], track_north[steady])
+        drift = side * float(np.angle(np.mean(np.exp(1j * slip))))
+    return TurningIndices(
+        side=side,
+        advance=float(np.interp(quarter, moments, along)),
+        transfer=side * float(np.interp(quarter, moments, across)),
+        tactical_diameter=side * float(np.interp(half, moments, across)),
+        time_90=quarter - begin,
+        time_180=half - begin,
+        turned=turned,
+        steady_radius=radius,
+        steady_speed_ratio=ratio,
+        drift=drift,
+    )
+
+
+def _time_of_turn(times: FloatArray, change: FloatArray, angle: float, execute: float) -> float:
+    """Return the time [s] at which the heading has changed by an angle."""
+    time = first_reach(times, change, angle, after=execute)
+    if time is None:  # pragma: no cover - the caller has checked the largest change
+        raise DataError(f"The turn never reaches {math.degrees(angle):.0f} degrees.")
+    return time
+
+
+def _text(value: float | None, unit: str) -> str:
+    """Return a number with its unit, or words where the record is too short for it."""
+    return "record too short or signal not given" if value is None else f"{value:.3f} {unit}"
+
+
+# -- events in a record: executes of the rudder, crossings, peaks, steady circles ----------
+
+
+def columns(times: Numbers, **signals: Numbers) -> tuple[FloatArray, ...]:
+    """Return the times and each signal as arrays ``(n_times,)``, or raise DataError."""
+    moments = np.asarray(times, dtype=float)
+    if moments.ndim != 1 or len(moments) < 3 or not np.all(np.diff(moments) > 0):
+        raise DataError(
+            f"The manoeuvre has times of shape {moments.shape}; expected at least 3 increasing "
+            "times in one dimension. Sort the record and remove repeated times."
+        )
+    arrays = [moments]
+    for name, values in signals.items():
+        array = np.asarray(values, dtype=float)
+        if array.shape != moments.shape:
+            raise DataError(
+                f"The manoeuvre has {len(moments)} times but {name!r} of shape {array.shape}. "
+                "Give one value per time."
+            )
+        if missing := np.count_nonzero(~np.isfinite(array)):
+            raise DataError(
+                f"The manoeuvre has {missing} missing value(s) in {name!r}. Its indices are "
+                "points on a curve: leave out these samples, or fill them."
+            )
+        arrays.append(array)
+    return tuple(arrays)
+
+
+def within_record(times: FloatArray, execute: float | None) -> float:
+    """Return the time of the execute, the first time by default, or raise DataError."""
+    if execute is None:
+        return float(times[0])
+    if not times[0] <= execute < times[-1]:
+        raise DataError(
+            f"The execute at {execute:g} s is outside the record from {times[0]:g} to "
+            f"{times[-1]:g} s. Give it on the record's clock."
+        )
+    return float(execute)
+
+
+def rudder_executes(times: FloatArray, rudder: FloatArray, first: float | None) -> list[float]:
+    """Return the times [s] at which the rudder leaves each angle that it holds.
+
+    The first is given, or that at which the rudder leaves the middle.
+    """
+    largest = float(np.max(np.abs(rudder)))
+    side = np.where(np.abs(rudder) > _SIDE_SHARE * largest, np.sign(rudder), 0.0)
+    used = np.flatnonzero(side)
+    changes = np.flatnonzero(np.diff(side[used]) != 0)
+    if len(changes) == 0:
+        raise DataError(
+            f"The rudder is never reversed (it stays between {np.min(rudder):.3g} and "
+            f"{np.max(rudder):.3g}), so this is no zigzag. Check the column and its middle."
+        )
+    executes = [_leaves_middle(times, rudder, int(used[0])) if first is None else first]
+    begins = used[np.concatenate([[0], changes + 1])]
+    ends = used[changes]
+    for begin, end in zip(begins, ends, strict=False):
+        sign = side[begin]
+        leg = sign * rudder[begin : end + 1]
+        held = float(np.percentile(leg, 90))
+        last = int(begin + np.flatnonzero(leg >= (1 - _PLATEAU_SHARE) * held)[-1])
+        executes.append(_corner(times, 1 - sign * rudder / held, last))
+    return executes
+
+
+def _leaves_middle(times: FloatArray, rudder: FloatArray, on_side: int) -> float:
+    """Return the time at which the rudder first leaves zero."""
+    sign = math.copysign(1.0, rudder[on_side])
+    largest = float(np.max(np.abs(rudder)))
+    before = np.flatnonzero(np.abs(rudder[:on_side]) <= _PLATEAU_SHARE * largest)
+    if len(before) == 0:
+        return float(times[0])
+    return _corner(times, sign * rudder / largest, int(before[-1]))
+
+
+def _corner(times: FloatArray, moved: FloatArray, last: int) -> float:
+    """Return the time at which ``moved``, still about 0 at ``last``, begins to grow to 1.
+
+    A ramp is followed back along its slope up to one half; a jump happens at
+    its first sample, because an order is held until the next one is given.
+    """
+    after = last + 1
+    half = after + int(np.argmax(moved[after:] >= 0.5))
+    if half == after:
+        return float(times[after])
+    slope = (moved[half] - moved[after]) / (times[half] - times[after])
+    corner = times[after] - moved[after] / slope
+    return float(max(corner, times[0]))
+
+
+def summit(
+    times: FloatArray, values: FloatArray, *, begin: float, end: float
+) -> tuple[float, float] | None:
+    """Return time and height of the largest value between two times.
+
+    The height is that of the parabola through the three samples around the
+    largest one. None if the values still rise where the record ends.
+    """
+    window = np.flatnonzero((times >= begin) & (times <= end))
+    if len(window) == 0:
+        return None
+    top = int(window[np.argmax(values[window])])
+    if top == len(times) - 1:
+        return None
+    if top == 0:
+        return float(times[0]), float(values[0])
+    near = slice(top - 1, top + 2)
+    quadratic, linear, _ = np.polyfit(times[near] - times[top], values[near] - values[top], 2)
+    if quadratic >= 0:
+        return float(times[top]), float(values[top])
+    shift = float(np.clip(-linear / (2 * quadratic), *(times[near][[0, 2]] - times[top])))
+    return float(times[top]) + shift, float(values[top]) + (quadratic * shift + linear) * shift
+
+
+def first_reach(
+    times: FloatArray, values: FloatArray, level: float, *, after: float
+) -> float | None:
+    """Return the time, after a given one, at which values first reach a level from below."""
+    reached = np.flatnonzero((values >= level) & (times > after))
+    if len(reached) == 0:
+        return None
+    above = int(reached[0])
+    if above == 0 or values[above - 1] >= level:
+        return float(times[above])
+    share = (level - values[above - 1]) / (values[above] - values[above - 1])
+    return float(times[above - 1] + share * (times[above] - times[above - 1]))
+
+
+def travelled(times: FloatArray, speeds: FloatArray, begin: float, end: float) -> float:
+    """Return the distance [m] between two times, by the trapezoidal rule."""
+    inner = times[(times > begin) & (times < end)]
+    nodes = np.concatenate([[begin], inner, [end]])
+    at_nodes = np.interp(nodes, times, speeds)
+    return float(np.sum((at_nodes[1:] + at_nodes[:-1]) / 2 * np.diff(nodes)))
+
+
+def circle_radius(x: FloatArray, y: FloatArray) -> float:
+    """Return the radius of the circle through points, by linear least squares.
+
+    References
+    ----------
+    I. Kasa, A circle fitting procedure and its error analysis, *IEEE Trans.
+    Instrumentation and Measurement* 25 (1976) 8-14.
+    """
+    east, north = x - np.mean(x), y - np.mean(y)
+    matrix = np.column_stack([2 * east, 2 * north, np.ones_like(east)])
+    a, b, c = np.linalg.lstsq(matrix, east**2 + north**2)[0]
+    return float(np.sqrt(c + a**2 + b**2))

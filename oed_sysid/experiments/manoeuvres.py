@@ -1,0 +1,49 @@
+"""Manoeuvres: what is commanded during an experiment, and the indices of standard tests.
+
+Examples
+--------
+>>> from math import radians
+>>> from oed_sysid.experiments.manoeuvres import Combined, Constant, ZigZag
+>>> trial = Combined((Constant("thrust", 700.0), ZigZag("rudder", radians(10), radians(10))))
+>>> trial.describe()
+'thrust constant at 700; zigzag 10/10 deg of rudder, reversed on psi, positive side first, from 0 s'
+"""
+
+from oed_sysid.experiments.base import (
+    Controller,
+    Excitation,
+    Manoeuvre,
+    OpenLoop,
+    Stepwise,
+    command_all,
+)
+from oed_sysid.experiments.composite import Combined, RateLimited, Saturated, Sequence
+from oed_sysid.experiments.indices import (
+    TurningIndices,
+    ZigZagIndices,
+    turning_indices,
+    zigzag_indices,
+)
+from oed_sysid.experiments.reacting import ReverseSpiral, ZigZag, ZigZagLike
+from oed_sysid.experiments.schedules import (
+    PRBS,
+    Constant,
+    Doublet,
+    FromRecord,
+    Piecewise,
+    PullOut,
+    Spiral,
+    ThreeTwoOneOne,
+    TurningCircle,
+    maximum_length_sequence,
+)
+from oed_sysid.experiments.sines import (
+    Chirp,
+    Multisine,
+    orthogonal_multisines,
+    peak_factor,
+    schroeder_phases,
+)
+from oed_sysid.runtime.version import exported
+
+__all__ = exported(globals())

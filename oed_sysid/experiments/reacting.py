@@ -1,0 +1,476 @@
+"""Manoeuvres that react to what is measured: zigzags and the reverse spiral.
+
+Both zigzags are one event detector: the order is reversed whenever the feedback's deviation has
+reached the switch on the side of the order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from oed_sysid.errors import ModelError
+from oed_sysid.experiments.base import (
+    Controller,
+    FloatArray,
+    Numbers,
+    Rule,
+    Stepwise,
+    above_zero,
+    each_positive,
+    feedback_of,
+)
+from oed_sysid.experiments.schedules import interval
+
+_OTHER_SIDE = "Use first=-1 to begin to the other side."
+_SWITCH = "It is the deviation at which the command reverses."
+# Amplitudes and switches of the swings, lead [s] and gain of the signal that is kept.
+Swings = tuple[tuple[float, ...], tuple[float, ...], float, float]
+
+
+class SlopeLimit:
+    """Follow an order that may jump, at a limited rate.
+
+    Between two samples the command moves towards the order of the earlier one,
+    as a steering gear does: an order is first seen in the command one sample
+    after it was given.
+
+    Parameters
+    ----------
+    rate : float or None
+        Largest slope [unit/s]; None passes every order through.
+    initial : float
+        Command at the first sample, if there is a rate.
+    """
+
+    def __init__(self, rate: float | None, *, initial: float) -> None:
+        self._rate = rate
+        self._command = initial
+        self._order = initial
+        self._time: float | None = None
+
+    def follow(self, order: float, time: float) -> float:
+        """Return the command at ``time`` [s] and remember the order given there."""
+        if self._time is not None and time < self._time:
+            raise ModelError(
+                f"A controller was asked for {time:g} s after {self._time:g} s. Call it with "
+                "increasing times, and make a fresh controller() for each run."
+            )
+        self._command = self._moved(self._command, self._order, order, self._time, time)
+        self._order, self._time = order, time
+        return self._command
+
+    def _moved(
+        self, command: float, standing: float, order: float, before: float | None, time: float
+    ) -> float:
+        """The command at a time, towards the order that stood since the time before."""
+        if self._rate is None:
+            return order
+        if before is None:
+            return command
+        reach = self._rate * (time - before)
+        return command + min(max(standing - command, -reach), reach)
+
+    def foreseen(self, order: float, times: FloatArray) -> FloatArray:
+        """Commands ``(n_times,)`` at later times [s] while one order stands; nothing is kept."""
+        found = np.full(len(times), float(order))
+        command, standing, before = self._command, self._order, self._time
+        for index, time in enumerate(times.tolist() if self._rate is not None else ()):
+            # By the same steps as follow(), so that the same numbers come out.
+            command = self._moved(command, standing, order, before, time)
+            standing, before = order, time
+            found[index] = command
+            if command == order:
+                break
+        return found
+
+    def skip(self, order: float, times: FloatArray) -> None:
+        """Go on past later times [s] at which one order stood."""
+        if len(times):
+            self._command = float(self.foreseen(order, times)[-1])
+            self._order, self._time = order, float(times[-1])
+
+
+class _Reversing(Stepwise):
+    """What both zigzags share."""
+
+    @property
+    def duration(self) -> float | None:
+        """None: it depends on the vehicle; 5 reversals are usual."""
+        return None
+
+    def controller(self) -> Controller:
+        """Return a fresh controller."""
+        return _Swings(self)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class ZigZag(_Reversing):
+    r"""Zigzag test, for instance 10/10 of the IMO standards.
+
+    After a straight approach the rudder is put over to ``amplitude``; when the
+    heading has changed by ``switch`` from its value at that moment the rudder
+    is reversed, and so on.
+
+    Parameters
+    ----------
+    input : str
+        Commanded channel.
+    amplitude : float
+        Command to either side [rad], above zero.
+    switch : float
+        Deviation of the feedback at which the command reverses [rad], above zero.
+    feedback : str
+        Measured signal, continuous: a heading must not jump at 180 degrees.
+    rate : float or None
+        Largest slope of the command [rad/s]; None lets it jump.
+    first : int
+        Side of the first execute, +1 or -1.
+    start : float
+        Time of the first execute [s]; the approach before holds ``neutral``.
+    sign : int
+        +1 if a positive command lets the feedback grow, -1 if it falls.
+    neutral : float
+        Command around which the swings are made [rad].
+    reference : float or None
+        Value from which the feedback's deviation is counted; None takes the
+        first measured value at or after ``start``.
+    lead : float
+        Time by which the reversal looks ahead [s], with the rate of the feedback, which has to be
+        the second of the signals. The swing then ends near ``switch`` on slow and on quick
+        vehicles.
+    keep_gain : float
+        Shift of the reference for each unit by which a further signal, the last of those in
+        ``feedback``, is off its first value, at most half a switch: swings about a depth keeper
+        neither dive nor surface.
+
+    Notes
+    -----
+    With the feedback :math:`\psi`, its rate :math:`r` and the kept signal :math:`z`, the command
+    reverses where
+
+    .. math:: \pm\left(\psi + T r - \psi_0 - k\,(z - z_0)\right) \ge \psi_s
+
+    with ``lead`` :math:`T`, ``keep_gain`` :math:`k` and ``switch`` :math:`\psi_s`. The decision is
+    taken on samples, so that the reversal comes up to one sample after the crossing. A measured
+    NaN means no new measurement: the order is kept.
+
+    References
+    ----------
+    IMO Resolution MSC.137(76), Annex, 4.2.5 and 4.2.6 (2002).
+
+    Examples
+    --------
+    >>> from math import radians
+    >>> test = ZigZag("rudder", radians(10), radians(10))
+    >>> control = test.controller()
+    >>> [round(control.command(t, {"psi": psi}), 3) for t, psi in [(0, 0.0), (1, 0.1), (2, 0.18)]]
+    [0.175, 0.175, -0.175]
+    """
+
+    kind: ClassVar[str] = "zigzag"
+    rules: ClassVar[Mapping[str, Rule]] = {
+        "amplitude": above_zero(_OTHER_SIDE),
+        "switch": above_zero(_SWITCH),
+    }
+    amplitude: float
+    switch: float
+    _: KW_ONLY
+    feedback: Sequence[str] = ("psi",)
+    rate: float | None = None
+    first: int = 1
+    start: float = 0.0
+    sign: int = 1
+    neutral: float = 0.0
+    reference: float | None = None
+    lead: float = 0.0
+    keep_gain: float = 0.0
+
+    def _validate(self) -> None:
+        if self.lead < 0:
+            raise ModelError(f"{self._owner} has lead {self.lead:g} s. Give zero or more.")
+        more = ("its rate",) * (self.lead != 0) + ("the signal kept",) * (self.keep_gain != 0)
+        self._set(feedback=feedback_of(self._owner, self.feedback, more))
+
+    @property
+    def swings(self) -> Swings:
+        """Amplitudes, switches, lead and gain of the kept signal."""
+        return (self.amplitude,), (self.switch,), self.lead, self.keep_gain
+
+    def describe(self) -> str:
+        """Return one line in words."""
+        lead = f" {self.lead:.3g} s ahead" if self.lead else ""
+        kept = f" about a keeper of {self.feedback[-1]}" if self.keep_gain else ""
+        return (
+            f"zigzag {math.degrees(self.amplitude):.3g}/{math.degrees(self.switch):.3g} deg of "
+            f"{self.input}, reversed on {self.feedback[0]}{lead}{kept}, {_ending(self)}"
+        )
+
+
+@dataclass(frozen=True)
+class ZigZagLike(_Reversing):
+    """Zigzag with an amplitude and a switch of its own for each swing.
+
+    The diving-plane version: the fin is put to +amplitude, which lowers the
+    bow; when the pitch angle is at or below -switch the fin goes to -amplitude
+    until the pitch angle is at or above +switch, and so on. Swings of several
+    sizes excite linear and quadratic terms in one run.
+
+    Parameters
+    ----------
+    input : str
+        Commanded channel.
+    amplitudes : float or sequence of float, shape (n,)
+        Command of each swing [rad], above zero; the last is kept afterwards.
+    switches : float or sequence of float, shape (m,)
+        Feedback at which each swing ends [rad], above zero; the last is kept
+        afterwards. It may have another length than ``amplitudes``.
+    feedback : str
+        Measured signal.
+    rate : float or None
+        Largest slope of the command [rad/s]; None lets it jump.
+    first : int
+        Side of the first command, +1 or -1.
+    start : float
+        Time of the first command [s]; before, ``neutral`` is held.
+    sign : int
+        +1 if a positive command lets the feedback grow, -1 if it falls (a
+        positive stern plane lowers the bow).
+    neutral : float
+        Command around which the swings are made [rad].
+    reference : float or None
+        Value from which the feedback's deviation is counted; None takes the
+        first measured value at or after ``start``.
+
+    Examples
+    --------
+    >>> dive = ZigZagLike("fin_command", (0.35, 0.2), (0.1, 0.05))
+    >>> control = dive.controller()
+    >>> [control.command(t, {"theta": angle}) for t, angle in [(0, 0.0), (1, -0.11), (2, 0.06)]]
+    [0.35, -0.2, 0.2]
+    """
+
+    kind: ClassVar[str] = "zigzag_like"
+    rules: ClassVar[Mapping[str, Rule]] = {
+        "amplitudes": each_positive(_OTHER_SIDE),
+        "switches": each_positive(_SWITCH),
+        "feedback": lambda owner, _, signals: feedback_of(owner, signals),
+    }
+    amplitudes: float | Numbers
+    switches: float | Numbers
+    _: KW_ONLY
+    feedback: Sequence[str] = ("theta",)
+    rate: float | None = None
+    first: int = 1
+    start: float = 0.0
+    sign: int = -1
+    neutral: float = 0.0
+    reference: float | None = 0.0
+
+    @property
+    def swings(self) -> Swings:
+        """Amplitudes and switches as tuples; neither lead nor a signal that is kept."""
+        return tuple(self.amplitudes), tuple(self.switches), 0.0, 0.0  # type: ignore[arg-type]
+
+    def describe(self) -> str:
+        """Return one line in words."""
+        return (
+            f"zigzag of {self.input} with {_degrees(self.amplitudes)} deg, reversed when "
+            f"{self.feedback[0]} reaches {_degrees(self.switches)} deg, {_ending(self)}"
+        )
+
+
+class _Swings(Controller):
+    """Reverse the order whenever the feedback's deviation reaches the switch."""
+
+    def __init__(self, settings: ZigZag | ZigZagLike) -> None:
+        self._settings = settings
+        self._signal = settings.feedback[0]
+        self._amplitudes, self._switches, self._lead, self._keep_gain = settings.swings
+        self._limit = SlopeLimit(settings.rate, initial=settings.neutral)
+        self._reference = settings.reference
+        self._reversals = 0
+        self._kept: float | None = None
+
+    def command(self, time: float, signals: Mapping[str, float]) -> float:
+        if time < self._settings.start:
+            return self._limit.follow(self._settings.neutral, time)
+        names = self._settings.feedback
+        seen = {name: measured_signal(self._settings.input, name, signals) for name in names}
+        measured = seen[self._signal]
+        if self._reference is None and math.isfinite(measured):
+            self._reference = measured
+        if self._keep_gain and self._kept is None:
+            kept = seen[self._settings.feedback[-1]]
+            self._kept = kept if math.isfinite(kept) else None
+        if self._reference is not None and self._swing(seen) >= self._switch:
+            self._reversals += 1
+        return self._limit.follow(self._order, time)
+
+    def foreseen(self, times: FloatArray) -> FloatArray | None:
+        return self._limit.foreseen(self._standing(times), times)
+
+    def skip(self, times: FloatArray) -> None:
+        self._limit.skip(self._standing(times), times)
+
+    def _standing(self, times: FloatArray) -> float:
+        """The order at these times while nothing is reached."""
+        before = len(times) and times[0] < self._settings.start
+        return self._settings.neutral if before else self._order
+
+    def undisturbed(self, times: FloatArray, signals: Mapping[str, FloatArray]) -> int:
+        early = int(np.searchsorted(times, self._settings.start))
+        if early:
+            return early
+        if self._reference is None or (self._keep_gain and self._kept is None):
+            return 0
+        reached = self._swing(signals) >= self._switch
+        return int(np.argmax(reached)) if reached.any() else len(times)
+
+    def _swing(self, seen: Mapping[str, Any]) -> Any:
+        """How far the feedback has gone to the side of the order, rad; a number or an array."""
+        deviation = seen[self._signal] - self._reference
+        names = self._settings.feedback
+        if self._lead:
+            deviation = deviation + self._lead * seen[names[1]]
+        if self._keep_gain and self._kept is not None:
+            most = 0.5 * self._switch
+            shift = self._keep_gain * (seen[names[-1]] - self._kept)
+            deviation = deviation - np.clip(shift, -most, most)
+        return self._settings.sign * self._side * deviation
+
+    @property
+    def _switch(self) -> float:
+        return _item(self._switches, self._reversals)
+
+    @property
+    def _order(self) -> float:
+        return self._settings.neutral + self._side * _item(self._amplitudes, self._reversals)
+
+    @property
+    def _side(self) -> int:
+        return self._settings.first if self._reversals % 2 == 0 else -self._settings.first
+
+
+def measured_signal(owner: str, name: str, signals: Mapping[str, float]) -> float:
+    """Return the feedback signal, or raise with the names that there are."""
+    if name not in signals:
+        raise ModelError(
+            f"The manoeuvre of {owner!r} reacts to {name!r}, which is not among the signals "
+            f"({', '.join(signals) or 'none'}). Measure it, or set feedback to one of them."
+        )
+    return float(signals[name])
+
+
+def _item(values: tuple[float, ...], index: int) -> float:
+    return values[min(index, len(values) - 1)]
+
+
+def _degrees(values: float | Numbers) -> str:
+    sequence = (values,) if isinstance(values, int | float) else values
+    return ", ".join(f"{math.degrees(value):.3g}" for value in sequence)
+
+
+def _ending(manoeuvre: ZigZag | ZigZagLike) -> str:
+    side = "positive" if manoeuvre.first > 0 else "negative"
+    rate = manoeuvre.rate
+    limit = "" if rate is None else f", at most {math.degrees(rate):.3g} deg/s"
+    return f"{side} side first, from {manoeuvre.start:g} s{limit}"
+
+
+@dataclass(frozen=True)
+class ReverseSpiral(Stepwise):
+    """Reverse (Bech) spiral: steer a sequence of constant yaw rates.
+
+    The mean command at each rate gives the steady curve also where the vehicle
+    is unstable, which a direct spiral jumps over. The command is
+    proportional-integral in the error of the yaw rate.
+
+    Parameters
+    ----------
+    input : str
+        Commanded channel.
+    rates : sequence of float, shape (n,)
+        Yaw rates to steer [rad/s].
+    hold : float
+        Time on each rate [s].
+    gain : float
+        Command per error of the yaw rate [s], above zero.
+    reset_time : float
+        Integral time [s].
+    limit : float
+        Largest command to either side [rad].
+    feedback : str
+        Measured yaw rate.
+    sign : int
+        +1 if a positive command lets the feedback grow, -1 if it falls.
+    start : float
+        Time of the first rate [s].
+    neutral : float
+        Command about which it moves, held before: 0, or the trim of the command.
+    """
+
+    kind: ClassVar[str] = "reverse_spiral"
+    rules: ClassVar[Mapping[str, Rule]] = {
+        "gain": above_zero("Use sign=-1 for a reversed command."),
+        "feedback": lambda owner, _, signals: feedback_of(owner, signals),
+    }
+    rates: Numbers
+    _: KW_ONLY
+    hold: float
+    gain: float
+    reset_time: float
+    limit: float
+    feedback: Sequence[str] = ("r",)
+    sign: int = 1
+    start: float = 0.0
+    neutral: float = 0.0
+
+    @property
+    def duration(self) -> float | None:
+        """Until the last rate has been held [s]."""
+        return self.start + self.hold * len(self.rates)
+
+    def controller(self) -> Controller:
+        """Return a fresh controller."""
+        return _RateSteering(self)
+
+    def describe(self) -> str:
+        """Return one line in words."""
+        return (
+            f"reverse spiral of {self.input}: {len(self.rates)} values of {self.feedback[0]}, "
+            f"{self.hold:g} s each"
+        )
+
+
+class _RateSteering(Controller):
+    """Proportional-integral steering of a sequence of yaw rates."""
+
+    def __init__(self, settings: ReverseSpiral) -> None:
+        self._settings = settings
+        self._edges = settings.start + settings.hold * np.arange(len(settings.rates))
+        self._integral = 0.0
+        self._time: float | None = None
+        self._command = settings.neutral
+
+    def command(self, time: float, signals: Mapping[str, float]) -> float:
+        settings = self._settings
+        leg = int(interval(np.array([time]), self._edges)[0]) - 1
+        if leg < 0:
+            return settings.neutral
+        measured = measured_signal(settings.input, settings.feedback[0], signals)
+        elapsed = 0.0 if self._time is None else time - self._time
+        self._time = time
+        if math.isnan(measured):  # no new measurement: keep the command
+            return self._command
+        error = settings.sign * settings.gain * (settings.rates[leg] - measured)
+        integral = self._integral + error * elapsed / settings.reset_time
+        # An integral beyond the limit could not be undone in time (windup).
+        self._integral = float(np.clip(integral, -settings.limit, settings.limit))
+        swing = float(np.clip(error + self._integral, -settings.limit, settings.limit))
+        self._command = settings.neutral + swing
+        return self._command
