@@ -19,8 +19,8 @@ Fossen (2011), Handbook of marine craft hydrodynamics and motion control, Wiley:
 2.2 (attitude), 3.3 (rigid body), 4.1 and 4.2 (restoring), 6.3 (added mass), 8.3 (current).
 
 *What is mounted on it.* A force :math:`F` at the place :math:`r` has the moment
-:math:`r \times F` about the origin. A fin of normal :math:`n` (the side to which a positive angle lifts) sees the flow
-:math:`v_f = \nu_{r1} + \omega \times r` of its own place,
+:math:`r \times F` about the origin. A fin of normal :math:`n` (the side to which a positive
+angle lifts) sees the flow :math:`v_f = \nu_{r1} + \omega \times r` of its own place,
 
 .. math:: F = L\,u_f (u_f\,\delta - v_f \cdot n)\,n - D\,u_f^2\delta^2\,e_x, \qquad
           L = \tfrac{\rho}{2} S\,C_{L\alpha},
