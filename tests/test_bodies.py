@@ -12,7 +12,7 @@ from oed_sysid import Input, Model, Parameter
 from oed_sysid.bodies import RigidBody, load_cell, rigid_body
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.language import expressions
-from oed_sysid.testing.effect_contract import check_effect
+from oed_sysid.testing.problem_contract import check_effect
 
 CENTRE = np.array([0.03, -0.02, 0.05])
 LIFT = np.array([-0.01, 0.015, -0.02])

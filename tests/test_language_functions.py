@@ -23,7 +23,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.fitting.archive import decode, encode
 from oed_sysid.language import expressions
 from oed_sysid.language.callables import interpolate
-from oed_sysid.testing.effect_contract import check_effect
+from oed_sysid.testing.problem_contract import check_effect
 
 GRID = (
     np.array([0.0, 1.0, 3.0]),

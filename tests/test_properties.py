@@ -24,9 +24,9 @@ from oed_sysid.errors import OedSysidError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.fitting.archive import decode, encode
 from oed_sysid.fitting.fit import ARCHIVED
-from oed_sysid.language import expressions, grammar, notation, units
+from oed_sysid.language import expressions, notation, units
 from oed_sysid.language.dimensions import dimension_of
-from oed_sysid.language.unit_table import OFFSETS, UNITS
+from oed_sysid.language.units import OFFSETS, UNITS
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
 from oed_sysid.simulation import simulate
@@ -206,8 +206,8 @@ def test_refused_where_they_are_written(text: str) -> None:
 
 def test_deepest_expression_still_works() -> None:
     """At the limit of depth every use of an expression still has stack enough."""
-    text = "+".join(["u"] * (grammar.DEEPEST - 2))
-    assert float(expressions.to_numpy(text, {"u": 1.0})) == grammar.DEEPEST - 2
+    text = "+".join(["u"] * (expressions.DEEPEST - 2))
+    assert float(expressions.to_numpy(text, {"u": 1.0})) == expressions.DEEPEST - 2
     assert expressions.to_text(text)
     assert expressions.to_latex(text)
     assert str(dimension_of(text, {"u": units.dimension("m")})) == "m"

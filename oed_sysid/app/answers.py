@@ -9,7 +9,7 @@ from oed_sysid.app.commands import factor, shown
 from oed_sysid.channels import Input, Output
 from oed_sysid.errors import DataError
 from oed_sysid.logs import LogMapping, Source
-from oed_sysid.logs.cuts import CommandCuts, Cut
+from oed_sysid.logs.mapping import CommandCuts, Cut
 from oed_sysid.problem import Problem
 
 NOT_LOGGED = "not logged"

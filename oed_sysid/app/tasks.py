@@ -10,8 +10,7 @@ from oed_sysid.app.jobs import Tell
 from oed_sysid.app.records import archive
 from oed_sysid.app.study import Study
 from oed_sysid.compatibility import LogCheck, corrected_copies, quick_check
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.overlap import together
+from oed_sysid.data.dataset import Dataset, together
 from oed_sysid.estimators import MultipleShooting
 
 if TYPE_CHECKING:

@@ -51,8 +51,7 @@ def check(
     """
     from oed_sysid.compatibility import check as look
     from oed_sysid.compatibility import corrected_copies, why_not_more
-    from oed_sysid.data.dataset import write_csv
-    from oed_sysid.data.overlap import together
+    from oed_sysid.data.dataset import together, write_csv
     from oed_sysid.problem import load_problem
 
     chosen = load_problem(problem, variant=model)

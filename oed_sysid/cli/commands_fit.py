@@ -81,7 +81,7 @@ def fit(
     --validate dive_3.csv --save fit.json
     """
     from oed_sysid.compatibility import quick_check
-    from oed_sysid.data.overlap import check_disjoint
+    from oed_sysid.data.dataset import check_disjoint
     from oed_sysid.diagnosis.compare import compare as compare_models
     from oed_sysid.problem import load_problem
 
@@ -147,7 +147,7 @@ def compare(
     --validate dive_3.csv
     """
     from oed_sysid.compatibility import quick_check
-    from oed_sysid.data.overlap import check_disjoint, together
+    from oed_sysid.data.dataset import check_disjoint, together
     from oed_sysid.diagnosis.compare import compare as compare_models
     from oed_sysid.diagnosis.usual import equipped
     from oed_sysid.problem import load_problem

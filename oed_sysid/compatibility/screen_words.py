@@ -10,8 +10,7 @@ from oed_sysid.compatibility.result import Correction, Finding
 from oed_sysid.compatibility.screens import Fault
 from oed_sysid.compatibility.traces import Trace
 from oed_sysid.compatibility.words import COPY, angle_aware
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.overlap import overlap
+from oed_sysid.data.dataset import Dataset, overlap
 
 # Fast noise against the declared level before it is mentioned.
 NOISIER = 2.5

@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from oed_sysid.compatibility.relations import STANDARD_UNITS
-from oed_sysid.data.angles import unwrapped
 from oed_sysid.data.csv_table import read_table
-from oed_sysid.data.record import Record
+from oed_sysid.data.record import Record, unwrapped
 from oed_sysid.errors import DataError
 from oed_sysid.language.units import parse_header, to_si
 

@@ -48,7 +48,7 @@ def _compiler() -> str | None:
 _GENERATOR = (
     "compiled/graph.py",
     "language/expressions.py",
-    "language/grammar.py",
+    "language/expressions.py",
     "language/callables.py",
     "model/validation.py",
     "compiled/generate.py",

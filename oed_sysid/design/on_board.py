@@ -38,7 +38,7 @@ from oed_sysid.design.missing_effects import Chance, missing_physics
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiment import Experiment
 from oed_sysid.files import make_folder
-from oed_sysid.logs.libraries import library
+from oed_sysid.logs.log import library
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity.noise import sea_words

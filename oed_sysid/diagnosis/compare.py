@@ -10,8 +10,7 @@ import numpy as np
 
 from oed_sysid.batch.threads import single_threaded
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.overlap import check_disjoint
+from oed_sysid.data.dataset import Dataset, check_disjoint
 from oed_sysid.diagnosis.forecasts import Forecasts, forecasts
 from oed_sysid.diagnosis.misfit import OutputMisfit, output_misfit
 from oed_sysid.diagnosis.regimes import Signal, regimes

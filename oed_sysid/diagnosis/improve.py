@@ -20,8 +20,7 @@ import numpy as np
 from oed_sysid.batch.journal import Journal
 from oed_sysid.batch.threads import single_threaded
 from oed_sysid.compatibility import LogCheck, check, quick_check
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.overlap import check_disjoint, together
+from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.diagnosis.constancy import doubt, imitates
 from oed_sysid.diagnosis.improvement import Improvement, Step, Term, Yardstick, parameter_table
 from oed_sysid.diagnosis.journal import opened

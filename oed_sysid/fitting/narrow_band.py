@@ -25,7 +25,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from oed_sysid.data.dataset import Record
-from oed_sysid.data.sampling import sampled_alike
+from oed_sysid.data.record import sampled_alike
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.information import coloured_score_covariance
 

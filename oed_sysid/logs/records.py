@@ -16,14 +16,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from oed_sysid.channels import Channels, Input, Output
-from oed_sysid.data.angles import clear_wraps, unwrapped
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.record import MINIMUM_SAMPLES, Record, closest
+from oed_sysid.data.record import MINIMUM_SAMPLES, Record, clear_wraps, closest, unwrapped
 from oed_sysid.errors import DataError
 from oed_sysid.language.units import dimension, to_si
-from oed_sysid.logs.cuts import Cut
 from oed_sysid.logs.log import Log
-from oed_sysid.logs.mapping import LogMapping, Source
+from oed_sysid.logs.mapping import Cut, LogMapping, Source
 
 # Samples of outputs are the same moment within this share of the shortest sampling interval.
 TOLERANCE = 0.1

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.errors import DataError
-from oed_sysid.logs.libraries import library
-from oed_sysid.logs.log import Log, assemble
+from oed_sysid.logs.log import Log, assemble, library
 
 # Longer arrays are pictures, scans and covariances.
 MOST_ENTRIES = 16
