@@ -19,10 +19,18 @@ from log_writers import (
 
 from oed_sysid import Channels, Dataset, Input, Output, new_problem, read_csv
 from oed_sysid.cli import main
+from oed_sysid.data.log import assemble, euler_angles, local_position
+from oed_sysid.data.logs import (
+    LogMapping,
+    Source,
+    draft,
+    import_log,
+    log_of,
+    open_log,
+    read_mapping,
+)
+from oed_sysid.data.mapping import CommandCuts, Cut, parse
 from oed_sysid.errors import DataError
-from oed_sysid.logs import LogMapping, Source, draft, import_log, log_of, open_log, read_mapping
-from oed_sysid.logs.log import assemble, euler_angles, local_position
-from oed_sysid.logs.mapping import CommandCuts, Cut, parse
 
 VOYAGE = Voyage.short()
 CHANNELS = Channels(

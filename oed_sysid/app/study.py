@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, together
-from oed_sysid.diagnosis.usual import equipped
 from oed_sysid.errors import DataError
-from oed_sysid.problem import Problem
+from oed_sysid.evidence.usual import equipped
+from oed_sysid.experiments.problem import Problem
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from oed_sysid.channels import Channels, Input, Output
-from oed_sysid.data.csv_table import Table, time_stamp
 from oed_sysid.data.record import TIME_ADVICE, TURN, clear_wraps, closest, time_fault
 from oed_sysid.errors import DataError, UnitWarning
-from oed_sysid.language.units import dimension, parse_header, to_si
+from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.text.csv_table import Table, time_stamp
+from oed_sysid.text.units import dimension, parse_header, to_si
 
 # -- columns of a table on their way to channels ---------------------------------------
 

@@ -16,8 +16,8 @@ from oed_sysid.export.c_code import write_c, write_fmu
 from oed_sysid.export.program import Program, program_of
 from oed_sysid.export.scripts import write_casadi, write_control, write_matlab, write_python
 from oed_sysid.export.symbolic import write_sympy
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.model import Model
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.physics.model import Model
 
 __all__ = ["KINDS", "Program", "export", "program_of"]
 

@@ -31,9 +31,9 @@ import numpy as np
 from oed_sysid.compiled.graph import GAMMA, STAGES
 from oed_sysid.errors import FileError
 from oed_sysid.export.program import IN_C, Example, Program, Routine, example
-from oed_sysid.files import whole_file, write_text
-from oed_sysid.language.typeset import safe
-from oed_sysid.version import __version__
+from oed_sysid.runtime.files import whole_file, write_text
+from oed_sysid.runtime.version import __version__
+from oed_sysid.text.typeset import safe
 
 # -- C99 without dependencies ----------------------------------------------------------
 

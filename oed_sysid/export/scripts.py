@@ -29,12 +29,12 @@ import numpy as np
 
 from oed_sysid.compiled.graph import GAMMA, STAGES, build
 from oed_sysid.errors import ModelError, SimulationError
+from oed_sysid.experiments.steady import equilibrium, linearise
 from oed_sysid.export.c_code import template
 from oed_sysid.export.program import IN_MATLAB, IN_PYTHON, Program, Routine, identifier
-from oed_sysid.files import whole_file, write_text
-from oed_sysid.language.typeset import safe
-from oed_sysid.model import Model
-from oed_sysid.simulation.steady import equilibrium, linearise
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.files import whole_file, write_text
+from oed_sysid.text.typeset import safe
 
 # -- a Python module that needs NumPy only ---------------------------------------------
 

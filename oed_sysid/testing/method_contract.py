@@ -3,12 +3,12 @@ r"""Contracts of methods, of estimators and of criteria.
 The contract of an estimator, to be run on every estimator that is added.
 
 >>> from math import radians
->>> from oed_sysid.channels import Input, Output, State
->>> from oed_sysid.estimators import MultipleShooting
->>> from oed_sysid.experiment import Experiment
->>> from oed_sysid.manoeuvres import Doublet
->>> from oed_sysid.model import Model
->>> from oed_sysid.parameters import Parameter
+>>> from oed_sysid.physics.channels import Input, Output, State
+>>> from oed_sysid.baselines import MultipleShooting
+>>> from oed_sysid.experiments.experiment import Experiment
+>>> from oed_sysid.experiments.manoeuvres import Doublet
+>>> from oed_sysid.physics.model import Model
+>>> from oed_sysid.physics.parameters import Parameter
 >>> nomoto = Model(
 ...     "Nomoto", (State("psi", "rad"), State("r", "rad/s")), (Input("delta", "rad"),),
 ...     (Output("psi", "rad", noise_std=0.01),), {"psi": "r", "r": "(K*delta - r)/T"},
@@ -32,10 +32,10 @@ better. With :math:`S` a change of units and :math:`v v'` one more measurement,
 
 the first for all that measure size, the second for those that are invariant.
 
->>> from oed_sysid.channels import Input, Output, State
+>>> from oed_sysid.physics.channels import Input, Output, State
 >>> from oed_sysid.design import DOptimal
->>> from oed_sysid.model import Model
->>> from oed_sysid.parameters import Parameter
+>>> from oed_sysid.physics.model import Model
+>>> from oed_sysid.physics.parameters import Parameter
 >>> nomoto = Model(
 ...     "Nomoto",
 ...     (State("psi", "rad"), State("r", "rad/s")),
@@ -59,12 +59,12 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.design.criteria import Criterion, Setting
 from oed_sysid.errors import OedSysidError
-from oed_sysid.estimators.base import Estimator
-from oed_sysid.experiment import Experiment
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.model import Model
-from oed_sysid.sensitivity.noise import noise_of
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information.noise import noise_of
+from oed_sysid.likelihood.base import Estimator
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.physics.model import Model
 
 # -- the contract of an estimator ------------------------------------------------------
 

@@ -2,16 +2,16 @@
 
 >>> import tempfile
 >>> from pathlib import Path
->>> from oed_sysid.problem import new_problem
+>>> from oed_sysid.experiments.problem import new_problem
 >>> with tempfile.TemporaryDirectory() as place:
 ...     check_problem(new_problem(Path(place) / "my_ship"), rng=np.random.default_rng(1))
 
 The contract of an effect, to be run on every effect that is added.
 
->>> from oed_sysid.channels import Input, Output, State
->>> from oed_sysid.effects import quadratic_drag
->>> from oed_sysid.model import Model
->>> from oed_sysid.parameters import Parameter
+>>> from oed_sysid.physics.channels import Input, Output, State
+>>> from oed_sysid.physics import quadratic_drag
+>>> from oed_sysid.physics.model import Model
+>>> from oed_sysid.physics.parameters import Parameter
 >>> roll = Model(
 ...     "roll",
 ...     states=(State("phi", "rad"), State("p", "rad/s")),
@@ -37,15 +37,15 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.effects import Effect
 from oed_sysid.errors import OedSysidError
-from oed_sysid.experiment import Experiment
-from oed_sysid.model import Model
-from oed_sysid.problem import Problem, load_problem
-from oed_sysid.problem.catalogue import catalogue_folder
-from oed_sysid.problem.soundness import effect_faults
-from oed_sysid.sensitivity import information_of
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.catalogue import catalogue_folder
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.problem import Problem, load_problem
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.experiments.soundness import effect_faults
+from oed_sysid.information import information_of
+from oed_sysid.physics import Effect
+from oed_sysid.physics.model import Model
 
 # -- the contract of an effect ---------------------------------------------------------
 
