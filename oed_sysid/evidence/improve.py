@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.overlap import check_disjoint, together
+from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import LogCheck, check, quick_check
 from oed_sysid.evidence.constancy import doubt, imitates

@@ -29,8 +29,7 @@ from pathlib import Path
 
 import numpy as np
 
-from oed_sysid.data.angles import unwrapped
-from oed_sysid.data.record import Record
+from oed_sysid.data.record import Record, unwrapped
 from oed_sysid.errors import DataError
 from oed_sysid.physics.model import Model
 from oed_sysid.text import expressions

@@ -32,7 +32,7 @@ from oed_sysid.likelihood.start_guess import (
 )
 from oed_sysid.physics import Effect, Environment, Force, forces, in_each_record, signals
 from oed_sysid.physics import signals as actuators
-from oed_sysid.physics.attitude import rotation
+from oed_sysid.physics.frames import rotation
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.table import ABKOWITZ

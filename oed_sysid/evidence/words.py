@@ -10,8 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.overlap import overlap
+from oed_sysid.data.dataset import Dataset, overlap
 from oed_sysid.evidence.blocks import Candidate
 from oed_sysid.evidence.continuous import Continuous
 from oed_sysid.evidence.discrete import SIZED, Discrete, Hypothesis
