@@ -17,9 +17,10 @@ from oed_sysid.channels import Input, Output, State
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.diagnosis.compare import Comparison
 from oed_sysid.diagnosis.locate import CLEAR, Located
+from oed_sysid.display import TWO_SIDED_95
 from oed_sysid.information import effective_sample_size
 from oed_sysid.report.force_plots import slice_means
-from oed_sysid.report.style import TWO_SIDED_95, model_style
+from oed_sysid.report.style import model_style
 
 MEASURED = "#8a929a"
 COMMANDED = "#6b737b"

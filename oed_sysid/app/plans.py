@@ -74,7 +74,6 @@ class DesignWish:
 
 def rank(study: Study, experiments: tuple[str, ...], tell: Tell) -> Outcome:
     """Rank parameters by what experiments, or without any the training records, tell."""
-    from oed_sysid.report import ranking_page
     from oed_sysid.sensitivity import identifiable_subset, information_of, rank_parameters
 
     problem = study.problem
@@ -85,13 +84,12 @@ def rank(study: Study, experiments: tuple[str, ...], tell: Tell) -> Outcome:
         information_of(problem.model, runs, priors=None), problem.model.values
     )
     tell(DRAWING)
-    return Outcome((ranking, subset), ranking_page(ranking, subset, title=problem.title))
+    return Outcome((ranking, subset), ranking.document(subset, title=problem.title).drawn())
 
 
 def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
     """Design the manoeuvre that tells most, within the limits."""
     from oed_sysid.design import Caution, Discriminate, assess_limits, design_experiment
-    from oed_sysid.report import design_page
 
     problem = study.problem
     pattern = problem.experiment(wish.like)
@@ -129,7 +127,7 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
         )  # fmt: skip
         result = replace(result, assurance=stated)
     tell(DRAWING)
-    return Outcome(result, design_page(result, title=problem.title))
+    return Outcome(result, result.document(title=problem.title).drawn())
 
 
 @dataclass(frozen=True)
@@ -160,7 +158,6 @@ class ProgrammeWish:
 def programme(study: Study, wish: ProgrammeWish, tell: Tell) -> Outcome:
     """Plan several runs together: which, how often and in which order."""
     from oed_sysid.design import design_programme
-    from oed_sysid.report import programme_page
 
     problem = study.problem
     found = design_programme(
@@ -176,7 +173,7 @@ def programme(study: Study, wish: ProgrammeWish, tell: Tell) -> Outcome:
         progress=tell,
     )
     tell(DRAWING)
-    return Outcome(found, programme_page(found, title=problem.title))
+    return Outcome(found, found.document(title=problem.title).drawn())
 
 
 def spread_of(problem: Problem) -> float | None:

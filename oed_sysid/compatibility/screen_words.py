@@ -6,10 +6,10 @@ from itertools import combinations
 
 import numpy as np
 
-from oed_sysid.compatibility.result import Correction, Finding
+from oed_sysid.compatibility.result import Correction, Finding, angle_aware
 from oed_sysid.compatibility.screens import Fault
 from oed_sysid.compatibility.traces import Trace
-from oed_sysid.compatibility.words import COPY, angle_aware
+from oed_sysid.compatibility.words import COPY
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.overlap import overlap
 

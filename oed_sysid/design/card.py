@@ -21,6 +21,7 @@ from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.quantities import quantity, span, units_of
 from oed_sysid.design.reference import Reference
 from oed_sysid.design.reveal import Chance, missing_physics
+from oed_sysid.display import Table
 from oed_sysid.experiment import Experiment
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
@@ -83,8 +84,8 @@ class Planned(Protocol):
     def gain(self, reference: Reference) -> tuple[float, float]:
         """How much larger a reference's errors are."""
 
-    def accuracy_table(self, *, sort: bool = False) -> list[str]:
-        """Lines about every parameter."""
+    def accuracy(self, *, sort: bool = False) -> Table:
+        """A row about every parameter."""
 
 
 def sea_trial_card(design: Planned) -> str:
@@ -263,7 +264,7 @@ def _accuracy(design: Planned) -> list[str]:
             f"  Against a {reference.name}{note}, equally long: errors {mean:.2g} times smaller on "
             f"geometric mean, {worst:.2g} times for the worst."
         )
-    lines += design.accuracy_table(sort=True)
+    lines += [f"  {line}" for line in design.accuracy(sort=True).lines()]
     errors = dict(zip(design.names, design.relative_errors, strict=True))
     usable = _USABLE if design.sea is None else TRUSTED
     for title, low, high in (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,7 +15,19 @@ from oed_sysid.design.card import sea_trial_card
 from oed_sysid.design.quantities import percent
 from oed_sysid.design.reference import Reference
 from oed_sysid.design.reveal import Chance, missing_physics
-from oed_sysid.display import as_dict, as_html
+from oed_sysid.design.tracks import Tracks
+from oed_sysid.display import (
+    TWO_SIDED_95,
+    Figure,
+    Report,
+    Section,
+    Table,
+    as_dict,
+    as_html,
+    as_text,
+    counted,
+    share,
+)
 from oed_sysid.experiment import Experiment
 from oed_sysid.information import Information
 from oed_sysid.model import Model
@@ -137,54 +150,135 @@ class Design:
 
     # -- words ---------------------------------------------------------------------
 
-    def report(self) -> str:
-        """Return the design as text."""
-        lines = [
-            f"Design of {self.experiment.name!r} for {self.model.name}",
-            f"  criterion    {self.criterion}: {self.value:.4g} "
-            f"(starts: {', '.join(f'{v:.4g}' for v in self.start_values)})",
-            f"  family       {self.parametrisation}",
-            f"  run          {self.experiment.duration:g} s, a sample every "
-            f"{self.experiment.sample_time:g} s",
-            f"  limits met   {'; '.join(self.active) or 'none is reached'}",
-            *([f"  certainty    {self.assurance.report()}"] if self.assurance else []),
-            f"  effort       {self.n_evaluations} trajectories, {self.seconds:.1f} s",
-            "",
-            *([f"  random forces {sea_words(self.sea)}", ""] if self.sea is not None else []),
-            *self.accuracy_table(),
-        ]
+    def document(self, *, title: str = "") -> Report:
+        """Return what the design will tell, commands, motion and the sea-trial card."""
+        errors, safe = self.relative_errors, self.assurance
+        best, worst = int(np.nanargmin(errors)), int(np.nanargmax(errors))
+        drawing = Figure(
+            "figure_design", self,
+            "Left: commands and the motion that the model predicts, with their limits. Right: "
+            "expected relative standard errors before, after the design, and after zigzags.",
+        )  # fmt: skip
+        starts = ", ".join(f"{value:.4g}" for value in self.start_values)
+        length, every = self.experiment.duration, self.experiment.sample_time
+        told = "\n".join(missing_physics(self.misfits, self.chances))
+        return Report(
+            title=title or self.model.name,
+            subtitle=f"Experiment {self.experiment.name!r}, criterion {self.criterion}",
+            headline=f"Design of {self.experiment.name!r} for {self.model.name}",
+            answer=self._answer(),
+            warnings=[safe.danger] if safe is not None and safe.danger else [],
+            head=(
+                ("criterion", f"{self.criterion}: {self.value:.4g} (starts: {starts})"),
+                ("family", self.parametrisation),
+                ("run", f"{length:g} s, a sample every {every:g} s"),
+                ("limits met", "; ".join(self.active) or "none is reached"),
+                *([("certainty", safe.report())] if safe else []),
+                ("effort", f"{self.n_evaluations} trajectories, {self.seconds:.1f} s"),
+                *([("random forces", sea_words(self.sea))] if self.sea is not None else []),
+            ),
+            numbers=(
+                ("length", f"{length:g} s"),
+                (f"std. error, best: {self.names[best]}", f"{100 * errors[best]:.2g} %"),
+                (f"std. error, worst: {self.names[worst]}", f"{100 * errors[worst]:.2g} %"),
+            ),
+            sections=(
+                Section(
+                    "What to run, and what it will tell", self._remarks(), (self.accuracy(),),
+                    (drawing,), indent=2,
+                ),
+                Section("Missing physics", listing=told),
+                Section("Sea-trial card", listing=self.sea_trial_card(), only="page"),
+            ),
+        )  # fmt: skip
+
+    report = as_text
+
+    def _answer(self) -> str:
+        """What the run will tell, and whether it keeps its limits."""
+        errors, found = TWO_SIDED_95 * self.relative_errors, self.assurance
+        worst = int(errors.argmax())
+        words = "" if found is None or found.is_safe else "DANGER: "
+        words += (
+            f"{self.experiment.name}: after {self.experiment.duration:g} s the least certain of "
+            f"{counted(len(errors), 'parameter')} is {self.names[worst]}, ± {share(errors[worst])} "
+            "(95 %)"
+        )
+        if self.references:
+            reference = self.references[0]
+            gain = self.gain(reference)[0]
+            words += (
+                f"; {reference.name} would leave {gain:.3g} × larger errors"
+                if np.isfinite(gain)
+                else f"; {reference.name} alone would not determine all of them"
+            )
+        if found is not None and found.limited:
+            words += f"; limits kept on {found.probability:.0%} of possible vehicles"
+        return f"{words}."
+
+    def _remarks(self) -> list[str]:
+        lines = []
         for reference in self.references:
             mean, worst = self.gain(reference)
             note = f" ({reference.note})" if reference.note else ""
             lines.append(
-                f"  Errors of {reference.name}{note} are {mean:.3g} times larger on geometric "
+                f"Errors of {reference.name}{note} are {mean:.3g} times larger on geometric "
                 f"mean, {worst:.3g} times for the worst parameter."
             )
-        lines += missing_physics(self.misfits, self.chances)
-        lines += [f"  Not determined: {text}." for text in self.information.null_directions()]
-        return "\n".join(lines)
+        return lines + [f"Not determined: {text}." for text in self.information.null_directions()]
 
-    def accuracy_table(self, *, sort: bool = False) -> list[str]:
-        """Lines with the expected relative standard errors; sorted, the best first."""
-        known = bool(np.isfinite(self.prior_errors).any())
-        head = f"  {'parameter':<20} {'value':>11}" + (f" {'before':>9}" if known else "")
-        head += f" {'this run':>9}"
+    def accuracy(self, *, sort: bool = False) -> Table:
+        """Expected relative standard errors; sorted, the best first."""
+        columns: dict[str, Sequence[str]] = {}
+        if np.isfinite(self.prior_errors).any():
+            columns["before"] = [percent(error) for error in self.prior_errors]
+        columns["this run"] = [stated(error, self.sea) for error in self.relative_errors]
         if self.spread is not None:
-            head += f" {'other vehicles':>15}"
-        lines = [head + "".join(f" {reference.name:>14}" for reference in self.references)]
-        columns = [r.information.std_errors / self.sizes for r in self.references]
-        for i in np.argsort(self.relative_errors) if sort else range(len(self.names)):
-            row = f"  {self.names[i]:<20} {self.model.values[self.names[i]]:>11.4g}"
-            if known:
-                row += f" {percent(self.prior_errors[i]):>9}"
-            row += f" {self._percent(self.relative_errors[i]):>9}"
-            if self.spread is not None:
-                row += f" {self.spread.words(self.names[i]):>15}"
-            lines.append(row + "".join(f" {self._percent(column[i]):>14}" for column in columns))
-        return lines
+            columns["other vehicles"] = [self.spread.words(name) for name in self.names]
+        for one in self.references:
+            errors = one.information.std_errors / self.sizes
+            columns[one.name] = [stated(error, self.sea) for error in errors]
+        values = [f"{self.model.values[name]:.4g}" for name in self.names]
+        rows = list(zip(self.names, values, *columns.values(), strict=True))
+        if sort:
+            rows = [rows[i] for i in np.argsort(self.relative_errors)]
+        return Table(("parameter", "value", *columns), rows)
 
-    def _percent(self, error: float) -> str:
-        return stated(error, self.sea)
+    def card(self, tracks: Tracks | None = None, *, title: str = "") -> Report:
+        """Return the sea-trial card as a page: danger first, then what to run and where it goes.
+
+        Parameters
+        ----------
+        tracks : Tracks, optional
+            From :func:`~oed_sysid.design.plausible_tracks`.
+        title : str
+        """
+        safe = self.assurance
+        verdict = []
+        if safe is not None and safe.rules:
+            verdict.append(
+                f"Abort rules fire on {safe.any_fires:.1%} of {safe.n_checked} simulated vehicles."
+            )
+        drawings = [Figure("plot_orders", self, "Orders over time.", size=(7.2, 2.6))]
+        if tracks is not None:
+            caption = "Where the run goes: " + "; ".join(tracks.words()) + "."
+            drawings.append(Figure("plot_tracks", tracks, caption, size=(5.4, 4.6)))
+            verdict.append("Sea room: " + "; ".join(tracks.words()[:2]) + ".")
+        return Report(
+            title=title or self.model.name,
+            subtitle=f"Sea-trial card of {self.experiment.name!r}",
+            warnings=[safe.danger] if safe is not None and safe.danger else [],
+            verdict=verdict or [f"Criterion {self.criterion}."],
+            numbers=(
+                ("length", f"{self.experiment.duration:g} s"),
+                ("limits kept", "-" if safe is None else f"{safe.probability:.1%}"),
+                ("stopped", "-" if safe is None else f"{safe.any_fires:.1%}"),
+            ),
+            sections=(
+                Section("Card", listing=self.sea_trial_card()),
+                Section("Orders and track", figures=drawings),
+            ),
+        )
 
     def sea_trial_card(self) -> str:
         """Return one page for the people who run the trial."""

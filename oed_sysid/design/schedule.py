@@ -10,12 +10,24 @@ from textwrap import wrap
 import numpy as np
 
 from oed_sysid.data.csv_table import write_table
-from oed_sysid.design.accuracy import AccuracyRange, stated
+from oed_sysid.design.accuracy import TRUSTED, AccuracyRange, stated
 from oed_sysid.design.assurance import Assurance
+from oed_sysid.design.discrimination import told_apart
 from oed_sysid.design.library import Candidate
 from oed_sysid.design.quantities import percent
-from oed_sysid.design.reveal import Chance, missing_physics
-from oed_sysid.display import as_dict, as_html
+from oed_sysid.design.reveal import SURE, Chance, missing_physics
+from oed_sysid.display import (
+    TWO_SIDED_95,
+    Figure,
+    Report,
+    Section,
+    Table,
+    as_dict,
+    as_html,
+    as_text,
+    counted,
+    share,
+)
 from oed_sysid.files import make_folder
 from oed_sysid.information import Information
 from oed_sysid.model import Model
@@ -202,52 +214,141 @@ class Programme:
             "leaves its limits."
         )
 
-    def report(self) -> str:
-        """Return the programme as text; danger in the first line."""
-        lines = []
+    def document(self, *, title: str = "") -> Report:
+        """Return the programme: danger first, then runs, accuracy and certificate."""
+        errors = self.relative_errors
+        worst = int(errors.argmax())
+        drawing = Figure(
+            "figure_programme", self,
+            "Every run: its command and the motion that the model predicts; dotted: what all but "
+            "the most extreme of the possible vehicles stay within; dashed: limits. Right: "
+            "expected relative standard errors.",
+        )  # fmt: skip
+        told = "\n".join(missing_physics(self.misfits, self.chances))
+        return Report(
+            title=title or self.model.name,
+            subtitle=f"Programme, criterion {self.criterion}",
+            headline=f"Programme for {self.model.name}: {len(self.runs)} runs, {self.hours:.3g} h "
+            f"with {self.turnaround / 60:.3g} min between runs",
+            answer=self._answer(),
+            warnings=self._dangers(),
+            head=(
+                ("random forces", "none" if self.sea is None else sea_words(self.sea)),
+                ("measured", ", ".join(self.outputs)),
+            ),
+            numbers=(
+                ("runs", str(len(self.runs))),
+                ("time", f"{self.hours:.3g} h"),
+                (f"std. error, worst: {self.names[worst]}", f"{100 * errors[worst]:.2g} %"),
+            ),
+            sections=(
+                self._plan(drawing),
+                Section("Accuracy to expect", (), (self.accuracy(),), indent=2),
+                Section("What this is worth", self._worth(), indent=2),
+                Section("Missing physics", listing=told),
+                Section("Compared", self._options(), indent=2),
+            ),
+        )
+
+    report = as_text
+
+    def _dangers(self) -> list[str]:
         if self.danger_together:
-            lines += wrap(f"{self.danger_together} Stand by to stop.", _WIDTH)
-        if self.unsafe:
-            worst = min(self.unsafe, key=lambda name: self.assurances[name].probability)
-            lines += wrap(
-                f"DANGER: {worst!r} leaves its limits on "
-                f"{1 - self.assurances[worst].probability:.0%} of the vehicles that are possible. "
-                "Stand by to stop, or begin with a gentle run and plan from its fit.", _WIDTH
-            )  # fmt: skip
-        lines.append(
-            f"Programme for {self.model.name}: {len(self.runs)} runs, {self.hours:.3g} h with "
-            f"{self.turnaround / 60:.3g} min between runs"
-        )
-        lines.append(
-            f"  random forces {'none' if self.sea is None else sea_words(self.sea)}; measured "
-            f"{', '.join(self.outputs)}"
-        )
-        lines += ["", f"  {'':>3} {'run':<44} {'length':>7} {'limits kept':>12}"]
+            return [f"{self.danger_together} Stand by to stop."]
+        if not self.unsafe:
+            return []
+        worst = min(self.unsafe, key=lambda name: self.assurances[name].probability)
+        left = 1 - self.assurances[worst].probability
+        return [
+            f"DANGER: {worst!r} leaves its limits on {left:.0%} of the vehicles that are possible. "
+            "Stand by to stop, or begin with a gentle run and plan from its fit."
+        ]
+
+    def _plan(self, drawing: Figure) -> Section:
+        rows = []
         for number, run in enumerate(self.runs, start=1):
             kept = self.assurances.get(run.name)
-            share = "-" if kept is None or not kept.limited else f"{kept.probability:.0%}"
+            probability = "-" if kept is None or not kept.limited else f"{kept.probability:.0%}"
             length = f"{float(run.experiment.duration or 0.0):g} s"
-            lines.append(f"  {number:>3} {run.name:<44} {length:>7} {share:>12}")
+            rows.append((str(number), run.name, length, probability))
+        marked = tuple(i for i, run in enumerate(self.runs) if run.name in self.unsafe)
+        table = Table(("", "run", "length", "limits kept"), rows, words=(1,), marked=marked)
+        words = []
         if self.limited:
             checked = max(one.n_checked for one in self.assurances.values())
-            lines.append(f"      all together keep them on {self.kept:.0%} of {checked} vehicles")
-        lines += ["", *self.accuracy_table(), ""]
-        lines += wrap(
-            f"  Of what the best programme of these {len(self.candidates)} runs could tell, this "
+            words.append(f"all together keep them on {self.kept:.0%} of {checked} vehicles")
+        return Section("What to run", words, (table,), (drawing,), indent=2)
+
+    def _worth(self) -> list[str]:
+        return wrap(
+            f"Of what the best programme of these {len(self.candidates)} runs could tell, this "
             f"one tells {self.share:.1%} (criterion {self.criterion}; the weights are within "
             f"{max(self.gap, 0.0):.1g} of their optimum). Refined commands made it "
             f"{self.refined_factor:.3g} times as telling; greedy selection would reach "
             f"{self.greedy_share:.1%} of the selection before. The bound holds for these runs, "
             "these forces and a model of this structure; other commands may do better.",
-            _WIDTH, subsequent_indent="  ",
-        )  # fmt: skip
-        lines += missing_physics(self.misfits, self.chances)
-        if self.standard is not None:
-            lines += wrap(f"  {self._compared()}", _WIDTH, subsequent_indent="  ")
+            _WIDTH,
+        )
+
+    def _options(self) -> list[str]:
+        lines = [] if self.standard is None else wrap(self._compared(), _WIDTH)
         for words, (_, factor) in self.sensor_options.items():
-            lines.append(f"  With optional sensors {words}: information times {factor:.3g}.")
-        lines += [f"  Not determined: {text}." for text in self.information.null_directions()]
-        return "\n".join(lines)
+            lines.append(f"With optional sensors {words}: information times {factor:.3g}.")
+        return lines + [f"Not determined: {text}." for text in self.information.null_directions()]
+
+    def _answer(self) -> str:
+        """How many runs and hours, what they tell, and whether they keep their limits."""
+        kept = {n: one.probability for n, one in self.assurances.items() if one.limited}
+        words = f"{counted(len(self.runs), 'run')}, {self.hours:.3g} h"
+        if self.unsafe:
+            worst = min(self.unsafe, key=lambda name: kept[name])
+            words = (
+                f"DANGER: {worst!r} leaves its limits on {1 - kept[worst]:.0%} of possible "
+                f"vehicles; {words}"
+            )
+        elif self.is_unsafe_together:
+            words = (
+                f"DANGER: on {1 - self.kept:.0%} of possible vehicles one run or another leaves "
+                f"its limits; {words}"
+            )
+        words += f": {self._told()}"
+        if self.standard is not None:
+            ratio = self.standard.ratio
+            words += (
+                f"; standard trials would need {ratio:.2g} × the ship time"
+                if np.isfinite(ratio)
+                else "; standard trials would never tell as much"
+            )
+        if not kept:
+            words += "; no limit on the motion was given"
+        elif not self.unsafe:
+            together = "all runs keep" if len(kept) > 1 else "the run keeps"
+            words += f"; {together} the limits on {self.kept:.0%} of possible vehicles"
+        return f"{words}."
+
+    def _told(self) -> str:
+        """What the programme was asked for, and how much of it is reached."""
+        if self.misfits:
+            (first, second), least = min(self.misfits.items(), key=lambda one: one[1])
+            return (
+                f"{first} and {second} are told apart with a probability of {told_apart(least):.0%}"
+            )
+        if self.chances:
+            before = sum(one.before >= SURE for one in self.chances)
+            after = sum(one.after >= SURE for one in self.chances)
+            n = len(self.chances)
+            return f"{after} of {n} effects would show, should they be missing (before: {before})"
+        errors = self.relative_errors
+        worst = int(errors.argmax())
+        words = f"the least certain of {counted(len(errors), 'parameter')} is {self.names[worst]}, "
+        if self.sea is not None and not errors[worst] <= TRUSTED:
+            return words + "which stays unidentified"
+        words += f"± {share(TWO_SIDED_95 * errors[worst])} (95 %)"
+        if self.prior is not None:
+            before = self.prior.std_errors[worst] / self.sizes[worst]
+            known = f", ± {share(TWO_SIDED_95 * before)} before"
+            words += known if np.isfinite(before) else ""
+        return words
 
     def _compared(self) -> str:
         assert self.standard is not None
@@ -259,24 +360,20 @@ class Programme:
             f"criterion, {self.standard.ratio:.3g} times the ship time."
         )
 
-    def accuracy_table(self) -> list[str]:
-        """Lines with the expected relative errors."""
-        head = f"  {'parameter':<20} {'value':>11}"
-        before = None if self.prior is None else self.prior.std_errors / self.sizes
-        head += "" if before is None else f" {'before':>9}"
-        head += f" {'after':>9}"
-        head += "" if self.spread is None else f" {'other vehicles':>18}"
-        head += "" if self.standard is None else f" {'standard trials':>16}"
-        lines = [head]
-        for i, name in enumerate(self.names):
-            row = f"  {name:<20} {self.model.values[name]:>11.4g}"
-            row += "" if before is None else f" {percent(before[i]):>9}"
-            row += f" {stated(self.relative_errors[i], self.sea):>9}"
-            row += "" if self.spread is None else f" {self.spread.words(name):>18}"
-            if self.standard is not None:
-                row += f" {stated(self.standard.errors[name], self.sea):>16}"
-            lines.append(row)
-        return lines
+    def accuracy(self) -> Table:
+        """Expected relative standard errors of every parameter."""
+        columns: dict[str, Sequence[str]] = {}
+        if self.prior is not None:
+            columns["before"] = [percent(e) for e in self.prior.std_errors / self.sizes]
+        columns["after"] = [stated(error, self.sea) for error in self.relative_errors]
+        if self.spread is not None:
+            columns["other vehicles"] = [self.spread.words(name) for name in self.names]
+        if self.standard is not None:
+            errors = self.standard.errors
+            columns["standard trials"] = [stated(errors[name], self.sea) for name in self.names]
+        values = [f"{self.model.values[name]:.4g}" for name in self.names]
+        rows = list(zip(self.names, values, *columns.values(), strict=True))
+        return Table(("parameter", "value", *columns), rows)
 
     to_dict = as_dict(
         "hours", "runs", "criterion", "value", "relaxed", "bound", "gap", "greedy_share",

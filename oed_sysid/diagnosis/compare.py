@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.batch.threads import single_threaded
+from oed_sysid.compatibility import LogCheck
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.overlap import check_disjoint
 from oed_sysid.diagnosis.forecasts import Forecasts, forecasts
 from oed_sysid.diagnosis.misfit import OutputMisfit, output_misfit
 from oed_sysid.diagnosis.regimes import Signal, regimes
-from oed_sysid.display import as_dict, as_html
+from oed_sysid.display import Figure, Report, Section, Table, as_dict, as_html, as_text
 from oed_sysid.errors import DataError
-from oed_sysid.fitting.fit import Fit, align
+from oed_sysid.fitting.fit import MOST_DRAWN, Fit
 from oed_sysid.fitting.noise_levels import credible_levels, given_levels
 from oed_sysid.fitting.prediction import WAYS, Initial, Prediction, predict
 from oed_sysid.language.units import shown_unit
@@ -60,6 +61,19 @@ class ModelMisfit:
         "label", "relative", "is_noise", "verdict", "outputs",
         initial_states="prediction.initial_states", forecast="forecasts",
     )  # fmt: skip
+
+    def section(self) -> Section:
+        """Return the misfit by output, and of forecasts, as a part of a document."""
+        ahead, words = self.forecasts, []
+        if ahead.n_forecasts:
+            words.append(
+                f"{ahead.horizon:g} s ahead: {ahead.overall:.3f} x what a right model would "
+                f"leave ({ahead.n_forecasts} forecasts)"
+            )
+        if ahead.failed:
+            words.append(f"{ahead.failed} of the forecasts diverged.")
+        title = f"{self.label}: {self.relative:.3f} x noise over all outputs"
+        return Section(title, words, (_table(self),), heading=True, indent=2)
 
     @property
     def relative(self) -> float:
@@ -139,28 +153,59 @@ class Comparison:
             lines.append(f"Closest: {best.label}, {best.relative:.3g} x noise against {others}.")
         return "\n".join(lines)
 
-    def report(self) -> str:
-        """Return the comparison as text."""
-        lines = [
-            f"comparison on {', '.join(self.dataset.names)}",
-            "  independent tests: motion and inputs are given, their order says nothing"
+    def document(self, *, title: str = "Models and records", log: LogCheck | None = None) -> Report:
+        """Return what the comparison says: misfit by output, and predictions."""
+        names = self.dataset.names
+        way = (
+            "independent tests: motion and inputs are given, their order says nothing"
             if self.dataset.only_tests
-            else f"  initial states: {WAYS[self.models[0].prediction.way]}",
-        ]
-        for part in self.models:
-            lines += ["", f"{part.label}: {part.relative:.3f} x noise over all outputs", ""]
-            lines += [f"  {line}" for line in align(_table(part))]
-            ahead = part.forecasts
-            if ahead.n_forecasts:
-                lines += [
-                    "",
-                    f"  {ahead.horizon:g} s ahead: {ahead.overall:.3f} x what a right model would "
-                    f"leave ({ahead.n_forecasts} forecasts)",
-                ]
-            if ahead.failed:
-                lines.append(f"  {ahead.failed} of the forecasts left the numbers.")
-        lines += ["", self.verdict, *(f"Note: {note}" for note in self.notes)]
-        return "\n".join(lines)
+            else f"initial states: {WAYS[self.models[0].prediction.way]}"
+        )
+        bars = Figure(
+            "plot_comparison", self,
+            "Root mean square error of each output in units of its noise; whiskers show the best "
+            "and the worst record. At the line the error is as large as noise alone.",
+            size=(8.4, 3.8),
+        )  # fmt: skip
+        drawings = [
+            Figure(
+                "figure_predictions", [part.prediction for part in self.models],
+                f"{name}: dots are measured; bands hold 95 % of new measurements if the model is "
+                "right. Right: errors in units of the noise, whose 95 % band is grey.",
+                (name,), {"labels": [part.label for part in self.models]},
+            )
+            for name in names[:MOST_DRAWN]
+        ]  # fmt: skip
+        rest = len(self.dataset) - len(drawings)
+        words = (f"{rest} further records are not drawn.",) if rest else ()
+        return Report(
+            title=title,
+            subtitle=f"Compared on {', '.join(names)}",
+            headline=f"comparison on {', '.join(names)}\n  {way}",
+            answer=self._answer(),
+            warnings=() if log is None else log.warning().splitlines(),
+            numbers=[(part.label, f"{part.relative:.3g} × noise") for part in self.models],
+            sections=(
+                *(part.section() for part in self.models),
+                Section("Where the models differ from the records", figures=(bars,), only="page"),
+                Section("Predictions", words, figures=drawings, only="page"),
+            ),
+            verdict=(*self.verdict.splitlines(), *(f"Note: {note}" for note in self.notes)),
+        )
+
+    report = as_text
+
+    def _answer(self) -> str:
+        """Which model predicts best, and whether what is left is noise."""
+        best = self.best
+        left = "noise is left" if best.is_noise else "more than noise is left"
+        if len(self.models) == 1:
+            return f"{best.label} predicts to {best.relative:.3g} × noise: {left}."
+        others = (f"{m.relative:.3g} ({m.label})" for m in self.models if m is not best)
+        return (
+            f"{best.label} predicts best, to {best.relative:.3g} × noise: {left}; the others to "
+            f"{', '.join(others)}."
+        )
 
     to_dict = as_dict(
         "models", "verdict", "notes",
@@ -372,10 +417,19 @@ def _labels(models: Sequence[Model]) -> tuple[str, ...]:
     return tuple(labels)
 
 
-def _table(part: ModelMisfit) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = [
-        ("output", "rmse", "unit", "x noise", "in band", "eff. samples", "of", "ahead", "worst")
-    ]
+def _table(part: ModelMisfit) -> Table:
+    headers = (
+        "output",
+        "rmse",
+        "unit",
+        "x noise",
+        "in band",
+        "eff. samples",
+        "of",
+        "ahead",
+        "worst",
+    )
+    rows = []
     for output, ahead in zip(part.outputs, part.forecasts.relative, strict=True):
         if not (output.n_samples or output.in_time):  # captive tests measure forces alone
             continue
@@ -393,4 +447,4 @@ def _table(part: ModelMisfit) -> list[tuple[str, ...]]:
                 f"{output.worst[3]:.2g} in {output.where}" if output.where else "",
             )
         )
-    return rows
+    return Table(headers, rows)

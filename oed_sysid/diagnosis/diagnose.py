@@ -11,7 +11,7 @@ from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.rank import Ranking, rank
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.diagnosis.usual import settled
-from oed_sysid.display import as_dict, as_html
+from oed_sysid.display import Report, Section, as_dict, as_html, as_text
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.model import Model
@@ -54,19 +54,36 @@ class Diagnosis:
         names = [refit.name for refit in self.ranking.group()]
         return tuple(dict.fromkeys((*names, *self.ranking.alike(names[0]))))
 
-    def report(self) -> str:
-        """Return the diagnosis as text."""
+    @property
+    def verdict(self) -> str:
+        """Which effect is missing, as far as these records can tell."""
         group = self.group
         if not group:
-            verdict = "No candidate explains more than chance does."
-        elif len(group) == 1:
-            verdict = f"Missing, as far as these records can tell: {group[0]}."
-        else:
-            verdict = f"Missing, and these records cannot tell which: {', '.join(group)}."
-        note = "Nothing has been added, and no validation record been asked: that is `improve`."
-        return "\n".join(
-            [self.model.name, self.location.report(), "", self.ranking.report(), "", verdict, note]
+            return f"{self.model.name}: no candidate explains more than chance does."
+        others = f"; these records cannot tell it from {', '.join(group[1:])}" if group[1:] else ""
+        return f"{self.model.name} lacks {group[0]}{others}."
+
+    def document(self, train: Dataset | None = None, *, title: str = "") -> Report:
+        """Return the diagnosis; with its records, residual forces against their signals."""
+        return Report(
+            title=title or self.model.name,
+            subtitle="Where the model fails and what may be missing; nothing was added",
+            headline=self.model.name,
+            answer=self.verdict,
+            sections=(
+                *self.location.document(train).sections,
+                *self.ranking.document().sections,
+                Section(
+                    "Equations of the nominal model", listing=self.model.equations(), only="page"
+                ),
+            ),
+            verdict=(
+                self.verdict,
+                "Nothing has been added, and no validation record been asked: that is `improve`.",
+            ),
         )
+
+    report = as_text
 
     to_dict = as_dict(
         "group",

@@ -22,9 +22,8 @@ from oed_sysid.diagnosis.dictionary import Signals, Term, signals_along, terms
 from oed_sysid.diagnosis.locate import along_fit, forces_only
 from oed_sysid.diagnosis.rank import GROUP_WIDTH, threshold
 from oed_sysid.diagnosis.study import Study
-from oed_sysid.display import as_dict
+from oed_sysid.display import align, as_dict
 from oed_sysid.effects import Effect
-from oed_sysid.fitting.fit import align
 from oed_sysid.fitting.gauss_newton import FilteredSolution
 from oed_sysid.language import expressions
 from oed_sysid.model import Model

@@ -27,8 +27,9 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.record import Record
+from oed_sysid.display import align
 from oed_sysid.errors import ModelError
-from oed_sysid.fitting.fit import Fit, align
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.start_guess import measured_columns, measured_states
 from oed_sysid.model import Model
 from oed_sysid.predictions.course_control import CourseControl

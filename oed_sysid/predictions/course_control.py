@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oed_sysid.data.record import Record
+from oed_sysid.display import align
 from oed_sysid.errors import DataError
-from oed_sysid.fitting.fit import align
 from oed_sysid.predictions.course_fit import fit_course_law
 
 DEGREE = math.degrees(1.0)

@@ -29,8 +29,9 @@ import numpy as np
 from scipy.special import stdtrit
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.display import align
 from oed_sysid.errors import DataError, ModelError, OedSysidError
-from oed_sysid.fitting.fit import Fit, align
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 
 Purpose = Callable[[Fit], Mapping[str, float]]

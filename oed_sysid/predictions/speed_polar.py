@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from oed_sysid.display import as_dict
+from oed_sysid.display import align, as_dict
 from oed_sysid.errors import ModelError
 from oed_sysid.experiment import Limits
-from oed_sysid.fitting.fit import Fit, align
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 from oed_sysid.simulation import equilibrium
 

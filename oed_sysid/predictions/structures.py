@@ -33,10 +33,10 @@ from scipy.special import ndtri
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.record import closest
-from oed_sysid.display import as_dict
+from oed_sysid.display import align, as_dict
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.fitting.captive import CaptiveTests
-from oed_sysid.fitting.fit import Fit, align
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.start_guess import measured_states
 from oed_sysid.model import Model
 from oed_sysid.predictions.jackknife import Estimator, Purpose, leave_out

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from oed_sysid.channels import Output, State
-from oed_sysid.display import as_dict
+from oed_sysid.display import TWO_SIDED_95, align, as_dict
 from oed_sysid.errors import DataError, ModelError, SimulationError
-from oed_sysid.fitting.fit import TWO_SIDED_95, Fit, align
+from oed_sysid.fitting.fit import Fit
 from oed_sysid.manoeuvres import TurningCircle
 from oed_sysid.manoeuvres.indices import TurningIndices, turning_indices
 from oed_sysid.model import Model

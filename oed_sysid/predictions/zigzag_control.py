@@ -22,8 +22,8 @@ from itertools import pairwise
 import numpy as np
 
 from oed_sysid.data.record import Record
+from oed_sysid.display import align
 from oed_sysid.errors import DataError
-from oed_sysid.fitting.fit import align
 from oed_sysid.predictions.smooth_heading import rudder_noise, smooth_heading
 
 DEGREE = math.degrees(1.0)

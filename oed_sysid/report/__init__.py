@@ -2,16 +2,13 @@
 
 Every ``plot_x(result, ax=None)`` draws on the given axes, or on those of a new
 figure, and returns them; nothing is shown and no global setting is touched.
-``figure_x`` compose several, and ``x_page(result).write("file.html")`` makes a
-report in one file.
+``figure_x`` compose several, and ``page(result).write("file.html")`` makes a report in
+one file: the document of the result with its figures drawn.
 """
 
-from oed_sysid.report.card_page import card_page
+from oed_sysid.display import Figure, Report, Section, Table
 from oed_sysid.report.card_plots import figure_card, plot_orders, plot_tracks
-from oed_sysid.report.check_page import check_page
 from oed_sysid.report.check_plots import figure_check, plot_balance, plot_balances
-from oed_sysid.report.comparison_page import comparison_page
-from oed_sysid.report.design_page import design_page
 from oed_sysid.report.design_plots import (
     figure_design,
     plot_accuracy,
@@ -19,8 +16,6 @@ from oed_sysid.report.design_plots import (
     plot_output_change,
     plot_sensitivity,
 )
-from oed_sysid.report.diagnosis_page import diagnosis_page
-from oed_sysid.report.fit_page import fit_page
 from oed_sysid.report.fit_plots import (
     figure_fit,
     figure_whiteness,
@@ -36,7 +31,6 @@ from oed_sysid.report.force_plots import (
     plot_force_against,
     plot_residual_force,
 )
-from oed_sysid.report.improvement_page import improvement_page
 from oed_sysid.report.improvement_plots import (
     figure_diagnosis,
     plot_error_fall,
@@ -45,8 +39,7 @@ from oed_sysid.report.improvement_plots import (
 )
 from oed_sysid.report.live_plots import LiveParameters, plot_history
 from oed_sysid.report.multistart_plots import plot_waterfall
-from oed_sysid.report.numbers_page import numbers_page
-from oed_sysid.report.page import Page, Picture, Section, Table, style_sheet
+from oed_sysid.report.page import Page, Picture, numbers_page, page, style_sheet
 from oed_sysid.report.polar_plots import plot_polar
 from oed_sysid.report.prediction_plots import (
     figure_predictions,
@@ -55,20 +48,24 @@ from oed_sysid.report.prediction_plots import (
     plot_prediction_error,
 )
 from oed_sysid.report.profile_plots import plot_ellipses, plot_profile
-from oed_sysid.report.programme_page import programme_page
 from oed_sysid.report.programme_plots import figure_programme
-from oed_sysid.report.ranking_page import ranking_page
 from oed_sysid.report.record_plots import figure_record
 from oed_sysid.report.style import finding, model_style, new_figure, save_figure
 from oed_sysid.report.track_plots import plot_phase, plot_track, plot_zigzag
 
+# The report on every kind of result; the names say which arguments its ``document`` takes.
+check_page = comparison_page = design_page = diagnosis_page = page
+fit_page = improvement_page = programme_page = ranking_page = page
+
 __all__ = [
+    "Figure",
+    "Report",
+    "page",
     "LiveParameters",
     "Page",
     "Picture",
     "Section",
     "Table",
-    "card_page",
     "check_page",
     "comparison_page",
     "design_page",

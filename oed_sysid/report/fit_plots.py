@@ -10,6 +10,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from oed_sysid.data.dataset import Record
+from oed_sysid.display import TWO_SIDED_95
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import autocorrelation, effective_sample_size
 from oed_sysid.language.units import shown_unit
@@ -17,7 +18,6 @@ from oed_sysid.report.style import (
     DATA,
     NEUTRAL,
     TRUTH,
-    TWO_SIDED_95,
     abscissa,
     clean,
     joined,

@@ -16,13 +16,13 @@ from matplotlib.figure import Figure
 from oed_sysid.channels import Input, Output
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.diagnosis.locate import Located
+from oed_sysid.display import TWO_SIDED_95
 from oed_sysid.errors import DataError
 from oed_sysid.information import effective_sample_size
 from oed_sysid.report.style import (
     COLOURS,
     DATA,
     TRUTH,
-    TWO_SIDED_95,
     clean,
     label,
     model_style,

@@ -11,11 +11,11 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from oed_sysid.display import TWO_SIDED_95
 from oed_sysid.errors import DataError
 from oed_sysid.files import whole_file
 from oed_sysid.report.style import (
     TRUTH,
-    TWO_SIDED_95,
     clean,
     model_style,
     new_axes,

@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed_sysid.diagnosis.compare import Comparison
+from oed_sysid.display import TWO_SIDED_95
 from oed_sysid.fitting.prediction import Prediction
 from oed_sysid.report.fit_plots import plot_input
 from oed_sysid.report.style import (
     DATA,
     NEUTRAL,
     TRUTH,
-    TWO_SIDED_95,
     abscissa,
     clean,
     joined,

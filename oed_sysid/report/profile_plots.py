@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
+from oed_sysid.display import TWO_SIDED_95
 from oed_sysid.errors import DataError
 from oed_sysid.estimators.profile import Profile
 from oed_sysid.information import Information
 from oed_sysid.report.style import (
     NEUTRAL,
     TRUTH,
-    TWO_SIDED_95,
     clean,
     model_style,
     new_axes,

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from oed_sysid.data.dataset import Record
+from oed_sysid.display import TWO_SIDED_95
 from oed_sysid.errors import DataError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.fitting.prediction import Prediction
@@ -18,7 +19,6 @@ from oed_sysid.report.style import (
     DEGREE,
     NEUTRAL,
     TRUTH,
-    TWO_SIDED_95,
     clean,
     label,
     model_style,
