@@ -34,12 +34,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.design.corridor import Corridor
-from oed_sysid.design.elimination import quick_inverse
+from oed_sysid.design.criteria import quick_inverse
 from oed_sysid.design.library import Candidate, kept_on
-from oed_sysid.design.plan import knowledge, nominal_noise
-from oed_sysid.design.quantities import percent, quantity, units_of
-from oed_sysid.design.robust import draw_models
+from oed_sysid.design.limits import Corridor, percent, quantity, units_of
+from oed_sysid.design.trial import knowledge, nominal_noise
+from oed_sysid.design.vehicles import draw_models
 from oed_sysid.display import as_dict, counted
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Experiment, Limits

@@ -1,0 +1,398 @@
+r"""Designs that still work when the model's values are wrong.
+
+Limits that are kept although the parameters, and the structure, are not known well.
+
+With vehicles :math:`\theta_s` drawn from what is known (of every structure that remains possible
+in turn), motions :math:`x(t; \theta_s)` under one and the same command and a corridor :math:`h(x)
+\le 0`, the search keeps
+
+.. math:: \#\{s : \max_t h(x(t; \theta_s)) > 0\} \le k, \qquad
+    k = \left\lfloor \tfrac12 (1 - p)\, n \right\rfloor
+
+for a wanted probability :math:`p` and :math:`n` vehicles (scenarios with discarding; half of the
+allowed failures are left to vehicles that the search never saw). What is then stated is the share
+of fresh vehicles that keep all limits, with the lower end of its one-sided 95 % interval (Clopper
+& Pearson), not :math:`p` itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.design.criteria import Criterion
+from oed_sysid.design.limits import Corridor
+from oed_sysid.errors import DesignError
+from oed_sysid.experiment import Experiment
+from oed_sysid.information import Information
+from oed_sysid.model import Model
+from oed_sysid.noise.model import NoiseModel
+from oed_sysid.noise.realisation import at_sea
+
+
+@dataclass(frozen=True)
+class Robust:
+    """Expected or worst value of a criterion over sampled parameter values.
+
+    Limits are kept for every sampled set, so that a manoeuvre that is safe only
+    for the nominal vehicle is not proposed.
+
+    Parameters
+    ----------
+    criterion : Criterion
+        Judged at every set.
+    spread : float or None
+        Relative half-width of uniform draws around the values; None draws from
+        what is known (prior standard deviations, or the covariance of the fit).
+    n_sets : int
+        Sampled sets besides the nominal one.
+    worst : bool
+        Judge by the (soft) minimum instead of the mean.
+    softness : float
+        Width of the soft minimum, in units of the criterion.
+
+    References
+    ----------
+    L. Pronzato, E. Walter, Robust experiment design via stochastic
+    approximation, *Mathematical Biosciences* 75 (1985) 103-120: expectation;
+    and Robust experiment design via maximin optimization, 89 (1988) 161-176.
+    """
+
+    criterion: Criterion
+    spread: float | None = 0.3
+    n_sets: int = 6
+    worst: bool = False
+    softness: float = 0.3
+
+    def __post_init__(self) -> None:
+        if self.n_sets < 1 or (self.spread is not None and not 0 < self.spread < 1):
+            raise DesignError(
+                f"Robust has spread {self.spread} and {self.n_sets} sets. Give a spread between 0 "
+                "and 1 (or None for the prior) and one set or more."
+            )
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        kind = "worst" if self.worst else "expected"
+        return f"{kind} {getattr(self.criterion, 'name', 'criterion')} over {self.n_sets + 1} sets"
+
+
+def draw_models(
+    model: Model,
+    spread: float | None,
+    n_sets: int,
+    prior: Information | None,
+    rng: np.random.Generator,
+) -> tuple[Model, ...]:
+    """Return the model at sampled values.
+
+    Parameters
+    ----------
+    model : Model
+        At the nominal values.
+    spread : float or None
+        Relative half-width of uniform draws; None draws from what is known.
+    n_sets : int
+        How many.
+    prior : Information or None
+        What is known besides the parameters' ``prior_std``.
+    rng : numpy.random.Generator
+
+    Raises
+    ------
+    DesignError
+        If draws from the prior are wanted but there is none.
+    """
+    names = model.free_names
+    values = np.array([model.values[name] for name in names])
+    found = []
+    deviations = _deviations(model, prior) if spread is None else None
+    for _ in range(n_sets):
+        if deviations is None:
+            drawn = values * (1 + (spread or 0.0) * rng.uniform(-1, 1, len(names)))
+        else:
+            drawn = values + deviations @ rng.standard_normal(deviations.shape[1])
+        found.append(model.with_values(_bounded(model, names, drawn)))
+    return tuple(found)
+
+
+def draw_structures(
+    model: Model,
+    others: Sequence[Model],
+    spread: float | None,
+    n_sets: int,
+    prior: Information | None,
+    rng: np.random.Generator,
+) -> tuple[Model, ...]:
+    """Return sampled vehicles of several structures in turn.
+
+    Parameters
+    ----------
+    model : Model
+        The nominal one, whose parameters the prior is about.
+    others : sequence of Model
+        Other structures; what the prior does not know of them stays at its value.
+    spread, n_sets, prior, rng
+        See :func:`draw_models`; ``n_sets`` over all structures.
+    """
+    structures = (model, *others)
+    counts = [len(range(i, n_sets, len(structures))) for i in range(len(structures))]
+    drawn = [
+        draw_models(one, spread, count, prior, rng)
+        for one, count in zip(structures, counts, strict=True)
+    ]
+    return tuple(drawn[i % len(structures)][i // len(structures)] for i in range(n_sets))
+
+
+def _bounded(model: Model, names: Sequence[str], drawn: np.ndarray) -> dict[str, float]:
+    return {
+        name: float(np.clip(value, model.parameter(name).lower, model.parameter(name).upper))
+        for name, value in zip(names, drawn, strict=True)
+    }
+
+
+def _deviations(model: Model, prior: Information | None) -> np.ndarray:
+    """Root of the covariance of what is known, shape ``(n_free, n_free)``."""
+    names = model.free_names
+    root = np.zeros((len(names), len(names)))
+    for i, parameter in enumerate(model.free_parameters):
+        root[i, i] = parameter.prior_spread or 0.0
+    if prior is not None:
+        covariance = prior.covariance
+        if not np.all(np.isfinite(covariance)):
+            raise DesignError(
+                "The prior does not determine all parameters, so nothing can be drawn from it. "
+                "Give a spread, as in Robust(spread=0.3)."
+            )
+        rows = [names.index(name) for name in prior.names]
+        values, vectors = np.linalg.eigh(covariance)
+        root[np.ix_(rows, rows)] = vectors * np.sqrt(np.maximum(values, 0.0))
+    if not root.any():
+        raise DesignError(
+            "Nothing is known about the spread of the parameters. Give a spread, as in "
+            "Robust(spread=0.3) or Caution(spread=0.3), prior_std on the parameters, or a fit."
+        )
+    return root
+
+
+# Share of the allowed failures that the search may use; the rest is for vehicles it never saw.
+_USABLE = 0.5
+# Vehicles whose limits enter one linear program.
+_N_LINEARISED = 20
+
+
+@dataclass(frozen=True)
+class Caution:
+    """How surely limits are to be kept when the parameters are uncertain.
+
+    The search keeps the limits on many vehicles, their values drawn from what
+    is known; a small share of them may fail. The result is judged on fresh
+    vehicles, and this is the probability that is stated.
+
+    Parameters
+    ----------
+    probability : float
+        With which all limits during the run are to be kept together.
+    spread : float or None
+        Relative half-width of uniform draws around the values; None draws from
+        what is known (prior standard deviations, or the covariance of a fit).
+    n_sets : int
+        Vehicles that the search sees.
+    n_checks : int
+        Fresh vehicles that judge the result.
+    others : sequence of Model
+        Other structures that remain possible, such as refits with either member of a group that
+        the records cannot tell apart: the vehicles are drawn from all in turn.
+
+    References
+    ----------
+    G. C. Calafiore, M. C. Campi, The scenario approach to robust control
+    design, *IEEE Trans. Automatic Control* 51 (2006) 742-753.
+    M. C. Campi, S. Garatti, A sampling-and-discarding approach to
+    chance-constrained optimization, *J. Optimization Theory and Applications*
+    148 (2011) 257-280.
+    """
+
+    probability: float = 0.95
+    spread: float | None = None
+    n_sets: int = 160
+    n_checks: int = 600
+    others: Sequence[Model] = ()
+
+    @property
+    def n_waived(self) -> int:
+        """Vehicles that may fail in the search."""
+        return int(_USABLE * (1 - self.probability) * self.n_sets)
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.probability < 1 or min(self.n_sets, self.n_checks) < 20:
+            raise DesignError(
+                f"Caution has probability {self.probability}, {self.n_sets} sets and "
+                f"{self.n_checks} checks. Give a probability from 0.5 to below 1 and 20 or more "
+                "of both."
+            )
+        if self.spread is not None and not 0 < self.spread < 1:
+            raise DesignError(
+                f"Caution has spread {self.spread}. Give a number between 0 and 1, or None to draw "
+                "from what is known."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class GuardRun:
+    """What one uncertain vehicle does; ``signals`` are the limited ones, ``(n_times, n_limits)``.
+
+    Attributes
+    ----------
+    signals : ndarray (n_times, n_limits)
+    nodes : ndarray (n_edges, n_full)
+    excess : float
+        Largest, as a share of a limit's width; infinite where the trajectory diverges.
+    """
+
+    signals: np.ndarray
+    nodes: np.ndarray
+    excess: float
+
+
+def in_waves(
+    models: Sequence[Model], experiment: Experiment, sea: NoiseModel, rng: np.random.Generator
+) -> tuple[tuple[Model, np.ndarray], ...]:
+    """Vehicles with random forces as inputs, and a draw of these for each.
+
+    Parameters
+    ----------
+    models : sequence of Model
+    experiment : Experiment
+        Lends its samples.
+    sea : NoiseModel
+    rng : numpy.random.Generator
+    """
+    found = []
+    for model in models:
+        vehicle, run = at_sea(model, experiment, sea, rng=rng)
+        found.append((vehicle, run.commands(vehicle.input_names)[:, len(model.inputs) :]))
+    return tuple(found)
+
+
+class Guards:
+    """Uncertain vehicles on which limits are kept; their information does not matter.
+
+    Limits on the end of the run are goals of the nominal vehicle and not kept here.
+
+    Parameters
+    ----------
+    models : sequence of Model
+        At drawn values; of one structure or several with the same states and outputs.
+    times : ndarray (n_times,)
+    edges : ndarray of int (n_edges,)
+        See :class:`~oed_sysid.design.scene.Scene`.
+    own : ndarray (n_own,)
+        Start state.
+    corridor : Corridor
+    n_waived : int
+        How many of them may fail.
+    waves : sequence of (Model, ndarray (n_times, n_waves)), optional
+        Each of the vehicles with random forces as further inputs, and one draw of these.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[Model],
+        times: np.ndarray,
+        edges: np.ndarray,
+        own: np.ndarray,
+        corridor: Corridor,
+        n_waived: int = 0,
+        waves: Sequence[tuple[Model, np.ndarray]] = (),
+    ) -> None:
+        self.models = tuple(models)
+        vehicles = [vehicle for vehicle, _ in waves] or list(models)
+        self.kernels = [kernel(model) for model in vehicles]
+        self.values = [model.value_vector for model in vehicles]
+        self._waves = [forces for _, forces in waves]
+        self.times, self.edges, self.own = times, edges, own
+        during = np.flatnonzero(~corridor.at_end)
+        self._columns = corridor.columns[during]
+        self.corridor = replace(
+            corridor,
+            names=tuple(corridor.names[i] for i in during),
+            columns=np.arange(len(during)),
+            lower=corridor.lower[during],
+            upper=corridor.upper[during],
+            width=corridor.width[during],
+            at_end=np.zeros(len(during), dtype=bool),
+            units=tuple(corridor.units[i] for i in during),
+        )
+        self.n_waived = n_waived
+        self._waived: frozenset[int] = frozenset()
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def run(self, index: int, commands: np.ndarray) -> GuardRun:
+        """Simulate one vehicle."""
+        values = self.values[index]
+        runner, commands = self.kernels[index], self._pushed(index, commands)
+        z, _ = runner.start(self.own, commands[0], values, float(self.times[0]))
+        run = runner.run(self.times, commands, values, z)
+        signals = self._limited(run.states, run.outputs)
+        excess = self.corridor.worst(signals) if run.ok else np.inf
+        return GuardRun(signals, run.states[self.edges], excess)
+
+    def change(self, index: int, before: GuardRun, commands: np.ndarray, edge: int) -> np.ndarray:
+        """Change of the limited signals from an edge on, zero where the trajectory diverges."""
+        first, values = int(self.edges[edge]), self.values[index]
+        z, runner = before.nodes[edge], self.kernels[index]
+        commands = self._pushed(index, commands)
+        if edge == 0:
+            z, _ = runner.start(self.own, commands[0], values, float(self.times[0]))
+        run = runner.run(self.times[first:], commands[first:], values, z)
+        changed = self._limited(run.states, run.outputs) - before.signals[first:]
+        return changed if run.ok else np.zeros_like(changed)
+
+    def _pushed(self, index: int, commands: np.ndarray) -> np.ndarray:
+        """Commands with the waves of one vehicle beside them."""
+        return np.hstack([commands, self._waves[index]]) if self._waves else commands
+
+    def _limited(self, states: np.ndarray, outputs: np.ndarray) -> np.ndarray:
+        # Own states come first in every structure; outputs count after those of the nominal one.
+        n_full = self.corridor.n_full
+        signals = np.empty((len(states), len(self._columns)))
+        for i, column in enumerate(self._columns):
+            signals[:, i] = states[:, column] if column < n_full else outputs[:, column - n_full]
+        return signals
+
+    def first_left(self, run: GuardRun) -> str | None:
+        """Name of the limit that a run leaves first; None if it keeps all."""
+        if run.excess <= 0:
+            return None
+        excess = self.corridor.excess(run.signals, n_times=len(self.times))
+        where = int(np.argmax(excess.max(axis=(1, 2)) > 0))
+        limit, side = np.unravel_index(int(np.argmax(excess[where])), excess.shape[1:])
+        return f"{self.corridor.names[limit]} {('lower', 'upper')[side]} limit"
+
+    def waive(self, runs: Sequence[GuardRun]) -> None:
+        """Leave the allowed number of vehicles, those furthest outside, out of the search.
+
+        They stay the same for a while: a search whose worst vehicles change
+        from step to step gets nowhere.
+        """
+        order = np.argsort([-run.excess for run in runs], kind="stable")
+        self._waived = frozenset(int(i) for i in order[: self.n_waived])
+
+    def level(self, runs: Sequence[GuardRun]) -> float:
+        """Largest excess, waived vehicles left out; below zero if the others are inside."""
+        return max(
+            (run.excess for i, run in enumerate(runs) if i not in self._waived), default=-np.inf
+        )
+
+    def decisive(self, runs: Sequence[GuardRun]) -> list[int]:
+        """Vehicles nearest to their limits, without those that are waived."""
+        order = np.argsort([-run.excess for run in runs], kind="stable")
+        kept = [int(i) for i in order if i not in self._waived and np.isfinite(runs[i].excess)]
+        return kept[:_N_LINEARISED]

@@ -1,0 +1,371 @@
+r"""Families of commands: numbers between 0 and 1 become commands within their limits.
+
+Amplitude and rate limits of the actuators are kept by construction, so that
+the search only has to mind what the vehicle does. The first sample is always
+the neutral command: nothing jumps before the experiment begins.
+
+Sums of sines, with frequencies that must not be excited left out.
+
+On a run of length :math:`T` with ``n`` lines at multiples of :math:`1/T`,
+
+.. math::
+    \delta(t) = \delta_0 + \rho\, \frac{\delta_{max} - \delta_{min}}2 \sum_{i=1}^n
+    \left(a_i \cos 2\pi f_i t + b_i \sin 2\pi f_i t\right), \qquad
+    f_i = \frac{k_i}{T} \notin \text{forbidden bands}
+
+with free :math:`a_i, b_i \in [-1, 1]`; :math:`\rho = 1` and the sum clipped, or with forbidden
+bands the largest :math:`\rho \le 1` that keeps range and rate unclipped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from oed_sysid.errors import DesignError
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """What the designed commands have to fit in.
+
+    Attributes
+    ----------
+    times : ndarray (n_times,)
+        Samples, s, uniform.
+    inputs : tuple of str
+        Designed inputs.
+    lower, upper, neutral : ndarray (n_inputs,)
+        Range of each, and its value before the experiment.
+    rates : ndarray (n_inputs,)
+        Largest slopes, per second; infinite for none.
+    """
+
+    times: np.ndarray
+    inputs: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    neutral: np.ndarray
+    rates: np.ndarray
+
+    @property
+    def step(self) -> float:
+        """Time between samples, s."""
+        return float(self.times[1] - self.times[0])
+
+    def limited(self, orders: np.ndarray) -> np.ndarray:
+        """Commands that follow orders ``(n_batch, n_times, n_inputs)`` within the limits."""
+        commands = np.clip(orders, self.lower, self.upper)
+        commands[:, 0] = self.neutral
+        steps = self.rates * self.step
+        if np.isfinite(steps).any():
+            for k in range(1, commands.shape[1]):
+                change = np.clip(commands[:, k] - commands[:, k - 1], -steps, steps)
+                commands[:, k] = commands[:, k - 1] + change
+        return commands
+
+
+def neutral_within(lower: float, upper: float) -> float:
+    """Neutral command of a range: zero, or the middle of a range without zero.
+
+    At its limit an input could move to one side only.
+
+    Examples
+    --------
+    >>> neutral_within(-0.3, 0.3), neutral_within(1.75, 3.25)
+    (0.0, 2.5)
+    """
+    return 0.0 if lower <= 0.0 <= upper else 0.5 * (lower + upper)
+
+
+@runtime_checkable
+class Shape(Protocol):
+    """A family on a grid; :class:`Levels` shows how to write another."""
+
+    @property
+    def size(self) -> int:
+        """How many numbers describe one member."""
+        ...
+
+    @property
+    def edges(self) -> np.ndarray:
+        """Samples at which single numbers begin to act, the first is 0."""
+        ...
+
+    def commands(self, numbers: np.ndarray) -> np.ndarray:
+        """Commands ``(n_batch, n_times, n_inputs)`` of numbers ``(n_batch, size)``."""
+        ...
+
+    def start(self, commands: np.ndarray) -> np.ndarray | None:
+        """Numbers of the member nearest to given commands; None if the family is too narrow."""
+        ...
+
+
+@runtime_checkable
+class Parametrisation(Protocol):
+    """Contract of families of commands."""
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        ...
+
+    def on(self, grid: Grid) -> Shape:
+        """Return the family on a grid."""
+        ...
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Free levels, each held or connected by straight lines.
+
+    Parameters
+    ----------
+    n_levels : int or None
+        Number of levels of each input; None takes one for every four samples,
+        at most 60.
+    interpolation : {"hold", "linear"}
+        Steps, or a broken line through the levels.
+    """
+
+    n_levels: int | None = None
+    interpolation: str = "hold"
+
+    def __post_init__(self) -> None:
+        if self.interpolation not in ("hold", "linear"):
+            raise DesignError(f"interpolation is {self.interpolation!r}. Choose hold or linear.")
+        if self.n_levels is not None and self.n_levels < 2:
+            raise DesignError(f"{self.n_levels} levels make no manoeuvre. Give 2 or more.")
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        kind = "held" if self.interpolation == "hold" else "linear"
+        return f"{self.n_levels or 'free'} {kind} levels"
+
+    def on(self, grid: Grid) -> Shape:
+        """Return the family on a grid."""
+        n_samples = len(grid.times) - 1
+        n_levels = self.n_levels or int(np.clip(n_samples // 4, 2, 60))
+        if n_levels > n_samples:
+            raise DesignError(
+                f"{n_levels} levels do not fit in {n_samples} samples. Ask for fewer levels, a "
+                "shorter sample_time or a longer duration."
+            )
+        return _LevelShape(grid, n_levels, self.interpolation == "linear")
+
+
+class _LevelShape:
+    def __init__(self, grid: Grid, n_levels: int, linear: bool) -> None:
+        self._grid = grid
+        self._n_levels = n_levels
+        n_times = len(grid.times)
+        if linear:
+            knots = np.linspace(0, n_times - 1, n_levels + 1)
+            position = np.arange(n_times)
+            weights = np.stack([np.interp(position, knots, row) for row in np.eye(n_levels + 1)])
+            self._neutral_weight, self._weights = weights[0], weights[1:]
+            edges = np.floor(knots[:-1]).astype(int)
+        else:
+            # The sample at 0 is neutral; level i begins at sample edges[i].
+            edges = 1 + np.floor(np.arange(n_levels) * (n_times - 1) / n_levels).astype(int)
+            owner = np.searchsorted(edges, np.arange(n_times), side="right") - 1
+            self._weights = (owner == np.arange(n_levels)[:, None]).astype(float)
+            self._neutral_weight = (owner < 0).astype(float)
+        self.edges = np.unique(np.concatenate([[0], edges]))
+
+    @property
+    def size(self) -> int:
+        return self._n_levels * len(self._grid.inputs)
+
+    def commands(self, numbers: np.ndarray) -> np.ndarray:
+        grid = self._grid
+        share = np.atleast_2d(numbers).reshape(-1, self._n_levels, len(grid.inputs))
+        levels = grid.lower + share * (grid.upper - grid.lower)
+        orders = np.einsum("bli,lt->bti", levels, self._weights)
+        orders += self._neutral_weight[:, None] * grid.neutral
+        return grid.limited(orders)
+
+    def start(self, commands: np.ndarray) -> np.ndarray | None:
+        grid = self._grid
+        wanted = commands - self._neutral_weight[:, None] * grid.neutral
+        levels, *_ = np.linalg.lstsq(self._weights.T, wanted, rcond=None)
+        share = (levels - grid.lower) / (grid.upper - grid.lower)
+        return np.clip(share, 0.0, 1.0).ravel()
+
+
+@dataclass(frozen=True)
+class Pulses:
+    """Blocks of 3-2-1-1 pulses with free height, side and unit time.
+
+    Parameters
+    ----------
+    n_blocks : int
+        Blocks one after another in the duration.
+    """
+
+    n_blocks: int = 3
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        return f"{self.n_blocks} blocks of 3-2-1-1"
+
+    def on(self, grid: Grid) -> Shape:
+        """Return the family on a grid."""
+        if (grid.times[-1] - grid.times[0]) / self.n_blocks < 14 * grid.step:
+            raise DesignError(
+                f"{self.n_blocks} blocks of 3-2-1-1 do not fit in the duration. Ask for fewer."
+            )
+        return _PulseShape(grid, self.n_blocks)
+
+
+class _PulseShape:
+    def __init__(self, grid: Grid, n_blocks: int) -> None:
+        self._grid, self._n_blocks = grid, n_blocks
+        starts = np.floor(np.arange(n_blocks) * (len(grid.times) - 1) / n_blocks).astype(int)
+        self.edges = starts
+        self._starts = grid.times[starts]
+        self._block = (grid.times[-1] - grid.times[0]) / n_blocks
+
+    @property
+    def size(self) -> int:
+        return 2 * self._n_blocks * len(self._grid.inputs)
+
+    def commands(self, numbers: np.ndarray) -> np.ndarray:
+        grid = self._grid
+        share = np.atleast_2d(numbers).reshape(-1, 2, self._n_blocks, len(grid.inputs))
+        height = 2 * share[:, 0] - 1
+        shortest, longest = 2 * grid.step, self._block / 7
+        unit = shortest + share[:, 1] * (longest - shortest)
+        orders = np.zeros((len(share), len(grid.times), len(grid.inputs)))
+        edges = np.array([0.0, 3.0, 5.0, 6.0, 7.0])
+        for block, begin in enumerate(self._starts):
+            for pulse in range(4):
+                first = begin + edges[pulse] * unit[:, block]
+                last = begin + edges[pulse + 1] * unit[:, block]
+                # Share of each sample's interval inside the pulse: smooth in the unit time.
+                inside = np.clip(
+                    (grid.times[None, :, None] + grid.step - first[:, None]) / grid.step, 0, 1
+                ) - np.clip(
+                    (grid.times[None, :, None] + grid.step - last[:, None]) / grid.step, 0, 1
+                )
+                orders += (-1) ** pulse * height[:, None, block] * inside
+        span = np.where(orders > 0, grid.upper - grid.neutral, grid.neutral - grid.lower)
+        return grid.limited(grid.neutral + orders * span)
+
+    def start(self, commands: np.ndarray) -> np.ndarray | None:
+        return None
+
+
+@dataclass(frozen=True)
+class Multisines:
+    """Sums of sines with free amplitudes and phases, clipped at the limits.
+
+    With forbidden frequencies the commands are made smaller as a whole instead
+    of being clipped, since clipping puts power at all frequencies: what the
+    actuator is told from the second sample on then has no power at all at the
+    multiples of ``1/duration`` inside the bands.
+
+    Parameters
+    ----------
+    n_lines : int
+        Number of lines, multiples of ``1/duration``.
+    highest : float or None
+        Highest frequency, Hz; None takes an eighth of the sampling frequency,
+        or the ``n_lines``-th multiple if that is lower.
+    forbidden : sequence of (low, high)
+        Bands, Hz, in which there must be no line: a structural mode, a slosh
+        period, the waves of the day.
+    """
+
+    n_lines: int = 12
+    highest: float | None = None
+    forbidden: Sequence[tuple[float, float]] = ()
+
+    def __post_init__(self) -> None:
+        for band in self.forbidden:
+            if len(band) != 2 or not 0 <= band[0] < band[1]:
+                raise DesignError(f"The forbidden band {band} is none. Give (low, high) in Hz.")
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        bands = ", ".join(f"{low:g} to {high:g}" for low, high in self.forbidden)
+        return f"multisine of {self.n_lines} lines" + (f" outside {bands} Hz" if bands else "")
+
+    def on(self, grid: Grid) -> Shape:
+        """Return the family on a grid."""
+        duration = grid.times[-1] - grid.times[0]
+        highest = self.highest or 1.0 / (8 * grid.step)
+        if self.n_lines < 1 or self.n_lines / duration > 0.5 / grid.step:
+            raise DesignError(
+                f"{self.n_lines} lines do not fit below half the sampling frequency. Ask for fewer."
+            )
+        top = max(highest * duration, self.n_lines)
+        allowed = np.array([k for k in range(1, int(top) + 1) if self._allows(k / duration)])
+        if len(allowed) < self.n_lines:
+            raise DesignError(
+                f"Only {len(allowed)} multiples of {1 / duration:.3g} Hz up to "
+                f"{top / duration:.3g} Hz lie outside the forbidden bands, fewer than "
+                f"{self.n_lines} lines. Ask for fewer lines, a longer run or higher frequencies."
+            )
+        wanted = np.unique(np.round(np.geomspace(1.0, top, self.n_lines)))
+        kept = [k for k in wanted if k in allowed]
+        missing = [k for k in allowed if k not in kept]
+        multiples = np.sort([*kept, *missing[: self.n_lines - len(kept)]])
+        return _SineShape(grid, multiples / duration, clean=bool(self.forbidden))
+
+    def _allows(self, frequency: float) -> bool:
+        return not any(low <= frequency <= high for low, high in self.forbidden)
+
+
+class _SineShape:
+    def __init__(self, grid: Grid, frequencies: np.ndarray, *, clean: bool = False) -> None:
+        self._grid = grid
+        self._clean = clean
+        self._frequencies = frequencies
+        self.edges = np.array([0])
+        angles = 2 * np.pi * np.outer(frequencies, grid.times - grid.times[0])
+        self._waves = np.cos(angles), np.sin(angles)
+
+    @property
+    def size(self) -> int:
+        return 2 * len(self._frequencies) * len(self._grid.inputs)
+
+    def commands(self, numbers: np.ndarray) -> np.ndarray:
+        grid = self._grid
+        n_lines = len(self._frequencies)
+        # Cosine and sine amplitudes: smooth where amplitude and phase are not.
+        parts = 2 * np.atleast_2d(numbers).reshape(-1, 2, n_lines, len(grid.inputs)) - 1
+        span = 0.5 * (grid.upper - grid.lower)
+        cosine, sine = self._waves
+        wave = np.einsum("bli,lt->bti", parts[:, 0], cosine)
+        wave += np.einsum("bli,lt->bti", parts[:, 1], sine)
+        wave *= span
+        if self._clean:
+            wave *= self._room(wave)
+        return grid.limited(grid.neutral + wave)
+
+    def _room(self, wave: np.ndarray) -> np.ndarray:
+        """Factors ``(n_batch, 1, n_inputs)`` up to 1 that keep range and rate without clipping."""
+        grid = self._grid
+        # The first sample is neutral, so the second is a step from there.
+        steps = np.abs(np.diff(np.concatenate([0 * wave[:, :1], wave[:, 1:]], axis=1), axis=1))
+        shares = (
+            wave[:, 1:].max(axis=1) / (grid.upper - grid.neutral),
+            -wave[:, 1:].min(axis=1) / (grid.neutral - grid.lower),
+            steps.max(axis=1) / (grid.rates * grid.step),
+        )
+        return 1.0 / np.maximum(1.0, np.max(shares, axis=0))[:, None]
+
+    def start(self, commands: np.ndarray) -> np.ndarray | None:
+        grid = self._grid
+        span = 0.5 * (grid.upper - grid.lower)
+        # The first sample is neutral whatever the sines are.
+        basis = np.vstack(self._waves).T[1:]
+        parts, *_ = np.linalg.lstsq(basis, (commands[1:] - grid.neutral) / span, rcond=None)
+        return np.clip(0.5 * (parts + 1), 0.0, 1.0).ravel()
