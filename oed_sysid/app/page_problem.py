@@ -15,13 +15,13 @@ from oed_sysid.app.mapping import headers
 from oed_sysid.app.panels import command, message, part
 from oed_sysid.app.records import plain_name
 from oed_sysid.app.trust import NotTrustedError, check_trusted, code_of
-from oed_sysid.channels import Input, Output
 from oed_sysid.data.csv_columns import TIME_NAMES
-from oed_sysid.display import TWO_SIDED_95, Section, Table
 from oed_sysid.errors import OedSysidError, ProblemError
-from oed_sysid.language.units import parse_header
-from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
-from oed_sysid.problem.starter import TEMPLATES
+from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
+from oed_sysid.experiments.starter import TEMPLATES
+from oed_sysid.physics.channels import Input, Output
+from oed_sysid.runtime.display import TWO_SIDED_95, Section, Table
+from oed_sysid.text.units import parse_header
 
 
 def show() -> None:

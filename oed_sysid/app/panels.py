@@ -15,8 +15,8 @@ from oed_sysid.app.jobs import Job
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study, digest
 from oed_sysid.app.work import Request
-from oed_sysid.display import Report, Section
-from oed_sysid.report import style_sheet
+from oed_sysid.results import style_sheet
+from oed_sysid.runtime.display import Report, Section
 
 _POLL = 0.5  # s between looks at a running job
 

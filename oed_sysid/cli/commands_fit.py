@@ -41,13 +41,13 @@ from oed_sysid.cli.terminal import (
 from oed_sysid.errors import DataError
 
 if TYPE_CHECKING:
-    from oed_sysid.batch.journal import Journal
     from oed_sysid.cli.terminal import Shown
     from oed_sysid.data.dataset import Dataset
-    from oed_sysid.diagnosis.compare import Comparison
-    from oed_sysid.fitting.fit import Fit
-    from oed_sysid.model import Model
-    from oed_sysid.problem import Problem
+    from oed_sysid.evidence.compare import Comparison
+    from oed_sysid.experiments.problem import Problem
+    from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.physics.model import Model
+    from oed_sysid.runtime.journal import Journal
 
 
 def fit(
@@ -79,10 +79,10 @@ def fit(
     [bold]Example[/bold]: oed-sysid fit remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv --save fit.json
     """
-    from oed_sysid.compatibility import quick_check
     from oed_sysid.data.overlap import check_disjoint
-    from oed_sysid.diagnosis.compare import compare as compare_models
-    from oed_sysid.problem import load_problem
+    from oed_sysid.evidence.compare import compare as compare_models
+    from oed_sysid.evidence.log_check import quick_check
+    from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     dataset = read_records(files, chosen)
@@ -146,11 +146,11 @@ def compare(
     [bold]Example[/bold]: oed-sysid compare remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv
     """
-    from oed_sysid.compatibility import quick_check
     from oed_sysid.data.overlap import check_disjoint, together
-    from oed_sysid.diagnosis.compare import compare as compare_models
-    from oed_sysid.diagnosis.usual import equipped
-    from oed_sysid.problem import load_problem
+    from oed_sysid.evidence.compare import compare as compare_models
+    from oed_sysid.evidence.log_check import quick_check
+    from oed_sysid.evidence.usual import equipped
+    from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     training, validation = (read_records(given, chosen) for given in (files, validate))
@@ -190,8 +190,8 @@ def _fits(
     show: Shown,
 ) -> dict[str, Fit]:
     """One fit of each model; those that an interrupted call has finished are read."""
-    from oed_sysid.estimators import MultipleShooting
-    from oed_sysid.fitting.archive import encode
+    from oed_sysid.likelihood.archive import encode
+    from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 
     estimator = MultipleShooting(**settings, progress=show.iteration)
     content = {
@@ -251,10 +251,10 @@ def report(
 
     [bold]Example[/bold]: oed-sysid report fit.json --validate dive_3.csv --out fit.html
     """
-    from oed_sysid.diagnosis.compare import compare as compare_models
-    from oed_sysid.fitting.fit import Fit
-    from oed_sysid.fitting.saved import is_numbers_of_fit, read_json, read_result
-    from oed_sysid.report import numbers_page
+    from oed_sysid.evidence.compare import compare as compare_models
+    from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.likelihood.saved import is_numbers_of_fit, read_json, read_result
+    from oed_sysid.results import numbers_page
 
     content = read_json(saved)
     if is_numbers_of_fit(content):
@@ -292,7 +292,7 @@ def _figure(fit: Fit, comparison: Comparison | None) -> Any:
 
 def _models(problem: Problem, added: list[str]) -> tuple[dict[str, Model], dict[str, Fit]]:
     """The nominal model and one for each group of candidates added to it; and saved fits."""
-    from oed_sysid.fitting.fit import Fit
+    from oed_sysid.likelihood.fit import Fit
 
     models, kept = {"nominal": problem.model}, {}
     known = {effect.name for effect in problem.effects}

@@ -37,7 +37,7 @@ from oed_sysid.cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from oed_sysid.display import Report
+    from oed_sysid.runtime.display import Report
 
 
 def diagnose(
@@ -54,9 +54,9 @@ def diagnose(
 
     [bold]Example[/bold]: oed-sysid diagnose remus_diving_plane dive_1.csv dive_2.csv
     """
-    from oed_sysid.compatibility import quick_check
-    from oed_sysid.diagnosis.diagnose import diagnose as look
-    from oed_sysid.problem import load_problem
+    from oed_sysid.evidence.diagnose import diagnose as look
+    from oed_sysid.evidence.log_check import quick_check
+    from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     records = read_records(files, chosen)
@@ -110,10 +110,10 @@ def improve(
     [bold]Example[/bold]: oed-sysid improve remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv --save better.json
     """
-    from oed_sysid.diagnosis.compare import compare
-    from oed_sysid.diagnosis.improve import improve
-    from oed_sysid.diagnosis.preparation import prepared
-    from oed_sysid.problem import load_problem
+    from oed_sysid.evidence.compare import compare
+    from oed_sysid.evidence.improve import improve
+    from oed_sysid.evidence.preparation import prepared
+    from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     training = read_records(files, chosen)

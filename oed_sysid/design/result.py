@@ -12,13 +12,18 @@ from textwrap import wrap
 
 import numpy as np
 
-from oed_sysid.data.csv_table import write_table
 from oed_sysid.design.assurance import TRUSTED, AccuracyRange, Assurance, Tracks, stated
 from oed_sysid.design.library import Candidate, Reference
 from oed_sysid.design.limits import percent
 from oed_sysid.design.missing_effects import SURE, Chance, missing_physics, told_apart
 from oed_sysid.design.on_board import sea_trial_card
-from oed_sysid.display import (
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.simulation import Trajectory, simulate
+from oed_sysid.information.noise import sea_words
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Figure,
     Report,
@@ -30,13 +35,8 @@ from oed_sysid.display import (
     counted,
     share,
 )
-from oed_sysid.experiment import Experiment
-from oed_sysid.files import make_folder
-from oed_sysid.information import Information
-from oed_sysid.model import Model
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.noise import sea_words
-from oed_sysid.simulation import Trajectory, simulate
+from oed_sysid.runtime.files import make_folder
+from oed_sysid.text.csv_table import write_table
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,551 @@
+"""The result of an estimation: values that are never without their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.likelihood.agreement import Sources
+from oed_sysid.likelihood.archive import encode
+from oed_sysid.likelihood.between_records import RecordScatter
+from oed_sysid.likelihood.disturbances import places
+from oed_sysid.likelihood.estimate import Estimate, Status, checked_scatter
+from oed_sysid.likelihood.explained import grave
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.judgement import Concern, judge
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.prediction import Initial, Prediction, predict
+from oed_sysid.likelihood.saved import check_fit, decode_result, made_by, write_result
+from oed_sysid.physics import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
+from oed_sysid.physics.base import RandomProcess
+from oed_sysid.physics.channels import Channels, Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.runtime.display import (
+    TWO_SIDED_95,
+    Figure,
+    Report,
+    Section,
+    Table,
+    as_dict,
+    as_html,
+    as_text,
+    counted,
+    share,
+)
+from oed_sysid.text.callables import Function
+from oed_sysid.text.units import shown_unit
+
+# Residuals that count fewer independent samples than this share are coloured.
+COLOUR_LIMIT = 0.8
+# Multiple of the noise up to which residuals say no more than noise would, and from which they
+# are no measure: filtered logs have next to no noise.
+EXPLAINED, SMOOTHED = 1.2, 100.0
+# Prior standard deviations beyond which an estimate contradicts the prior.
+SURPRISING = 3.0
+# Records that a page draws.
+MOST_DRAWN = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(Estimate):
+    """Estimated parameters with uncertainty, residuals and a status that advises.
+
+    Attributes
+    ----------
+    model : Model
+        The model at the estimated values.
+    dataset : Dataset
+        What it was fitted to.
+    estimator : str
+        Name and settings of the estimator.
+    names : tuple of str
+        Estimated parameters.
+    estimates : ndarray (n_free,)
+        Their values.
+    information : Information
+        Of the estimated parameters, initial states eliminated, as if the
+        residuals were white.
+    covariance : ndarray (n_free, n_free)
+        The covariance that is reported: the inverse information, or the
+        sandwich covariance where residuals are coloured.
+    coloured : bool
+        Whether the sandwich is in use.
+    sigma : ndarray (n_outputs,)
+        Noise standard deviations, given or estimated.
+    sigma_estimated : ndarray of bool (n_outputs,)
+        Which of them were estimated.
+    predictions, residuals : tuple of ndarray (n_times, n_outputs)
+        Model outputs, and measured minus model, per record.
+    states : tuple of ndarray (n_times, n_full)
+        State trajectories, per record.
+    initial_states : tuple of ndarray (n_own,)
+        Estimated initial states, per record.
+    local_values : tuple of mapping
+        Values of per-record parameters, per record.
+    cost : float
+        Half the sum of squares of the one-step errors in units of their standard
+        deviation, priors included.
+    status : Status
+        How the estimation ended.
+    iterations : int
+    seconds : float
+    noise : NoiseModel
+        All that is random: white levels as in ``sigma``, colour, random forces.
+    noise_std : mapping
+        Standard errors of the estimated levels and times, by ``(name, "level" or "time")``;
+        of levels relative.
+    innovations, innovation_std : tuple of ndarray (n_times, n_outputs), or None
+        One-step prediction errors of the filter and their standard deviations, per
+        record, where the noise is not white; else None and ``residuals`` say the same.
+    start_states : tuple of mapping
+        Start states that were not free, per record: value and standard error, zero
+        where the state was held. Empty where all were free.
+    record_scatter : RecordScatter, or None
+        How the estimates scatter between records, to first order; None for fewer than four, or
+        where the estimator does not tell. :attr:`record_errors` and :meth:`record_interval` are
+        of it.
+    sources : Sources, or None
+        What priors and each record say of the shared parameters, apart from one another; None
+        where the estimator does not tell. See :mod:`oed_sysid.likelihood.agreement`.
+    """
+
+    @cached_property
+    def concerns(self) -> tuple[Concern, ...]:
+        """What speaks against the fit; see :mod:`oed_sysid.likelihood.judgement`."""
+        return judge(self)
+
+    @cached_property
+    def grave(self) -> tuple[Concern, ...]:
+        """Why the values must not be used although the fit converged; see :mod:`.explained`."""
+        return grave(self, self.concerns)
+
+    @property
+    def caveat(self) -> str:
+        """What to add to every interval that follows from the standard errors; often empty."""
+        if not any(concern.kind == "records_differ" for concern in self.concerns):
+            return ""
+        return (
+            "Records of the fit differ by more than its standard errors say, so these intervals "
+            "are too narrow: predict from fit.with_record_errors()."
+        )
+
+    def predict(self, dataset: Dataset, *, initial: Initial = "fit") -> Prediction:
+        """Predict other records; see :func:`oed_sysid.likelihood.prediction.predict`.
+
+        Parameters
+        ----------
+        dataset : Dataset
+            Records with the model's channels.
+        initial : str or mapping
+            ``"fit"`` estimates the initial states on each record with all
+            shared parameters held, ``"first"`` takes the first measurements,
+            a mapping gives the states, as numbers or as pairs ``(value, std)``.
+        """
+        shared = [p.name for p in self.model.free_parameters if not p.per_record]
+        covariance = np.zeros((len(shared), len(shared)))
+        known = [i for i, name in enumerate(shared) if name in self.names]
+        columns = [self.names.index(shared[i]) for i in known]
+        covariance[np.ix_(known, known)] = self.covariance[np.ix_(columns, columns)]
+        found = predict(self.model, dataset, covariance, self.noise, initial=initial)
+        return replace(found, caveat=self.caveat)
+
+    def with_record_errors(self) -> Fit:
+        """Return the same fit, its covariance that of the scatter between records.
+
+        Standard errors, predictions and what is drawn from the fit (turning circles) then hold what
+        differs from record to record. Parameters that one record alone tells keep their own.
+
+        Raises
+        ------
+        DataError
+            If there are fewer than four records.
+        """
+        scatter = checked_scatter(self)
+        found = np.diag(scatter.covariance)
+        covariance = np.where(np.isfinite(scatter.covariance), scatter.covariance, 0.0)
+        alone = ~np.isfinite(found)
+        covariance[alone, alone] = np.diag(self.covariance)[alone]
+        return replace(self, covariance=covariance)
+
+    def save(self, path: str | Path, **made: Any) -> None:
+        """Write the fit, its model and its data to a JSON file; :meth:`load` reads it.
+
+        The file appears whole or not at all. ``command=`` and ``settings=`` say how the
+        fit was made; see :func:`oed_sysid.likelihood.saved.made_by`.
+        """
+        settings = {"estimator": self.estimator, **made.pop("settings", {})}
+        made_of = made_by([self.dataset], settings=settings, **made)
+        write_result(path, "fit", encode(self), made_of)
+
+    @staticmethod
+    def load(path: str | Path) -> Fit:
+        """Read a fit that :meth:`save` wrote, also of an older version."""
+        fit = decode_result(path, "fit", ARCHIVED)
+        check_fit(fit, str(path))
+        return fit
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        return (
+            f"<Fit of {self.model.name!r}: {self.status.code}, {len(self.names)} parameters, "
+            f"residuals {self.normalised_rms:.3g} x noise>"
+        )
+
+    # -- words ---------------------------------------------------------------------
+
+    def document(self, comparison: Any = None, *, log: Any = None, style: int = 0) -> Report:
+        """Return what the fit says.
+
+        Parameters
+        ----------
+        comparison : Comparison, optional
+            Of the fit with other records.
+        log : LogCheck, optional
+            What a check of the records found; said first.
+        style : int
+            Position of the model in a comparison, for its colour.
+        """
+        way = self.estimator.replace(", ", " with ", 1)
+        effective = sum(count for count, _ in self.effective_samples().values())
+        tested = "samples" if self.innovations is None else "innovations"
+        misfit = f"{self.normalised_rms:.3f} x noise over all outputs"
+        return Report(
+            title=self.model.name,
+            subtitle=f"Fitted by {way} to {', '.join(self._record_words())}",
+            headline=f"{self.model.name} fitted by {self.estimator}",
+            answer=self._answer(comparison),
+            warnings=(
+                *([] if log is None else log.warning().splitlines()),
+                *(f"Do not use these values: {concern.text}" for concern in self.grave),
+            ),
+            head=(
+                ("records", ", ".join(self._record_words())),
+                ("observations", f"{self.n_observations}"),
+                ("status", f"{self.status} ({self.iterations} iterations, {self.seconds:.2g} s)"),
+                ("misfit", misfit),
+            ),
+            numbers=(
+                ("misfit", f"{self.normalised_rms:.3g} × noise"),
+                ("parameters", str(len(self.names))),
+                ("samples", f"{self.n_observations:,}".replace(",", " ")),
+                (f"independent {tested}", f"{effective:,.0f}".replace(",", " ")),
+                ("status", self.status.code),
+            ),
+            sections=(
+                self._estimates(),
+                self._residuals(style),
+                *self._random(),
+                *self._records(style),
+                *([] if comparison is None else comparison.document().sections),
+                Section("Equations", listing=self.model.equations(), only="page"),
+            ),
+            verdict=self._remarks(),
+        )
+
+    report = as_text
+
+    def _answer(self, comparison: Any) -> str:
+        """Whether the fit can be used, how certain it is, and how well it fits and predicts."""
+        if not self.status.ok:
+            return f"Not usable: the fit of {self.model.name} ended as {self.status.code}."
+        if self.grave:
+            return f"Not usable: {self.grave[0].text}"
+        errors = {
+            name: TWO_SIDED_95 * self.std_errors[name] / abs(value) if value else np.inf
+            for name, value in self.values.items()
+        }
+        words = f"{self.model.name}: {counted(len(self.names), 'parameter')} estimated"
+        if errors:
+            worst = max(errors, key=lambda name: errors[name])
+            words += f", the least certain {worst} ± {share(errors[worst])} (95 %)"
+        words += f"; residuals are {self.normalised_rms:.3g} × noise"
+        if self.normalised_rms > SMOOTHED:
+            words += (
+                ": the model is far off, or the log was smoothed and shows no noise; read errors "
+                "in units"
+            )
+        elif not self.normalised_rms < EXPLAINED:
+            words += ", so the model lacks something"
+        if comparison is not None:
+            size = comparison.best.relative
+            words += f"; errors on the validation records {size:.3g} × noise"
+        return f"{words}."
+
+    def _estimates(self) -> Section:
+        size = 2.0 + 0.42 * len(self.names)
+        drawings = [
+            Figure(
+                "plot_intervals", self,
+                "Estimates with 95 % intervals, divided by the prior (grey bars), or by "
+                "themselves where nothing was.",
+                size=(7.6, 1.3 + 0.34 * len(self.names)),
+            ),
+            Figure(
+                "plot_correlation", self,
+                "Correlation of the estimates. Two that are close to ±1 can be told apart only "
+                "by other manoeuvres.",
+                size=(size + 0.8, size),
+            ),
+        ]  # fmt: skip
+        return Section(
+            "Estimates", (*self._local_lines(), *self._start_lines()), self._parameter_table(),
+            drawings[: len(self.names)], indent=2,
+        )  # fmt: skip
+
+    def _residuals(self, style: int) -> Section:
+        words = self._captive_lines()
+        if self.innovations is not None:
+            words += [
+                "Effective samples are of the one-step prediction errors, measured less expected "
+                "from all earlier samples; residuals are measured less the model running on its "
+                "own."
+            ]
+        drawing = Figure(
+            "figure_whiteness", self,
+            "Autocorrelation of the residuals, one line per record. White noise stays inside the "
+            "grey band; slow curves are physics or sensor dynamics that the model lacks.",
+            options={"style": style},
+        )  # fmt: skip
+        return Section("Residuals", words, (self._output_table(),), (drawing,), indent=2)
+
+    def _records(self, style: int) -> list[Section]:
+        """Data and model of the first records, on a page."""
+        drawings = [
+            Figure(
+                "figure_fit", self,
+                f"{name}: dots are measured, the line is the model and its band holds 95 % of the "
+                "noise around it. Right: measured minus model, with the band of the noise.",
+                (index,), {"style": style},
+            )
+            for index, name in enumerate(self.dataset.names[:MOST_DRAWN])
+        ]  # fmt: skip
+        rest = len(self.dataset) - len(drawings)
+        words = (f"{rest} further records are not drawn.",) if rest else ()
+        return [Section("Records", words, figures=drawings, only="page")]
+
+    def _record_words(self) -> list[str]:
+        """Names of the records; of many independent tests the first and the last."""
+        words = [record.name for record in self.dataset if not record.independent]
+        tests = [record for record in self.dataset if record.independent]
+        if tests:
+            measured = (np.isfinite(record.outputs).any(axis=1) for record in tests)
+            count = sum(int(rows.sum()) for rows in measured)
+            span = tests[0].name if len(tests) == 1 else f"{tests[0].name} to {tests[-1].name}"
+            words.append(f"{span} ({count} {'test' if count == 1 else 'tests'})")
+        return words
+
+    def _captive_lines(self) -> list[str]:
+        """Forces at given motion that were fitted along, one line each."""
+        errors: Mapping[str, float] = self.extras.get("captive", {})
+        sizes: Mapping[str, float] = self.extras.get("captive_misfit", {})
+        lines = [
+            f"captive {axis}: error {sizes[axis]:.3g} x noise"
+            + (f", {100 * error:.3g} % of its rms" if np.isfinite(error) else "")
+            for axis, error in errors.items()
+            if np.isfinite(sizes.get(axis, np.nan))
+        ]
+        if self.extras.get("tests_scatter"):
+            lines.append(
+                "Forces of the captive tests scatter more than their noise allows: their part "
+                "of the standard errors is from their residuals, in whatever order."
+            )
+        return lines
+
+    def _parameter_table(self) -> list[Table]:
+        if not self.names:
+            return [Table(("no free parameter: initial states only",), ())]
+        # A column of its own where the stated errors do not hold what differs between records.
+        differ = bool(self.caveat)
+        scattered = self.record_errors
+        head = ("std. error", "between records") if differ else ("std. error",)
+        headers = ("parameter", "value", *head, "rel. %", "unit", "")
+        rows = []
+        errors = self.std_errors
+        for name, value in self.values.items():
+            parameter = self.model.parameter(name)
+            relative = 100 * errors[name] / abs(value) if value else np.inf
+            note = ""
+            if value <= parameter.lower or value >= parameter.upper:
+                note = "at bound"
+            elif not np.isfinite(errors[name]):
+                note = "not identifiable"
+            rows.append(
+                (
+                    name,
+                    f"{value:.6g}",
+                    f"{errors[name]:.2g}",
+                    *((f"{scattered[name]:.2g}",) if differ else ()),
+                    f"{relative:.2g}",
+                    parameter.unit,
+                    note,
+                )
+            )
+        return [Table(headers, rows)]
+
+    def _local_lines(self) -> list[str]:
+        """Values of per-record parameters, one line each."""
+        lines = []
+        for name in self.local_values[0] if self.local_values else ():
+            pairs = zip(self.dataset.names, self.local_values, strict=True)
+            listed = ", ".join(f"{record} {values[name]:.4g}" for record, values in pairs)
+            lines.append(f"{name} per record: {listed} {self.model.parameter(name).unit}".rstrip())
+        return lines
+
+    def _start_lines(self) -> list[str]:
+        """Start states that were not free, one line per record."""
+        lines = []
+        for record, known in zip(self.dataset, self.start_states, strict=False):
+            if record.independent:
+                continue
+            words = [
+                f"{name} {value:.4g} held"
+                if std == 0.0
+                else f"{name} {value:.4g} +/- {TWO_SIDED_95 * std:.2g}"
+                for name, (value, std) in known.items()
+            ]
+            if words:
+                lines.append(f"start of {record.name} given: {', '.join(words)} (95 %)")
+        return lines
+
+    def _output_table(self) -> Table:
+        headers = ("output", "rms residual", "noise", "", "eff. samples", "of", "unit")
+        rows = []
+        effective = self.effective_samples()
+        rms = self.rms
+        for output, sigma, estimated in zip(
+            self.model.outputs, self.sigma, self.sigma_estimated, strict=True
+        ):
+            count, total = effective[output.name]
+            if not total and self.tests_alone:
+                continue
+            factor, unit = shown_unit(output.unit)  # angles are read in degrees
+            rows.append(
+                (
+                    output.name,
+                    f"{factor * rms[output.name]:.3g}",
+                    f"{factor * sigma:.3g}",
+                    ("estimated" if estimated else "given") if total else "not measured",
+                    f"{count:.0f}",
+                    f"{total}",
+                    unit,
+                )
+            )
+        return Table(headers, rows)
+
+    def _random(self) -> list[Section]:
+        """Random forces and coloured sensors, one line each."""
+        noise = self.noise
+        if noise.is_white:
+            return []
+        units = {place.name: place.unit for place in places(self.model)}
+        headers = ("random", "level", "95 %", "time [s]", "unit")
+        rows = []
+        for name, level, time in zip(noise.places, noise.force, noise.force_time, strict=True):
+            rows.append(self._noise_row(name, level, time, units.get(name, "")))
+        for output, level, time in zip(
+            self.model.outputs, noise.colour, noise.colour_time, strict=True
+        ):
+            if level > 0:
+                rows.append(self._noise_row(f"colour of {output.name}", level, time, output.unit))
+        return [Section("Random", tables=(Table(headers, rows),), indent=2)]
+
+    def _noise_row(self, name: str, level: float, time: float, unit: str) -> tuple[str, ...]:
+        if level <= 0:
+            return name, "absent", "", "", unit
+        known = self.noise_std.get(f"{name} level")
+        spread = "" if known is None else f"+/- {TWO_SIDED_95 * known * level:.2g}"
+        return name, f"{level:.3g}", spread, f"{time:.2g}", unit
+
+    def _remarks(self) -> list[str]:
+        """What else to know before the values are used, one sentence each."""
+        said_first = {self.status.advice, *(concern.text for concern in self.grave)}
+        lines = [one.text for one in self.concerns if one.text not in said_first]
+        commands = np.vstack([record.inputs for record in self.dataset])
+        for channel, series in zip(self.model.inputs, commands.T, strict=True):
+            if np.ptp(series) == 0.0 and not self.tests_alone:
+                lines.append(
+                    f"Input {channel.name} never moves in any record: what it does cannot be "
+                    "told from what else is constant."
+                )
+        if self.coloured:
+            lines.append(
+                "Residuals are correlated in time (see eff. samples): standard errors are from "
+                "the sandwich covariance."
+            )
+        lines += [f"Not identifiable: {text}." for text in self.information.null_directions()]
+        own = {name: self.model.parameter(name) for name in self.names}
+        if bounded := [n for n, v in self.values.items() if not own[n].lower < v < own[n].upper]:
+            lines.append(
+                f"{', '.join(bounded)} at bound: widen it if it may be wrong. A log that counts "
+                "an angle the other way does this too: Input(..., sign=-1)."
+            )
+        if far := [name for name in self.names if self._surprise(name) > SURPRISING]:
+            lines.append(
+                f"Further than {SURPRISING:g} standard deviations from the prior: "
+                f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
+            )
+        correlation = self.correlation
+        pairs = [
+            (abs(correlation[i, j]), self.names[i], self.names[j], correlation[i, j])
+            for i in range(len(self.names))
+            for j in range(i)
+            if abs(correlation[i, j]) > 0.95
+        ]
+        for _, first, second, value in sorted(pairs, reverse=True)[:6]:
+            lines.append(f"Correlation of {first} and {second}: {value:+.3f}.")
+        return lines
+
+    def _surprise(self, name: str) -> float:
+        """Distance of an estimate from its prior mean, in standard deviations of the prior."""
+        parameter = self.model.parameter(name)
+        if parameter.prior_spread is None or parameter.prior_mean is None:
+            return 0.0
+        return abs(self.values[name] - parameter.prior_mean) / parameter.prior_spread
+
+    to_dict = as_dict(
+        "estimator", "iterations", "seconds", "cost", "normalised_rms", "covariance", "rms",
+        "noise_std", "concerns", "grave", "status",
+        model="model.name", records="dataset.names", coloured_residuals="coloured",
+        # Null where nothing tells: three records or fewer, another estimator.
+        parameters=lambda self: [
+            {
+                "name": name,
+                "value": value,
+                "std_error": self.std_errors[name],
+                "record_error": self.record_errors.get(name),
+                "unit": self.model.parameter(name).unit,
+            }
+            for name, value in self.values.items()
+        ],
+        noise=lambda self: dict(zip(self.model.output_names, self.sigma, strict=True)),
+        effective_samples=lambda self: self.effective_samples(), noise_model="noise",
+    )  # fmt: skip
+
+
+# Everything that a saved fit is made of.
+ARCHIVED: tuple[type, ...] = (
+    *(
+        Fit,
+        Status,
+        Information,
+        NoiseModel,
+        RecordScatter,
+        Sources,
+        Model,
+        Function,
+        Parameter,
+        Dataset,
+        Record,
+        Channels,
+    ),
+    *(State, Input, Output, Actuator, Environment, Force, Inertia, Sensor, ExtraState, Memory),
+    RandomProcess,
+)
