@@ -20,19 +20,23 @@ from oed_sysid.data.dataset import Dataset
 SPIKE_CHANCE = 1e-3
 # Where residuals are structured, only what is this many deviations off stands out as a spike.
 STRUCTURED_SPIKE = 6.0
-# Single spikes from which on pairs of them are spikes, too.
+# Single spikes from which on groups of them are spikes, too.
 SEVERAL = 3
 # Spread of the departure of white noise from the median of its four neighbours.
 BESIDE = 1.137
 
 
-def spike_masks(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+def spike_masks(
+    whitened: Sequence[np.ndarray], taken: Sequence[int] | None = None
+) -> tuple[np.ndarray, ...]:
     """Samples that stand out alone, per record.
 
     Parameters
     ----------
     whitened : sequence of ndarray (n_times, n_outputs)
         Residuals in any unit, NaN where missing.
+    taken : sequence of int, optional
+        Samples of each output that were taken out as spikes before.
 
     Returns
     -------
@@ -52,27 +56,29 @@ def spike_masks(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
         if structured:
             surely = max(surely, STRUCTURED_SPIKE)
         limit = surely if structured else max(4.0, float(-ndtri(0.5 / n)))
-        sizes = []
-        for values, piece in zip(series, pieces, strict=True):
-            scaled = np.abs(piece) / size
-            if not structured:
-                # Neighbours that happen to lie on the other side do not make a spike.
-                scaled = np.minimum(scaled, np.abs(values - middle) / slow)
-            sizes.append(scaled)
-        if not np.any(np.concatenate(sizes) > surely):
+        # Neighbours that happen to lie on the other side do not make a spike; nor does a bend of
+        # slow residuals, which a cubic through the neighbours follows.
+        others = [_off_cubic(values) for values in series] if structured else series
+        if structured:
+            slow = 1.4826 * float(np.median(np.abs(np.concatenate(others)))) or size
+        centre = 0.0 if structured else middle
+        sizes = [
+            np.minimum(np.abs(piece) / size, np.abs(other - centre) / slow)
+            for piece, other in zip(pieces, others, strict=True)
+        ]
+        count = 0 if taken is None else taken[column]
+        if np.any(np.concatenate(sizes) > surely):
+            for mask, index, scaled in zip(masks, rows, sizes, strict=True):
+                # Where spikes are clear, what chance does in one sample of n is one of them too.
+                mask[index, column] = scaled > limit
+                count += int(mask[:, column].sum())
+        if structured or count < SEVERAL:
             continue
-        for mask, index, scaled in zip(masks, rows, sizes, strict=True):
-            # Where spikes are clear, what chance does in one sample of n is one of them too.
-            mask[index, column] = scaled > limit
-        if structured or sum(int(mask[:, column].sum()) for mask in masks) < SEVERAL:
-            continue
-        # Where there are several spikes among white residuals, two meet now and then.
+        # Where there are several spikes some meet: as many in a row as chance makes of so many.
+        longest = max(int(np.log(SPIKE_CHANCE / n) / np.log(min(count / n, 0.5))), 2)
         for mask, index, values in zip(masks, rows, series, strict=True):
             big = np.abs(values - middle) > surely * slow
-            before, after = np.r_[False, big[:-1]], np.r_[big[1:], False]
-            before2, after2 = np.r_[False, before[:-1]], np.r_[after[1:], False]
-            pair = big & (after & ~before & ~after2 | before & ~after & ~before2)
-            mask[index[pair], column] = True
+            mask[index[big & (_run_lengths(big) <= longest)], column] = True
     return tuple(masks)
 
 
@@ -95,6 +101,15 @@ def spike_sizes(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
         for one, index, piece in zip(found, rows, pieces, strict=True):
             one[index, column] = piece / usual if usual > 0 else 0.0
     return tuple(found)
+
+
+def _run_lengths(marked: np.ndarray) -> np.ndarray:
+    """Length of the run of marked samples that each belongs to, zero where it is not marked."""
+    edges = np.flatnonzero(np.diff(np.r_[False, marked, False].astype(int)))
+    lengths = np.zeros(len(marked), dtype=int)
+    for first, stop in zip(edges[::2], edges[1::2], strict=True):
+        lengths[first:stop] = stop - first
+    return lengths
 
 
 def _departures(
@@ -124,6 +139,15 @@ def _beside(values: np.ndarray) -> np.ndarray:
     least = np.min((values - neighbours[1:3]) * np.sign(away), axis=0)
     grouped = (least < 0.5 * np.abs(away)) & (np.abs(away) > 3.0 * np.median(np.abs(away)))
     return np.where(grouped, 0.0, away)
+
+
+def _off_cubic(values: np.ndarray) -> np.ndarray:
+    """Departure of every sample from the cubic through its two neighbours on each side."""
+    off = np.zeros(len(values))
+    if len(values) >= 5:
+        near, far = values[1:-3] + values[3:-1], values[:-4] + values[4:]
+        off[2:-2] = values[2:-2] - (4.0 * near - far) / 6.0
+    return off
 
 
 def without_spikes(dataset: Dataset, masks: Sequence[np.ndarray]) -> Dataset:
