@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.measure import machine
 from oed_sysid import load_problem
 from oed_sysid.design import ParameterGoal, candidate_runs, decide
-from oed_sysid.design.robust import draw_models
+from oed_sysid.design.vehicles import draw_models
 from oed_sysid.errors import OedSysidError
 from oed_sysid.sensitivity import information_of, sea_noise
 

@@ -33,7 +33,7 @@ from oed_sysid.design import (
     assess_limits,
     design_experiment,
 )
-from oed_sysid.design.robust import draw_models
+from oed_sysid.design.vehicles import draw_models
 from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiment import Experiment
 from oed_sysid.model import Model

@@ -33,7 +33,7 @@ from benchmarks.fit_peers import run_peer
 from benchmarks.measure import machine
 from oed_sysid import Experiment, Limits
 from oed_sysid.design import AOptimal, Design, DOptimal, EOptimal, Levels, design_experiment
-from oed_sysid.design.reference import as_piecewise
+from oed_sysid.design.library import as_piecewise
 from oed_sysid.model import Model
 from oed_sysid.sensitivity import information_of
 from oed_sysid.simulation import Trajectory, simulate, simulate_inputs

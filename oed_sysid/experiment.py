@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from oed_sysid.display import as_dict
 from oed_sysid.errors import DesignError
 from oed_sysid.manoeuvres import Combined, Excitation, Manoeuvre
 from oed_sysid.model import Model
@@ -329,23 +330,10 @@ class Experiment:
         what = self.excitation.describe() if self.excitation else "all inputs constant"
         return f"{self.name}: {what}; {self.duration:g} s, a sample every {self.sample_time:g} s"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return a dictionary that JSON can store; see :meth:`from_dict`."""
-        return {
-            "name": self.name,
-            "manoeuvre": self.excitation.to_dict() if self.excitation else None,
-            "duration": self.duration,
-            "sample_time": self.sample_time,
-            "constants": dict(self.constants),
-            "initial": dict(self.initial),
-            "noise": dict(self.noise),
-            "feedback": self.feedback,
-            "limits": {
-                "inputs": {name: list(pair) for name, pair in self.limits.inputs.items()},
-                "rates": dict(self.limits.rates),
-                "signals": {name: list(pair) for name, pair in self.limits.signals.items()},
-            },
-        }
+    to_dict = as_dict(
+        "name", "duration", "sample_time", "constants", "initial", "noise", "feedback", "limits",
+        manoeuvre="excitation",
+    )  # fmt: skip
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Experiment:

@@ -69,7 +69,7 @@ CASADI_LAYERS = (
 )
 MATPLOTLIB_LAYERS = ("report",)
 FORBIDDEN_NAMES = ("utils", "util", "helpers", "helper", "common", "misc")
-MEDIAN_LINES = 180
+MEDIAN_LINES = 360
 
 
 def modules(folder: Path) -> list[Path]:

@@ -41,10 +41,9 @@ from oed_sysid.design import (
     design_experiment,
     design_series,
 )
-from oed_sysid.design.corridor import Corridor
-from oed_sysid.design.elimination import eliminate
-from oed_sysid.design.objective import Objective
-from oed_sysid.design.scene import Scene
+from oed_sysid.design.criteria import eliminate
+from oed_sysid.design.limits import Corridor
+from oed_sysid.design.objective import Objective, Scene
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Experiment as Plan
 from oed_sysid.manoeuvres import Doublet

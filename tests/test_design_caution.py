@@ -12,8 +12,8 @@ from test_design import LIMITS, grid, quick, ship
 
 from oed_sysid import Limits
 from oed_sysid.design import Caution, Design, Levels, ZigZags, assess_limits
-from oed_sysid.design.caution import Guards
-from oed_sysid.design.corridor import Corridor
+from oed_sysid.design.limits import Corridor
+from oed_sysid.design.vehicles import Guards
 from oed_sysid.errors import DesignError
 
 CAUTION = Caution(0.9, 0.3, n_sets=60, n_checks=300)

@@ -10,8 +10,7 @@ from test_design import LIMITS, quick, ship
 
 from oed_sysid import Dataset, Experiment, Force, MultipleShooting, NoiseModel, Parameter
 from oed_sysid.design import Discriminate, Reveal, design_experiment, design_programme
-from oed_sysid.design.discrimination import told_apart
-from oed_sysid.design.reveal import log_power
+from oed_sysid.design.missing_effects import log_power, told_apart
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Limits
 from oed_sysid.manoeuvres import Doublet

@@ -32,8 +32,8 @@ from oed_sysid.design import (
     write_bag,
     write_overrides,
 )
-from oed_sysid.design.caution import Guards, in_waves
-from oed_sysid.design.corridor import Corridor
+from oed_sysid.design.limits import Corridor
+from oed_sysid.design.vehicles import Guards, in_waves
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.manoeuvres import Doublet, Piecewise
 from oed_sysid.report import card_page, design_page, figure_card
@@ -122,7 +122,7 @@ def test_abort_rules_fire_as_often_as_vehicles_pass_them() -> None:
     (rule,) = (one for one in found.rules if one.signal == "psi")
     assert rule.limited
     assert rule.upper == pytest.approx(0.9 * LIMITS.signals["psi"][1])
-    from oed_sysid.design.robust import draw_models
+    from oed_sysid.design.vehicles import draw_models
 
     count = 0
     for vehicle in draw_models(ship(), 0.4, 60, None, np.random.default_rng(0)):

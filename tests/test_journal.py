@@ -15,7 +15,7 @@ import pytest
 
 from benchmarks.killed import killed
 from oed_sysid.batch.journal import Journal, package_digest
-from oed_sysid.design.journal import opened as design_journal
+from oed_sysid.design.trial import opened as design_journal
 from oed_sysid.experiment import Limits
 
 # Three steps of random numbers; the number of calls of the work is written beside.

@@ -13,7 +13,7 @@ from oed_sysid.cli.answers import of_programme
 from oed_sysid.design import AOptimal, DOptimal, Programme, candidate_runs, design_programme
 from oed_sysid.design.allocation import Library, enumerated, select, weights
 from oed_sysid.design.criteria import Setting
-from oed_sysid.design.robust import draw_models
+from oed_sysid.design.vehicles import draw_models
 from oed_sysid.errors import DesignError
 from oed_sysid.information import Information
 from oed_sysid.sensitivity import information_of

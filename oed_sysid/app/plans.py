@@ -20,7 +20,7 @@ from oed_sysid.experiment import Limits
 
 if TYPE_CHECKING:
     from oed_sysid.design import Design
-    from oed_sysid.design.schedule import Programme
+    from oed_sysid.design.result import Programme
     from oed_sysid.problem import Problem
 
 # Starts that are refined, rough manoeuvres tried, and steps of refinement.

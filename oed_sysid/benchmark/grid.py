@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 from oed_sysid.batch.parallel import CellProgress, run_cells
 from oed_sysid.benchmark.cell import Cell, Outcome, run_cell
@@ -16,6 +15,7 @@ from oed_sysid.benchmark.measures import Row, Verdict, measure, verdicts
 from oed_sysid.benchmark.scenarios import UNITS, load_scenario
 from oed_sysid.benchmark.tables import as_csv, as_markdown
 from oed_sysid.benchmark.world import IDEAL, world_by_name
+from oed_sysid.display import as_dict
 from oed_sysid.errors import ProblemError
 
 PROBLEMS = (
@@ -57,12 +57,7 @@ class Benchmark:
         """Return one line per row, for a spreadsheet."""
         return as_csv(self.rows)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return rows and verdicts as plain data for JSON."""
-        return {
-            "rows": [row.to_dict() for row in self.rows],
-            "verdicts": [verdict.to_dict() for verdict in self.verdicts()],
-        }
+    to_dict = as_dict("rows", verdicts=lambda self: self.verdicts())
 
 
 def benchmark(

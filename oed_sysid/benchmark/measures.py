@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 
 from oed_sysid.benchmark.cell import Cell, Outcome
 from oed_sysid.benchmark.world import IDEAL
+from oed_sysid.display import as_dict
 
 # A parameter counts as determined where the data allow a standard error below this share.
 DETERMINED = 0.25
@@ -94,9 +94,7 @@ class Row:
         """Problem, noise, its unit, sampling and world."""
         return self.problem, self.noise, self.noise_unit, self.sampling, self.world
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the row as plain data."""
-        return asdict(self)
+    to_dict = as_dict()
 
 
 @dataclass(frozen=True)
@@ -120,9 +118,7 @@ class Verdict:
     outcome: str
     ratio: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the verdict as plain data."""
-        return asdict(self)
+    to_dict = as_dict()
 
 
 def measure(outcomes: Iterable[Outcome]) -> tuple[Row, ...]:

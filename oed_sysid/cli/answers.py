@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from oed_sysid.benchmark import Benchmark
     from oed_sysid.design.decision import Decision
-    from oed_sysid.design.result import Design
-    from oed_sysid.design.schedule import Programme
+    from oed_sysid.design.result import Design, Programme
     from oed_sysid.diagnosis.compare import Comparison
     from oed_sysid.diagnosis.diagnose import Diagnosis
     from oed_sysid.diagnosis.improvement import Improvement
@@ -170,8 +169,8 @@ def of_programme(programme: Programme) -> str:
 
 def _bought(programme: Programme) -> str:
     """What a programme was asked for, and how much of it is reached."""
-    from oed_sysid.design.accuracy import TRUSTED
-    from oed_sysid.design.discrimination import told_apart
+    from oed_sysid.design.assurance import TRUSTED
+    from oed_sysid.design.missing_effects import told_apart
 
     if programme.misfits:
         (first, second), least = min(programme.misfits.items(), key=lambda one: one[1])

@@ -237,7 +237,7 @@ def campaign(
     from oed_sysid.cli.commands_plan import _noise
     from oed_sysid.design import candidate_runs
     from oed_sysid.design.logbook import Logbook
-    from oed_sysid.design.robust import draw_models
+    from oed_sysid.design.vehicles import draw_models
     from oed_sysid.problem import load_problem
 
     if Logbook.exists(folder):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
-from oed_sysid.display import as_html
+from oed_sysid.display import as_dict, as_html, plain
 
 # A normal variable's 95 % interval in standard deviations.
 TWO_SIDED_95 = 1.96
@@ -126,12 +126,10 @@ class Finding:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, with the key ``name`` added."""
-        content = asdict(self)
-        correction = content.pop("correction")
-        if correction is not None:
-            for key in ("rows", "sizes"):
-                correction[key] = {name: list(row) for name, row in correction[key].items()}
-        return {"name": self.name, **content, "correction": correction}
+        return {
+            "name": self.name,
+            **{one.name: plain(getattr(self, one.name)) for one in fields(self)},
+        }
 
 
 @dataclass(frozen=True)
@@ -160,6 +158,8 @@ class Balance:
     series: tuple[tuple[str, np.ndarray, np.ndarray, np.ndarray], ...] = field(
         default=(), repr=False, compare=False
     )
+
+    to_dict = as_dict("relation", "before", "after")
 
 
 @dataclass(frozen=True)
@@ -272,20 +272,10 @@ class LogCheck:
             lines += [f"     {text}" for text in self.unchecked]
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data."""
-        return {
-            "verdict": self.verdict,
-            "suspect": self.suspect,
-            "records": list(self.records),
-            "findings": [one.to_dict() for one in self.findings],
-            "relations": [
-                {"relation": one.relation, "before": one.before, "after": one.after}
-                for one in self.balances
-            ],
-            "unchecked": list(self.unchecked),
-            "duration_s": self.duration,
-        }
+    to_dict = as_dict(
+        "verdict", "suspect", "records", "findings", "unchecked",
+        relations="balances", duration_s="duration",
+    )  # fmt: skip
 
 
 def _share(value: float) -> str:

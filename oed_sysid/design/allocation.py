@@ -35,9 +35,8 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from oed_sysid.design.criteria import AOptimal, Criterion, DOptimal, Measure
-from oed_sysid.design.discrimination import ByShifts
-from oed_sysid.design.elimination import NOTHING
+from oed_sysid.design.criteria import NOTHING, AOptimal, Criterion, DOptimal, Measure
+from oed_sysid.design.missing_effects import ByShifts
 from oed_sysid.errors import DesignError
 
 GAP = 2e-4

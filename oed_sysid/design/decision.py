@@ -28,18 +28,18 @@ from __future__ import annotations
 import textwrap
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.design.corridor import Corridor
-from oed_sysid.design.elimination import quick_inverse
+from oed_sysid.design.criteria import quick_inverse
 from oed_sysid.design.library import Candidate, kept_on
-from oed_sysid.design.plan import knowledge, nominal_noise
-from oed_sysid.design.quantities import percent, quantity, units_of
-from oed_sysid.design.robust import draw_models
+from oed_sysid.design.limits import Corridor, percent, quantity, units_of
+from oed_sysid.design.trial import knowledge, nominal_noise
+from oed_sysid.design.vehicles import draw_models
+from oed_sysid.display import as_dict
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.fitting.between_records import CHANCE
@@ -179,6 +179,8 @@ class Progressed:
     goal: Goal
     now: float
     then: float
+
+    to_dict = as_dict("now", "then", name="goal.name", wanted="goal.tolerance", met="is_met")
 
     @property
     def is_met(self) -> bool:
@@ -330,29 +332,11 @@ class Decision:
         lines += [f"  Not run: {name!r} may leave its limits." for name in self.refused]
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "action": self.action,
-            "next_run": None if self.next_run is None else self.next_run.name,
-            "runs_left": self.runs_left,
-            "hours_left": self.hours_left,
-            "goals": [
-                {
-                    "name": one.goal.name,
-                    "wanted": one.goal.tolerance,
-                    "now": one.now,
-                    "then": one.then,
-                    "met": one.is_met,
-                }
-                for one in self.goals
-            ],
-            "limits_kept": self.kept,
-            "vehicles_checked": self.n_checked,
-            "refused": list(self.refused),
-            "contradiction": None if self.contradiction is None else asdict(self.contradiction),
-            "seconds": self.seconds,
-        }
+    to_dict = as_dict(
+        "action", "runs_left", "hours_left", "goals", "refused", "contradiction", "seconds",
+        next_run=lambda self: None if self.next_run is None else self.next_run.name,
+        limits_kept="kept", vehicles_checked="n_checked",
+    )  # fmt: skip
 
 
 def decide(

@@ -29,22 +29,17 @@ import numpy as np
 
 from oed_sysid.batch.threads import single_threaded
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.design.accuracy import AccuracyRange
 from oed_sysid.design.allocation import Library, Selection, Weights, order, select, weights
-from oed_sysid.design.assurance import Assurance, assess_limits
-from oed_sysid.design.corridor import Corridor
-from oed_sysid.design.criteria import AOptimal, Criterion, EOptimal, Setting
-from oed_sysid.design.discrimination import ByShifts, Completing, Discriminate
-from oed_sysid.design.elimination import inverse
+from oed_sysid.design.assurance import AccuracyRange, Assurance, assess_limits
+from oed_sysid.design.criteria import AOptimal, Criterion, EOptimal, Setting, inverse
 from oed_sysid.design.experiment_design import design_experiment
-from oed_sysid.design.library import KINDS, Candidate, candidate_runs, kept_on
-from oed_sysid.design.parametrisation import Levels
-from oed_sysid.design.plan import joint_knowledge, knowledge, nominal_noise
-from oed_sysid.design.reference import as_piecewise
-from oed_sysid.design.result import Design
-from oed_sysid.design.reveal import Chance, Reveal
-from oed_sysid.design.robust import draw_models
-from oed_sysid.design.schedule import Programme, Standard, joint_share
+from oed_sysid.design.library import KINDS, Candidate, as_piecewise, candidate_runs, kept_on
+from oed_sysid.design.limits import Corridor
+from oed_sysid.design.missing_effects import ByShifts, Chance, Completing, Discriminate, Reveal
+from oed_sysid.design.result import Design, Programme, Standard, joint_share
+from oed_sysid.design.trial import joint_knowledge, knowledge, nominal_noise
+from oed_sysid.design.vehicles import draw_models
+from oed_sysid.design.waveforms import Levels
 from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.fitting.fit import Fit

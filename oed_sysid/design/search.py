@@ -1,23 +1,164 @@
-"""From rough manoeuvres to an optimum: linear programs within moving bounds.
+r"""Rough manoeuvres from which a search begins.
+
+The pace of each (samples between changes) is drawn from a log-uniform distribution,
+
+.. math:: \log p \sim U\left(\log 2, \log \tfrac{n}{4}\right)
+
+for ``n`` samples, so that slow and quick ones are as frequent; then the wave :math:`g_k \in [-1,
+1]` of one of five kinds becomes :math:`\delta_k = \delta_0 + s\, g_k\, (\delta_{max} -
+\delta_0)`, with the largest share ``s`` of a falling sequence at which all limits hold.
+
+From rough manoeuvres to an optimum: linear programs within moving bounds.
 
 The best commands lie mostly on limits of the actuators or of the vehicle, in
 the corners that a linear program finds at once. Each step therefore maximises
 the linearised criterion subject to the linearised limits of every sample,
 within bounds around the present commands that shrink where the steps swing
 back and grow where they go on.
+
+Closed-loop family: zigzags whose angles and switching values are designed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 
 import numpy as np
 from scipy.optimize import linprog
 
 from oed_sysid.batch.journal import Journal
 from oed_sysid.design.objective import Objective, Score, Slope
+from oed_sysid.design.vehicles import Guards
+from oed_sysid.design.waveforms import Grid
+from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.experiment import Experiment
+from oed_sysid.manoeuvres import ZigZagLike
+from oed_sysid.model import Model
+from oed_sysid.simulation import simulate
+
+# Amplitudes tried, as shares of the actuator range, until the limits are kept.
+_SHARES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.1, 0.05, 0.02)
+
+
+def rough_commands(grid: Grid, rng: np.random.Generator) -> np.ndarray:
+    """Return one random manoeuvre ``(n_times, n_inputs)`` between -1 and 1.
+
+    Random telegraph, square wave, random levels, multisine or 3-2-1-1 blocks,
+    each at a random pace between two samples and a quarter of the duration.
+    """
+    n_times, n_inputs = len(grid.times), len(grid.inputs)
+    columns = []
+    for _ in range(n_inputs):
+        pace = float(np.exp(rng.uniform(np.log(2.0), np.log(max(n_times / 4, 3.0)))))
+        kind = rng.integers(5)
+        index = np.arange(n_times)
+        if kind == 0:
+            switches = rng.random(n_times) < 1.0 / pace
+            column = np.where(np.cumsum(switches) % 2, 1.0, -1.0)
+        elif kind == 1:
+            column = np.sign(np.sin(np.pi * (index / pace + rng.random())) + 1e-12)
+        elif kind == 2:
+            column = rng.uniform(-1, 1, n_times)[(index // max(int(pace), 1))]
+        elif kind == 3:
+            lines = np.exp(rng.uniform(np.log(0.2), np.log(2.0), 6)) * np.pi / pace
+            column = np.cos(np.outer(index, lines) + rng.uniform(0, 2 * np.pi, 6)).sum(axis=1)
+            column /= np.abs(column).max()
+        else:
+            unit = max(int(pace / 2), 1)
+            block = np.repeat([1.0, -1.0, 1.0, -1.0], np.array([3, 2, 1, 1]) * unit)
+            pause = np.zeros(int(rng.uniform(0, 4) * unit))
+            pattern = np.concatenate([block, pause, -block, pause])
+            column = np.resize(pattern, n_times)
+        columns.append(column * rng.choice([-1.0, 1.0]))
+    return np.column_stack(columns)
+
+
+def starts(
+    objective: Objective,
+    grid: Grid,
+    rng: np.random.Generator,
+    *,
+    n_candidates: int,
+    n_starts: int,
+    given: Sequence[np.ndarray] = (),
+) -> list[Score]:
+    """Evaluate rough manoeuvres and return the best, different ones.
+
+    Parameters
+    ----------
+    objective : Objective
+        Criterion and limits.
+    grid : Grid
+        Where commands have to fit.
+    rng : numpy.random.Generator
+    n_candidates, n_starts : int
+        Manoeuvres tried, and kept.
+    given : sequence of ndarray (n_times, n_inputs)
+        Manoeuvres of the designed inputs that are tried first, at full size.
+    """
+    found: list[Score] = []
+    for commands in given:
+        numbers = objective.shape.start(commands)
+        if numbers is not None:
+            found += _largest(objective, grid, numbers, guarded=False)
+    for _ in range(n_candidates):
+        unit = rough_commands(grid, rng)
+        numbers = None
+        orders = np.where(unit > 0, grid.upper - grid.neutral, grid.neutral - grid.lower) * unit
+        numbers = objective.shape.start(grid.limited((grid.neutral + orders)[None])[0])
+        if numbers is None:
+            numbers = rng.random(objective.shape.size)
+        found += _largest(objective, grid, numbers, guarded=False)
+    found.sort(key=lambda score: (not score.feasible, -score.value))
+    kept: list[Score] = []
+    for score in found:
+        if np.isfinite(score.value) and all(
+            np.sqrt(np.mean((score.numbers - other.numbers) ** 2)) > 0.05 for other in kept
+        ):
+            kept.append(score)
+        if len(kept) == n_starts:
+            break
+    if objective.guards is None:
+        return kept
+    if kept:
+        objective.guards.waive(objective.score(kept[0].numbers).guards)
+    # Many vehicles take time: only what is kept is shrunk until they keep the limits too.
+    return [
+        smaller
+        for score in kept
+        for smaller in _largest(objective, grid, score.numbers, guarded=True)
+    ]
+
+
+def again(objective: Objective, grid: Grid, before: Score) -> list[Score]:
+    """Return a member of the same family, shrunk until it keeps the limits of this objective."""
+    if objective.guards is not None:
+        objective.guards.waive(objective.score(before.numbers).guards)
+    return _largest(objective, grid, before.numbers, guarded=True)
+
+
+def _largest(
+    objective: Objective, grid: Grid, numbers: np.ndarray, *, guarded: bool
+) -> list[Score]:
+    """Shrink a manoeuvre towards the neutral command until all limits are kept."""
+    still = objective.shape.start(
+        np.broadcast_to(grid.neutral, (len(grid.times), len(grid.inputs)))
+    )
+    if still is None:
+        score = objective.score(numbers, guarded=guarded)
+        return [score] if np.isfinite(score.value) else []
+    last: list[Score] = []
+    for share in _SHARES:
+        score = objective.score(still + share * (numbers - still), guarded=guarded)
+        if score.feasible:
+            return [score]
+        if np.isfinite(score.value):
+            last = [score]
+    return last
+
 
 # Inner distance kept from the limits while searching, as a share of their width.
 _MARGIN = 5e-4
@@ -283,3 +424,134 @@ def search(
         if found is not None and found.value > best.value:
             best = found
     return Found(best, nearest, tuple(values), (*rough, best))
+
+
+# Shares of the largest angles of the command, and of the attitude.
+_SIZES = (0.03, 0.1, 0.25, 0.5, 1.0)
+
+
+@dataclass(frozen=True)
+class ZigZags:
+    """Zigzags that reverse on a measured attitude, each swing with its own angles.
+
+    Being closed over the vehicle, they keep attitude limits also when the
+    model is wrong, and they work for vehicles that are unstable on their own.
+    The search is random, then local; there is no gradient through a switch.
+
+    Parameters
+    ----------
+    feedback : str
+        Attitude on which the command reverses.
+    largest_switch : float
+        Largest switching angle, rad.
+    n_swings : int
+        Swings with angles of their own; the last pair is repeated.
+    n_trials : int
+        Simulations in all.
+    """
+
+    feedback: str
+    largest_switch: float
+    n_swings: int = 4
+    n_trials: int = 250
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        return f"zigzag of {self.n_swings} free swings on {self.feedback}"
+
+
+def search_zigzags(
+    family: ZigZags,
+    objective: Objective,
+    grid: Grid,
+    model: Model,
+    *,
+    sign: int,
+    constants: dict[str, float],
+    initial: dict[str, float],
+    rng: np.random.Generator,
+    guards: Guards | None = None,
+    progress: Callable[[int, Score], None] | None = None,
+) -> tuple[Score | None, Score | None, Experiment | None]:
+    """Return the best zigzag within the limits, the nearest one, and its experiment.
+
+    With guards, each of them closes the loop itself and enough have to keep the limits.
+
+    Raises
+    ------
+    DesignError
+        If several inputs are to be designed.
+    """
+    if len(grid.inputs) != 1:
+        raise DesignError(
+            f"A zigzag commands one input, not {', '.join(grid.inputs)}. Give inputs=[one of them] "
+            "and constants for the others."
+        )
+    n = family.n_swings
+    span = float(min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0]))
+    rate = None if not np.isfinite(grid.rates[0]) else float(grid.rates[0])
+
+    def plan(numbers: np.ndarray) -> Experiment:
+        return Experiment(
+            "designed zigzag",
+            ZigZagLike(
+                grid.inputs[0],
+                tuple(float(x) for x in span * np.maximum(numbers[:n], 0.02)),
+                tuple(float(x) for x in family.largest_switch * np.maximum(numbers[n:], 0.02)),
+                feedback=(family.feedback,), rate=rate, sign=sign, start=grid.step,
+                neutral=float(grid.neutral[0]), reference=None,
+            ),
+            duration=float(grid.times[-1]), sample_time=grid.step, constants=constants,
+            initial=initial, feedback="true",
+        )  # fmt: skip
+
+    def judge(numbers: np.ndarray) -> Score | None:
+        try:
+            record = simulate(model, plan(numbers), noise=False)
+        except OedSysidError:
+            return None
+        score = objective.score_commands(record.inputs, numbers, guarded=False)
+        return score if np.isfinite(score.value) else None
+
+    def is_safe(numbers: np.ndarray) -> bool:
+        if guards is None:
+            return True
+        experiment, failed = plan(numbers), 0
+        for index, other in enumerate(guards.models):
+            try:
+                commands = simulate(other, experiment, noise=False).inputs
+                failed += guards.run(index, commands).excess > 0
+            except OedSysidError:
+                failed += 1
+            if failed > guards.n_waived:
+                return False
+        return True
+
+    best: Score | None = None
+    nearest: Score | None = None
+    # Regular zigzags of all sizes first: swings of their own pay only near a good one.
+    regular = [np.repeat(pair, n) for pair in product(_SIZES, _SIZES)]
+    n_random = len(regular) + family.n_trials // 4
+    width = 0.3
+    for trial in range(family.n_trials):
+        if trial < len(regular):
+            numbers = regular[trial]
+        elif trial < n_random or best is None:
+            numbers = rng.uniform(0.05, 1.0, 2 * n)
+        else:
+            moved = rng.random(2 * n) < max(0.3, 1.0 / n)
+            numbers = np.clip(best.numbers + width * moved * rng.standard_normal(2 * n), 0.02, 1.0)
+        score = judge(numbers)
+        if score is None:
+            continue
+        if nearest is None or score.excess < nearest.excess:
+            nearest = score
+        if score.feasible and (best is None or score.value > best.value) and is_safe(numbers):
+            best = score
+            width = min(0.4, 1.3 * width) if trial >= n_random else width
+            if progress is not None:
+                progress(trial, score)
+        elif trial >= n_random:
+            width = max(0.03, 0.97 * width)
+    return best, nearest, None if best is None else plan(best.numbers)

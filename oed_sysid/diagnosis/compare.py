@@ -15,7 +15,7 @@ from oed_sysid.data.overlap import check_disjoint
 from oed_sysid.diagnosis.forecasts import Forecasts, forecasts
 from oed_sysid.diagnosis.misfit import OutputMisfit, output_misfit
 from oed_sysid.diagnosis.regimes import Signal, regimes
-from oed_sysid.display import as_html
+from oed_sysid.display import as_dict, as_html
 from oed_sysid.errors import DataError
 from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.fitting.noise_levels import credible_levels, given_levels
@@ -55,6 +55,11 @@ class ModelMisfit:
     states: tuple[np.ndarray, ...]
     outputs: tuple[OutputMisfit, ...]
     forecasts: Forecasts
+
+    to_dict = as_dict(
+        "label", "relative", "is_noise", "verdict", "outputs",
+        initial_states="prediction.initial_states", forecast="forecasts",
+    )  # fmt: skip
 
     @property
     def relative(self) -> float:
@@ -157,36 +162,11 @@ class Comparison:
         lines += ["", self.verdict, *(f"Note: {note}" for note in self.notes)]
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the comparison as plain data for JSON."""
-        return {
-            "records": list(self.dataset.names),
-            "noise": dict(
-                zip(self.dataset.channels.output_names, self.sigma.tolist(), strict=True)
-            ),
-            "models": [
-                {
-                    "label": part.label,
-                    "relative": part.relative,
-                    "is_noise": part.is_noise,
-                    "verdict": part.verdict,
-                    "outputs": [output.to_dict() for output in part.outputs],
-                    "initial_states": [dict(s) for s in part.prediction.initial_states],
-                    "forecast": {
-                        "horizon": part.forecasts.horizon,
-                        "n_forecasts": part.forecasts.n_forecasts,
-                        "failed": part.forecasts.failed,
-                        "rmse": part.forecasts.rmse.tolist(),
-                        "relative": part.forecasts.relative.tolist(),
-                        "overall": part.forecasts.overall,
-                    },
-                }
-                for part in self.models
-            ],
-            "best": self.best.label,
-            "verdict": self.verdict,
-            "notes": list(self.notes),
-        }
+    to_dict = as_dict(
+        "models", "verdict", "notes",
+        records="dataset.names", best="best.label",
+        noise=lambda self: dict(zip(self.dataset.channels.output_names, self.sigma, strict=True)),
+    )  # fmt: skip
 
 
 @single_threaded

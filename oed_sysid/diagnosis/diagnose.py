@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from oed_sysid.batch.threads import single_threaded
 from oed_sysid.data.dataset import Dataset
@@ -12,7 +11,7 @@ from oed_sysid.diagnosis.locate import Located, likeliest, locate
 from oed_sysid.diagnosis.rank import Ranking, rank
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.diagnosis.usual import settled
-from oed_sysid.display import as_html
+from oed_sysid.display import as_dict, as_html
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.model import Model
@@ -69,18 +68,12 @@ class Diagnosis:
             [self.model.name, self.location.report(), "", self.ranking.report(), "", verdict, note]
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the diagnosis as plain data for JSON."""
-        return {
-            "best": None if self.best is None else self.best.name,
-            "group": list(self.group),
-            "located": dict(self.location.gains),
-            "ranking": [
-                {"effect": name, "statistic": statistic}
-                for name, statistic in self.ranking.statistics()
-            ],
-            "undetectable": self.ranking.undetectable(),
-        }
+    to_dict = as_dict(
+        "group",
+        best=lambda self: None if self.best is None else self.best.name,
+        located="location.gains", ranking=lambda self: self.ranking.scored(),
+        undetectable=lambda self: self.ranking.undetectable(),
+    )  # fmt: skip
 
 
 @single_threaded

@@ -14,6 +14,7 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.display import as_dict
 from oed_sysid.fitting.start_guess import kinematic_states, measured_states
 from oed_sysid.model import Model
 
@@ -47,6 +48,8 @@ class Forecasts:
     errors: tuple[np.ndarray, ...]
     expected: tuple[np.ndarray, ...]
     failed: int
+
+    to_dict = as_dict("horizon", "n_forecasts", "failed", "rmse", "relative", "overall")
 
     @property
     def n_forecasts(self) -> int:

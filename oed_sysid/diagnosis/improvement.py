@@ -15,7 +15,7 @@ from oed_sysid.diagnosis.locate import Located
 from oed_sysid.diagnosis.propose import Proposals
 from oed_sysid.diagnosis.rank import Ranking
 from oed_sysid.diagnosis.remainder import Remains
-from oed_sysid.display import as_html
+from oed_sysid.display import as_dict, as_html
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.fit import TWO_SIDED_95, Fit, align
 from oed_sysid.fitting.noise_levels import signal_spread
@@ -184,6 +184,8 @@ class Step:
     fit: Fit
     rms: Errors
 
+    to_dict = as_dict("added", "group", "gain", "train_error", "test_error")
+
     @property
     def added(self) -> str:
         """Identifier of the effect."""
@@ -327,34 +329,11 @@ class Improvement:
         known = set(model.parameter_names)
         return model.with_values({k: v for k, v in kept[-1].fit.values.items() if k in known})
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the improvement as plain data for JSON."""
-        return {
-            "verdict": self.verdict,
-            "steps": [
-                {
-                    "added": step.added,
-                    "group": list(step.group),
-                    "gain": step.gain,
-                    "train_error": step.train_error,
-                    "test_error": step.test_error,
-                }
-                for step in self.steps
-            ],
-            "ranking": [
-                {"effect": name, "statistic": statistic}
-                for name, statistic in self.ranking.statistics()
-            ],
-            "located": self.located,
-            "base_error": dict(self.base_error),
-            "final_error": dict(self.final_error),
-            "proposed_terms": [dict(term) for term in self.proposed],
-            "remains": self.remains.to_dict(),
-            "conclusion": self.conclusion,
-            "noise": self.fit.noise.to_dict() if self.fit.noise is not None else None,
-            "notes": list(self.notes),
-            "parameters": [dict(parameter) for parameter in self.parameters],
-        }
+    to_dict = as_dict(
+        "verdict", "steps", "located", "base_error", "final_error", "remains", "conclusion",
+        "notes", "parameters",
+        ranking=lambda self: self.ranking.scored(), proposed_terms="proposed", noise="fit.noise",
+    )  # fmt: skip
 
     def report(self) -> str:
         """Return the improvement as a story with numbers."""

@@ -16,13 +16,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.diagnosis.by_motion import in_words
 from oed_sysid.diagnosis.rank import Ranking
+from oed_sysid.display import as_dict
 from oed_sysid.errors import SimulationError
 from oed_sysid.fitting.fit import align
 from oed_sysid.fitting.gauss_newton import FilteredSolution
@@ -186,28 +186,11 @@ class Located:
             lines += ["", *align(pairs)]
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the finding as plain data for JSON."""
-        return {
-            "best": self.best,
-            "group": list(self.group),
-            "verdict": self.verdict,
-            "gains": dict(self.gains),
-            "levels": dict(self.levels),
-            "units": {place.name: place.unit for place in self.places},
-            "forces": {
-                "names": list(self.force_names),
-                "records": [series.to_dict() for series in self.forces],
-            },
-            "discrepancies": {
-                name: [series.to_dict() for series in parts]
-                for name, parts in self.discrepancies.items()
-            },
-            "signatures": {
-                name: [part.tolist() for part in parts] for name, parts in self.signatures.items()
-            },
-            "agreement": dict(self.agreement),
-        }
+    to_dict = as_dict(
+        "best", "group", "verdict", "gains", "levels", "discrepancies", "signatures", "agreement",
+        units=lambda self: {place.name: place.unit for place in self.places},
+        forces=lambda self: {"names": self.force_names, "records": self.forces},
+    )  # fmt: skip
 
 
 def along_fit(fit: FilteredSolution, unit: NoiseModel, *, pieces: int = 1) -> tuple[Along, Dataset]:
@@ -543,13 +526,7 @@ class Series:
     values: np.ndarray
     std: np.ndarray
 
-    def to_dict(self) -> dict[str, list]:
-        """Return plain data for JSON."""
-        return {
-            "times": self.times.tolist(),
-            "values": self.values.tolist(),
-            "std": self.std.tolist(),
-        }
+    to_dict = as_dict("times", "values", "std")
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from oed_sysid.channels import Output
 from oed_sysid.diagnosis.regimes import Concentration, Regime, Signal, concentrations
+from oed_sysid.display import as_dict
 from oed_sysid.information import Whiteness, autocorrelation, whiteness
 
 # Lags up to which residuals are compared with inputs and states, s.
@@ -143,26 +143,12 @@ class OutputMisfit:
             details.append(f"correlated with {related[0].signal}")
         return ", ".join([text, *details])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "output": self.output.name,
-            "unit": self.output.unit,
-            "rmse": self.rmse,
-            "noise": self.sigma,
-            "relative": self.relative,
-            "bias": self.bias,
-            "record_rmse": list(self.record_rmse),
-            "n_samples": self.n_samples,
-            "effective_samples": self.effective_samples,
-            "coverage_95": self.coverage,
-            "white": self.is_white,
-            "correlations": [vars(c) for c in self.correlations],
-            "regimes": [vars(r) for r in self.regimes if r.is_clear],
-            "windows": [part.tolist() for part in self.windows],
-            "worst": list(self.worst),
-            "verdict": self.verdict,
-        }
+    to_dict = as_dict(
+        "rmse", "relative", "bias", "record_rmse", "n_samples", "effective_samples",
+        "correlations", "windows", "worst", "verdict",
+        output="output.name", unit="output.unit", noise="sigma", coverage_95="coverage",
+        white="is_white", regimes=lambda self: [one for one in self.regimes if one.is_clear],
+    )  # fmt: skip
 
 
 def output_misfit(

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from oed_sysid.diagnosis.dictionary import Signals, Term, signals_along, terms
 from oed_sysid.diagnosis.locate import along_fit, forces_only
 from oed_sysid.diagnosis.rank import GROUP_WIDTH, threshold
 from oed_sysid.diagnosis.study import Study
+from oed_sysid.display import as_dict
 from oed_sysid.effects import Effect
 from oed_sysid.fitting.fit import align
 from oed_sysid.fitting.gauss_newton import FilteredSolution
@@ -71,6 +71,13 @@ class Proposal:
     gain: float
     score: TermScore
     alike: tuple[TermScore, ...]
+
+    to_dict = as_dict(
+        "value", "unit", "gain",
+        term="text", name="effect.name", equation="term.equation", expression="term.expression",
+        parameter=lambda self: self.effect.parameters[0].name, score="score.statistic",
+        alike=lambda self: [other.term.text for other in self.alike],
+    )  # fmt: skip
 
     @property
     def text(self) -> str:
@@ -181,29 +188,7 @@ class Proposals:
         lines = align(rows) if len(rows) > 1 else []
         return "\n".join([*lines, "", self.verdict] if lines else [self.verdict])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the proposals as plain data for JSON."""
-        return {
-            "verdict": self.verdict,
-            "needed": self.needed,
-            "group": list(self.group),
-            "equations": self.equations,
-            "terms": [
-                {
-                    "term": proposal.text,
-                    "name": proposal.effect.name,
-                    "equation": proposal.term.equation,
-                    "expression": proposal.term.expression,
-                    "parameter": proposal.effect.parameters[0].name,
-                    "value": proposal.value,
-                    "unit": proposal.unit,
-                    "gain": proposal.gain,
-                    "score": proposal.score.statistic,
-                    "alike": [other.term.text for other in proposal.alike],
-                }
-                for proposal in self.proposals
-            ],
-        }
+    to_dict = as_dict("verdict", "needed", "group", "equations", terms="proposals")
 
 
 def propose(study: Study, fit: FilteredSolution, *, n_refits: int = N_REFITS) -> Proposals:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import chdtri
@@ -11,7 +12,7 @@ from scipy.special import chdtri
 from oed_sysid.diagnosis.score import Score, scores, two_sided
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
-from oed_sysid.effects.by_record import BY_RECORD
+from oed_sysid.effects.variants import BY_RECORD
 from oed_sysid.fitting.fit import align
 from oed_sysid.fitting.gauss_newton import FilteredSolution
 
@@ -206,6 +207,10 @@ class Ranking:
         gains = {refit.name: refit.gain for refit in self.refits}
         scored = {score.effect.name: score.statistic for score in self.scores}
         return [(name, gains.get(name, scored[name])) for name in self.order]
+
+    def scored(self) -> list[dict[str, Any]]:
+        """Return :meth:`statistics` as plain data."""
+        return [{"effect": name, "statistic": size} for name, size in self.statistics()]
 
     def undetectable(self) -> dict[str, dict[str, float]]:
         """Effects whose typical size these data would not show, with the size they would."""

@@ -10,13 +10,13 @@ the error of the model on its own, beside the spread of each signal.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from oed_sysid.diagnosis.repeats import Repeated, repeated
 from oed_sysid.diagnosis.study import Study
+from oed_sysid.display import as_dict
 from oed_sysid.fitting.gauss_newton import FilteredSolution
 from oed_sysid.fitting.setting import DRIFTS
 from oed_sysid.noise.disturbances import places
@@ -59,6 +59,8 @@ class RandomForceFound:
     gain: float
     elsewhere: float
     told: bool = True
+
+    to_dict = as_dict("place", "unit", "level", "time", "gain", level_on_validation="elsewhere")
 
     @property
     def is_the_same_elsewhere(self) -> bool:
@@ -230,33 +232,12 @@ class Remains:
         worst = sorted(self.shares.items(), key=lambda pair: -pair[1])[:3]
         return ", ".join(f"{100 * share:.2g} % of {name}" for name, share in worst)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what remains as plain data for JSON."""
-        return {
-            "kind": self.kind,
-            "gain_of_forces": self.forces,
-            "sensor_time": self.sensor_time,
-            "random": [
-                {
-                    "place": f.place,
-                    "unit": f.unit,
-                    "level": f.level,
-                    "time": f.time,
-                    "gain": f.gain,
-                    "level_on_validation": None if np.isnan(f.elsewhere) else f.elsewhere,
-                }
-                for f in self.random
-            ],
-            "shares": _plain(self.shares),
-            "over_wiggles": _plain(self.over_wiggles),
-            "tied": list(self.tied),
-            "follows": None if self.follows is None else [asdict(one) for one in self.follows],
-        }
-
-
-def _plain(sizes: Mapping[str, float] | None) -> dict[str, float | None]:
-    """Sizes for JSON, which knows no infinity."""
-    return {name: size if np.isfinite(size) else None for name, size in (sizes or {}).items()}
+    to_dict = as_dict(
+        "kind", "sensor_time", "random", "tied", "follows",
+        gain_of_forces="forces",
+        shares=lambda self: self.shares or {},
+        over_wiggles=lambda self: self.over_wiggles or {},
+    )  # fmt: skip
 
 
 def remains(study: Study, fit: FilteredSolution) -> Remains:

@@ -12,7 +12,7 @@ import numpy as np
 
 from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.display import as_html
+from oed_sysid.display import as_dict, as_html
 from oed_sysid.effects import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.effects.base import RandomProcess
 from oed_sysid.fitting.agreement import Sources
@@ -371,39 +371,24 @@ class Fit(Estimate):
             lines.append(f"  Correlation of {first} and {second}: {value:+.3f}.")
         return ["", *lines] if lines else []
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fit as plain data for JSON."""
-        between = {n: e if np.isfinite(e) else None for n, e in self.record_errors.items()}
-        return {
-            "model": self.model.name,
-            "estimator": self.estimator,
-            "records": list(self.dataset.names),
-            "status": {"code": self.status.code, "advice": self.status.advice},
-            "iterations": self.iterations,
-            "seconds": self.seconds,
-            "cost": self.cost,
-            "normalised_rms": self.normalised_rms,
-            "parameters": [
-                {
-                    "name": name,
-                    "value": value,
-                    "std_error": self.std_errors[name],
-                    # Null where nothing tells: three records or fewer, another estimator.
-                    "record_error": between.get(name),
-                    "unit": self.model.parameter(name).unit,
-                }
-                for name, value in self.values.items()
-            ],
-            "covariance": self.covariance.tolist(),
-            "coloured_residuals": self.coloured,
-            "noise": dict(zip(self.model.output_names, self.sigma.tolist(), strict=True)),
-            "rms": {k: v if np.isfinite(v) else None for k, v in self.rms.items()},
-            "effective_samples": {k: list(v) for k, v in self.effective_samples().items()},
-            "noise_model": self.noise.to_dict(),
-            "noise_std": dict(self.noise_std),
-            "concerns": [concern.to_dict() for concern in self.concerns],
-            "grave": [concern.to_dict() for concern in self.grave],
-        }
+    to_dict = as_dict(
+        "estimator", "iterations", "seconds", "cost", "normalised_rms", "covariance", "rms",
+        "noise_std", "concerns", "grave", "status",
+        model="model.name", records="dataset.names", coloured_residuals="coloured",
+        # Null where nothing tells: three records or fewer, another estimator.
+        parameters=lambda self: [
+            {
+                "name": name,
+                "value": value,
+                "std_error": self.std_errors[name],
+                "record_error": self.record_errors.get(name),
+                "unit": self.model.parameter(name).unit,
+            }
+            for name, value in self.values.items()
+        ],
+        noise=lambda self: dict(zip(self.model.output_names, self.sigma, strict=True)),
+        effective_samples=lambda self: self.effective_samples(), noise_model="noise",
+    )  # fmt: skip
 
 
 def align(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -30,12 +30,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import ndtr, stdtr
 
 from oed_sysid.compiled.kernels import kernel
+from oed_sysid.display import as_dict
 from oed_sysid.fitting.actuator_starts import ActuatorStart, clear_starts
 from oed_sysid.fitting.delays import (
     CLEAR,
@@ -118,16 +119,7 @@ class Concern:
     size: float
     text: str
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the concern as plain data for JSON."""
-        size = float(self.size) if np.isfinite(self.size) else None
-        return {
-            "kind": self.kind,
-            "signal": self.signal,
-            "record": self.record,
-            "size": size,
-            "text": self.text,
-        }
+    to_dict = as_dict("kind", "signal", "record", "size", "text")
 
 
 def with_verdict(fit: Found) -> Found:

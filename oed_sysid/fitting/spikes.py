@@ -135,7 +135,8 @@ def _beside(values: np.ndarray) -> np.ndarray:
         return np.zeros(n)
     padded = np.concatenate([values[2:0:-1], values, values[-2:-4:-1]])
     neighbours = np.stack([padded[shift : shift + n] for shift in (0, 1, 3, 4)])
-    away = values - np.median(neighbours, axis=0)
+    middle = neighbours.sum(axis=0) - neighbours.max(axis=0) - neighbours.min(axis=0)
+    away = values - 0.5 * middle
     least = np.min((values - neighbours[1:3]) * np.sign(away), axis=0)
     grouped = (least < 0.5 * np.abs(away)) & (np.abs(away) > 3.0 * np.median(np.abs(away)))
     return np.where(grouped, 0.0, away)

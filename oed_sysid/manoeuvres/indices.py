@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from oed_sysid.display import as_dict
 from oed_sysid.errors import DataError
 from oed_sysid.manoeuvres import events
 from oed_sysid.manoeuvres.checks import FloatArray, Numbers
@@ -59,9 +59,7 @@ class ZigZagIndices:
         """Overshoot after the third execute [rad]; None if the record ends before."""
         return self.overshoots[1] if len(self.overshoots) > 1 else None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers by name."""
-        return asdict(self)
+    to_dict = as_dict()
 
     def report(self) -> str:
         """Return the numbers in lines of text, angles in degrees."""
@@ -123,9 +121,7 @@ class TurningIndices:
         """Twice the steady radius [m]."""
         return None if self.steady_radius is None else 2 * self.steady_radius
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers by name."""
-        return asdict(self)
+    to_dict = as_dict()
 
     def report(self) -> str:
         """Return the numbers in lines of text, angles in degrees."""

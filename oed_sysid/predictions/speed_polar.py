@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
+from oed_sysid.display import as_dict
 from oed_sysid.errors import ModelError
 from oed_sysid.experiment import Limits
 from oed_sysid.fitting.fit import Fit, align
@@ -124,20 +124,10 @@ class SpeedPolar:
         lines += [f"  {self.caveat}"] if self.caveat else []
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the polar as plain data for JSON."""
-        low, high = self.interval()
-        return {
-            "model": self.model,
-            "wind_speed": self.wind_speed,
-            "angles": self.angles.tolist(),
-            "speeds": _plain(self.speeds),
-            "low": _plain(low),
-            "high": _plain(high),
-            "sheets": _plain(self.sheets),
-            "missing": self.missing,
-            "caveat": self.caveat,
-        }
+    to_dict = as_dict(
+        "model", "wind_speed", "angles", "speeds", "sheets", "missing", "caveat",
+        low=lambda self: self.interval()[0], high=lambda self: self.interval()[1],
+    )  # fmt: skip
 
 
 def speed_polar(
@@ -283,7 +273,3 @@ def _drawn(fit: Fit, n_draws: int, rng: np.random.Generator) -> list[dict[str, f
     chosen = [fit.model.parameter(name) for name in fit.names]
     table = np.clip(table, [p.lower for p in chosen], [p.upper for p in chosen])
     return [dict(zip(fit.names, map(float, row), strict=True)) for row in table]
-
-
-def _plain(values: np.ndarray) -> list[float | None]:
-    return [float(value) if math.isfinite(value) else None for value in values]

@@ -26,7 +26,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
@@ -34,6 +33,7 @@ from scipy.special import ndtri
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.record import closest
+from oed_sysid.display import as_dict
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.fitting.captive import CaptiveTests
 from oed_sysid.fitting.fit import Fit, align
@@ -116,6 +116,8 @@ class Transfer:
     std: Mapping[str, float]
     note: str = ""
 
+    to_dict = as_dict("name", "weight", "step", "forces", "drift", "values", "note")
+
 
 @dataclass(frozen=True, eq=False)
 class StructureAverage:
@@ -182,36 +184,18 @@ class StructureAverage:
             )
         return "\n".join([*lines, *(f"  {line}" for line in align(rows))])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain data for JSON."""
-
-        def plain(value: float) -> float | None:
-            return float(value) if math.isfinite(value) else None
-
-        return {
-            "quantities": {
-                name: {
-                    "value": plain(value),
-                    "std": plain(self.std[name]),
-                    "between": plain(self.between[name]),
-                    "within": plain(self.within[name]),
-                }
-                for name, value in self.values.items()
-            },
-            "structures": [
-                {
-                    "name": one.name,
-                    "weight": plain(one.weight),
-                    "step": plain(one.step),
-                    "forces": plain(one.forces),
-                    "drift": plain(one.drift),
-                    "values": {name: plain(value) for name, value in one.values.items()},
-                    "note": one.note,
-                }
-                for one in self.structures
-            ],
-            "rungs": [list(rung) for rung in self.rungs],
-        }
+    to_dict = as_dict(
+        "structures", "rungs",
+        quantities=lambda self: {
+            name: {
+                "value": value,
+                "std": self.std[name],
+                "between": self.between[name],
+                "within": self.within[name],
+            }
+            for name, value in self.values.items()
+        },
+    )  # fmt: skip
 
 
 def peak_input(name: str) -> Callable[[Record], float]:

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
 
 from oed_sysid.channels import Output, State
+from oed_sysid.display import as_dict
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.fitting.fit import TWO_SIDED_95, Fit, align
 from oed_sysid.manoeuvres import TurningCircle
@@ -144,29 +144,20 @@ class TurningPrediction:
             return f"{value:.3g}"
         return f"{value:.3g} +/- {TWO_SIDED_95 * std:.2g}"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the prediction as plain data for JSON."""
-        return {
-            "model": self.model,
-            "rudder": self.rudder,
-            "speed": self.speed,
-            "length": self.length,
-            "neutral": self.neutral,
-            "sides": {
-                side: {
-                    quantity: {
-                        "value": _plain(self.value(quantity, side)),
-                        "std": _plain(self.std(quantity, side)),
-                        "unit": unit,
-                    }
-                    for quantity, unit in QUANTITIES.items()
+    to_dict = as_dict(
+        "model", "rudder", "speed", "length", "neutral", "unfinished", "caveat", "notes",
+        sides=lambda self: {
+            side: {
+                quantity: {
+                    "value": self.value(quantity, side),
+                    "std": self.std(quantity, side),
+                    "unit": unit,
                 }
-                for side in self.sides
-            },
-            "unfinished": dict(self.unfinished),
-            "caveat": self.caveat,
-            "notes": list(self.notes),
-        }
+                for quantity, unit in QUANTITIES.items()
+            }
+            for side in self.sides
+        },
+    )  # fmt: skip
 
 
 def turning_circle(
@@ -466,7 +457,3 @@ def _quantities(times: np.ndarray, path: np.ndarray) -> dict[str, float] | None:
         for name in QUANTITIES
         for value in (found[name] if name in found else getattr(indices, name),)
     }
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

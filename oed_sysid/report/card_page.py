@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from oed_sysid.design import Design
-from oed_sysid.design.tracks import Tracks
+from oed_sysid.design.assurance import Tracks
 from oed_sysid.report.card_plots import plot_orders, plot_tracks
 from oed_sysid.report.page import Page, Picture, Section
 from oed_sysid.report.style import new_figure

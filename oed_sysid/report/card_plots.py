@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from oed_sysid.design import Design
-from oed_sysid.design.tracks import Tracks
+from oed_sysid.design.assurance import Tracks
 from oed_sysid.report.style import (
     COLOURS,
     DEGREE,

@@ -1,28 +1,40 @@
 """What a manoeuvre can tell, before any data exist."""
 
-from oed_sysid.sensitivity.bound import information_of, information_of_each
-from oed_sysid.sensitivity.confirmation import Confirmation, confirm_bound
+from oed_sysid.sensitivity.bound import (
+    Confirmation,
+    confirm_bound,
+    information_of,
+    information_of_each,
+)
 from oed_sysid.sensitivity.identifiability import (
+    Structure,
     Subset,
     collinear_groups,
     collinearity_index,
     identifiable_subset,
+    structural_identifiability,
 )
 from oed_sysid.sensitivity.linear import (
     Bode,
+    Nomoto,
     Spectrum,
     Stability,
     bode,
     excitation_spectrum,
+    nomoto,
+    nomoto_of,
     straight_line_stability,
 )
-from oed_sysid.sensitivity.noise import Noise, fitted_colour, noise_of
-from oed_sysid.sensitivity.nomoto import Nomoto, nomoto, nomoto_of
-from oed_sysid.sensitivity.ranking import Sensitivity, SensitivityRanking, rank_parameters
-from oed_sysid.sensitivity.reduction import Drop, Reduction, reduce_model
+from oed_sysid.sensitivity.noise import SEAS, Noise, fitted_colour, noise_of, sea_noise, sea_words
+from oed_sysid.sensitivity.ranking import (
+    Drop,
+    Reduction,
+    Sensitivity,
+    SensitivityRanking,
+    rank_parameters,
+    reduce_model,
+)
 from oed_sysid.sensitivity.response import Play, Response, plays, respond
-from oed_sysid.sensitivity.sea import SEAS, sea_noise, sea_words
-from oed_sysid.sensitivity.structure import Structure, structural_identifiability
 
 __all__ = [
     "information_of",

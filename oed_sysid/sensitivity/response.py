@@ -1,4 +1,28 @@
-"""What a manoeuvre makes a model do, and how that depends on every unknown."""
+r"""What a manoeuvre makes a model do, and how that depends on every unknown.
+
+Information of a run under random forces and coloured sensors, before any data exist.
+
+The likelihood of a disturbed record is that of the innovations of a filter
+(:mod:`oed_sysid.compiled.filtering`). Along the *nominal* trajectory, the one without noise, every
+innovation is zero, and what is left of the filter are its gains and the columns ``X``, derivatives
+of its state by start states and parameters:
+
+.. math::
+    S = h' P h + r, \quad g = P h, \quad
+    \partial e = -(h' X + D), \quad X \leftarrow X + \frac{g}{S}\,\partial e, \quad
+    H = \sum_k \frac{\partial e\,\partial e'}{S}
+
+.. math:: F = H_{pp} - H_{p0} H_{00}^{-1} H_{0p}
+
+``p`` are the parameters that all runs share, ``0`` start states and parameters of the run. Start
+states have a covariance of zero and a column each. Levels and times of the noise are not
+correlated with parameters along the nominal trajectory, where the mean of a disturbance is zero
+whatever its level; derivatives of the gain are left out. The rows of ``H`` are kept and
+triangularised, so that null directions stay null.
+
+Information must not be averaged over noisy filtered paths: their regressors hold noise, which
+counts as information that is not there.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +31,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from oed_sysid.compiled.filtering import Disturbed, filter_kernel
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DesignError
 from oed_sysid.experiment import Experiment
+from oed_sysid.fitting.filtered import disturbed_model
 from oed_sysid.fitting.start_guess import measured_states
 from oed_sysid.model import Model
+from oed_sysid.noise.disturbances import chosen_places, disturbance
+from oed_sysid.noise.model import NoiseModel
 from oed_sysid.simulation import simulate, simulate_inputs
 
 Run = Experiment | Record
@@ -201,3 +229,191 @@ def _own(model: Model, given: Mapping[str, float] | np.ndarray, base: np.ndarray
     for name, value in given.items():
         own[model.state_names.index(name)] = value
     return own
+
+
+# Size of a change that is put through the filter, in noise units.
+_SMALL = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    """A model under random forces, made ready once for any number of runs.
+
+    Attributes
+    ----------
+    model : Model
+    noise : NoiseModel
+        Sensors in the order of the model's outputs.
+    wide : Model
+        The model with its disturbances.
+    disturbances : tuple of str
+        Their parameters in the wide model.
+    """
+
+    model: Model
+    noise: NoiseModel
+    wide: Model
+    disturbances: tuple[str, ...]
+
+    @classmethod
+    def of(cls, model: Model, noise: NoiseModel) -> Innovations:
+        """Return what is the same for all runs.
+
+        Raises
+        ------
+        DesignError
+            If the noise does not fit the model.
+        """
+        noise = checked_noise(model, noise)
+        acting = noise.force > 0
+        found = chosen_places(model, [p for p, a in zip(noise.places, acting, strict=True) if a])
+        names = tuple(disturbance(place).parameters[0].name for place in found)
+        return cls(model, noise, disturbed_model(model, names), names)
+
+    def rows(
+        self,
+        play: Play,
+        *,
+        outputs: Sequence[str] | None = None,
+        changes: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the innovations of one run; see :func:`innovation_rows`."""
+        model, noise, wide = self.model, self.noise, self.wide
+        acting = noise.force > 0
+        white = noise.white.copy()
+        for name, std in play.noise.items():
+            white[model.output_names.index(name)] = std
+        coloured = np.flatnonzero(noise.colour > 0)
+        random = Disturbed(
+            self.disturbances,
+            noise.force[acting] ** 2,
+            noise.force_time[acting],
+            white**2,
+            coloured,
+            noise.colour[coloured] ** 2,
+            noise.colour_time[coloured],
+        )
+        kernel = filter_kernel(wide)
+        free = tuple(name for name in model.free_names if name not in self.disturbances)
+        values = wide.value_vector
+        nominal, _, ok = kernel.simulate(play.times, play.inputs, values, play.initial)
+        if not ok:
+            raise DesignError(
+                f"Run {play.name!r} diverges under model {model.name!r}. Make it smaller or "
+                "shorter."
+            )
+        measured = np.where(play.present, nominal, np.nan)
+        if outputs is not None:
+            measured[:, [name not in outputs for name in model.output_names]] = np.nan
+        swept = kernel.filter(
+            play.times,
+            play.inputs,
+            values,
+            play.initial,
+            measured,
+            random,
+            names=free,
+            rows=True,
+            gains=changes is not None,
+        )
+        if not swept.ok or swept.rows is None:
+            raise DesignError(
+                f"The filter of run {play.name!r} leaves the numbers. Check levels and times of "
+                "the random forces, or shorten the run."
+            )
+        n_columns = len(model.states) + len(free)
+        seen = np.isfinite(measured)
+        rows = swept.rows[seen][:, :n_columns]
+        if changes is None or swept.gains is None:
+            return rows, nominal
+        roots = np.sqrt(swept.variances[seen])
+        moved = np.empty((len(rows), changes.shape[2]))
+        for position in range(changes.shape[2]):
+            change = changes[:, :, position]
+            # Small, so that the filter stays on the nominal trajectory, where it is linear.
+            share = _SMALL / max(float(np.abs(change / white).max()), 1.0)
+            innovations, _ = kernel.replay(
+                play.times, play.inputs, values, play.initial, measured + share * change, random,
+                swept.gains,
+            )  # fmt: skip
+            # A model that had the change would lower the innovations by it.
+            moved[:, position] = -innovations[seen] / share / roots
+        return np.hstack([rows, moved]), nominal
+
+
+def innovation_rows(
+    model: Model,
+    play: Play,
+    noise: NoiseModel,
+    *,
+    outputs: Sequence[str] | None = None,
+    changes: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the innovations of one run, in units of their standard deviations.
+
+    Parameters
+    ----------
+    model : Model
+        At the values in question, without disturbances of its own or with them.
+    play : Play
+        Inputs and start of the run.
+    noise : NoiseModel
+        Levels and times of sensors and forces; sensors in the order of the model's outputs.
+    outputs : sequence of str, optional
+        Outputs that are measured; by default all.
+    changes : ndarray (n_times, n_outputs, n_changes), optional
+        What else may move the outputs; each is put through the same filter.
+
+    Returns
+    -------
+    rows : ndarray (n_rows, n_own + n_free + n_changes)
+        By own start states, free parameters and changes; samples that are not measured left out.
+    nominal : ndarray (n_times, n_outputs)
+        Outputs without noise.
+
+    Raises
+    ------
+    DesignError
+        If the noise does not fit the model, or the run diverges.
+    """
+    return Innovations.of(model, noise).rows(play, outputs=outputs, changes=changes)
+
+
+def checked_noise(model: Model, noise: NoiseModel) -> NoiseModel:
+    """Return the noise model with its sensors in the order of a model's outputs.
+
+    Raises
+    ------
+    DesignError
+        If sensors are missing, have no level, or a place is none of the model.
+    """
+    names = model.output_names
+    if noise.outputs and tuple(noise.outputs) != names:
+        missing = [name for name in names if name not in noise.outputs]
+        if missing:
+            raise DesignError(
+                f"The noise says nothing of the output(s) {', '.join(missing)} of model "
+                f"{model.name!r}; it knows {', '.join(noise.outputs)}. Add their levels."
+            )
+        order = [noise.outputs.index(name) for name in names]
+        noise = NoiseModel(
+            noise.white[order], noise.colour[order], noise.force, noise.colour_time[order],
+            noise.force_time, names, noise.places,
+        )  # fmt: skip
+    if len(noise.white) != len(names):
+        raise DesignError(
+            f"The noise has {len(noise.white)} sensors, model {model.name!r} has {len(names)} "
+            "outputs. Give one level each."
+        )
+    if len(noise.places) != len(noise.force):
+        raise DesignError(
+            f"The noise has {len(noise.force)} random forces at {len(noise.places)} places. Name "
+            "the place of each, such as 'force Z'."
+        )
+    if not np.all(noise.white > 0):
+        poor = [n for n, level in zip(names, noise.white, strict=True) if not level > 0]
+        raise DesignError(
+            f"The white noise of {', '.join(poor)} is not above zero. Accuracy cannot be predicted "
+            "without it: give its standard deviation."
+        )
+    return noise

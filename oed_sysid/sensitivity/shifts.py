@@ -33,9 +33,8 @@ from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.parameters import Parameter
 from oed_sysid.sensitivity.bound import eliminated
-from oed_sysid.sensitivity.innovations import innovation_rows
 from oed_sysid.sensitivity.noise import Colour, Levels, noise_of
-from oed_sysid.sensitivity.response import Play, Run, plays, respond
+from oed_sysid.sensitivity.response import Play, Run, innovation_rows, plays, respond
 
 # Share of the size that stands for a tangent.
 TANGENT = 1e-3

@@ -1,35 +1,44 @@
-"""Everything a design search needs, checked and put in arrays."""
+"""Everything a design search needs, checked and put in arrays.
+
+What shapes a design, so that a later call finds the steps of one that did not end.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from oed_sysid.batch.journal import Journal
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.assurance import Assurance, assess_limits
-from oed_sysid.design.caution import Caution, Guards, in_waves
-from oed_sysid.design.corridor import Corridor
-from oed_sysid.design.criteria import Criterion, Setting
-from oed_sysid.design.discrimination import ByShifts, Completing, Discriminate
-from oed_sysid.design.elimination import log_determinant
-from oed_sysid.design.objective import Objective, Score
-from oed_sysid.design.parametrisation import Grid, Levels, Shape, neutral_within
-from oed_sysid.design.reference import as_piecewise
-from oed_sysid.design.reveal import Chance, Reveal
-from oed_sysid.design.robust import Robust, draw_models, draw_structures
-from oed_sysid.design.scene import Scene
-from oed_sysid.errors import DesignError
+from oed_sysid.design.criteria import Criterion, Setting, log_determinant
+from oed_sysid.design.library import as_piecewise
+from oed_sysid.design.limits import Corridor
+from oed_sysid.design.missing_effects import ByShifts, Chance, Completing, Discriminate, Reveal
+from oed_sysid.design.objective import Objective, Scene, Score
+from oed_sysid.design.vehicles import (
+    Caution,
+    Guards,
+    Robust,
+    draw_models,
+    draw_structures,
+    in_waves,
+)
+from oed_sysid.design.waveforms import Grid, Levels, Shape, neutral_within
+from oed_sysid.errors import DataError, DesignError
 from oed_sysid.experiment import Experiment, Limits
+from oed_sysid.fitting.archive import encode
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.information import Information
 from oed_sysid.model import Model
 from oed_sysid.noise.model import NoiseModel
 from oed_sysid.sensitivity.bound import disturbed_noise, information_of, prior_factor, triangle
-from oed_sysid.sensitivity.innovations import checked_noise
 from oed_sysid.sensitivity.noise import Colour, Noise, noise_of
 from oed_sysid.sensitivity.noise import Levels as NoiseLevels
+from oed_sysid.sensitivity.response import checked_noise
 from oed_sysid.sensitivity.shifts import Shifts, joint_information, joint_prior
 from oed_sysid.simulation import simulate
 
@@ -472,3 +481,30 @@ def joint_knowledge(
         initial_states=given.initial_states,
     )  # fmt: skip
     return joint_prior(rows.T @ rows, len(shifts)) + told
+
+
+def opened(journal: Journal | None, settings: Mapping[str, Any]) -> Journal:
+    """Open a journal for one design.
+
+    Parameters
+    ----------
+    journal : Journal or None
+        None keeps nothing.
+    settings : mapping of str to object
+        Every argument that shapes the result.
+
+    Returns
+    -------
+    Journal
+        With steps of an earlier call with equal settings, if there was one. Settings of which
+        equality cannot be told, such as a criterion that is no dataclass, keep nothing.
+    """
+    keep = journal or Journal()
+    if keep.folder is None:
+        return keep
+    try:
+        content = encode(dict(settings))
+    except DataError:
+        return Journal()
+    keep.open({"task": "design", "settings": content})
+    return keep

@@ -1,9 +1,10 @@
-r"""What an actuator that remembers held before the first sample, unknown in every record.
+r"""Effects made of effects: of another size in every record, or with an unknown start.
 
-A lag, a delay, a limited rate and a play begin at the first command, as if it had been held for
-long. A record that is cut out of a manoeuvre, or begins with a step, begins elsewhere: the fin was
-still on its way, and a play was anywhere in its gap. With memory :math:`m` of command
-:math:`\delta`,
+What is steady in a record and another in the next (trims, currents and winds of the day) has
+amplitudes of its own in each. An actuator with memory begins at the first command, as if it had
+been held for long; a record that is cut out of a manoeuvre, or begins with a step, begins
+elsewhere: the fin was still on its way, and backlash was anywhere in its gap. With memory
+:math:`m` of command :math:`\delta`,
 
 .. math:: m_0 = \delta_0 + s_i, \qquad s_i \sim N(0, \sigma^2) ,
 
@@ -12,11 +13,63 @@ still on its way, and a play was anywhere in its gap. With memory :math:`m` of c
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
-from oed_sysid.effects.base import Actuator
+from oed_sysid.effects.base import Actuator, Effect
 from oed_sysid.errors import ModelError
 from oed_sysid.parameters import Parameter
+
+BY_RECORD = "_by_record"
+
+
+def in_each_record(effect: Effect) -> Effect:
+    """Return an effect whose amplitudes differ from record to record; its shape is shared.
+
+    Parameters
+    ----------
+    effect : Effect
+        Without states, memory or definitions of its own.
+
+    Returns
+    -------
+    Effect
+        Its name and parameters end in ``_by_record``, so that both can be candidates.
+
+    Raises
+    ------
+    ModelError
+        If the effect has states, memory or definitions.
+
+    Examples
+    --------
+    >>> from oed_sysid.effects import actuator_offset
+    >>> trim = in_each_record(actuator_offset("trim", "delta"))
+    >>> trim.name, trim.terms, trim.parameters[0].per_record
+    ('trim_by_record', {'delta': 'delta + E_trim_by_record'}, True)
+    """
+    if effect.states or effect.memory or effect.definitions:
+        raise ModelError(
+            f"Effect {effect.name!r} has states, memory or definitions of its own, which two "
+            "effects cannot share. Write the second one with Parameter(..., per_record=True)."
+        )
+    renamed = {parameter.name: f"{parameter.name}{BY_RECORD}" for parameter in effect.parameters}
+    known = re.compile(rf"\b({'|'.join(map(re.escape, renamed))})\b")
+    sizes = effect.amplitude_names
+    return replace(
+        effect,
+        name=f"{effect.name}{BY_RECORD}",
+        terms={
+            place: known.sub(lambda match: renamed[match[0]], text)
+            for place, text in effect.terms.items()
+        },
+        parameters=tuple(
+            replace(parameter, name=renamed[parameter.name], per_record=parameter.name in sizes)
+            for parameter in effect.parameters
+        ),
+        amplitudes=tuple(renamed[name] for name in sizes),
+        description=f"{effect.description}, another in every record",
+    )
 
 
 def unknown_start(effect: Actuator, std: float, unit: str = "rad") -> Actuator:
@@ -25,8 +78,8 @@ def unknown_start(effect: Actuator, std: float, unit: str = "rad") -> Actuator:
     Parameters
     ----------
     effect : Actuator
-        Such as :func:`~oed_sysid.effects.actuators.actuator_lag` or
-        :func:`~oed_sysid.effects.actuators.backlash`: its memories begin at a command.
+        Such as :func:`~oed_sysid.effects.actuator_lag` or
+        :func:`~oed_sysid.effects.backlash`: its memories begin at a command.
     std : float
         Standard deviation of the actual value about the first command, in its unit: how far
         commands move, or half the gap of a play.
