@@ -166,7 +166,7 @@ def test_a_stalled_fit_with_process_noise_gives_way(monkeypatch: pytest.MonkeyPa
 
 
 def test_an_unstable_vehicle_gets_a_status() -> None:
-    """Moved filters that overflow along 200 s of an unstable vehicle end in a status with advice."""
+    """Moved filters that overflow along 200 s of an unstable vehicle end in a status, advised."""
     model = Model(
         "unstable in pitch",
         states=(State("theta", "rad", scale=0.1), State("q", "rad/s", scale=0.1)),
@@ -182,7 +182,8 @@ def test_an_unstable_vehicle_gets_a_status() -> None:
         step=0.1,
     )
     rng, times = np.random.default_rng(0), 0.1 * np.arange(2000)
-    probe = 0.2 * np.sign(np.sin(2 * np.pi * times / 7)) + 0.1 * np.sign(np.sin(2 * np.pi * times / 3.1))
+    turns = 2 * np.pi * times
+    probe = 0.2 * np.sign(np.sin(turns / 7.0)) + 0.1 * np.sign(np.sin(turns / 3.1))
     state, moved, outputs, fin = np.array([0.05, 0.0]), 0.0, [], []
     for k in range(len(times)):  # steadied by feedback of what is measured
         outputs.append(state + 0.01 * rng.standard_normal(2))
