@@ -373,7 +373,11 @@ class MultipleShooting:
         for _ in range(SPIKE_ROUNDS):
             if not all(np.isfinite(part).all() for part in again.predictions):
                 break
-            masks = spike_masks(again.series, before - _measured(again.dataset))
+            masks = spike_masks(
+                again.series,
+                declared=~again.sigma_estimated,
+                taken=before - _measured(again.dataset),
+            )
             if not any(mask.any() for mask in masks):
                 break
             left = without_spikes(again.dataset, masks)

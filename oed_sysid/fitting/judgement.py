@@ -376,7 +376,8 @@ def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
                 "sensor that jumps is repaired, not fitted.",
             )
         )
-    masks, sizes = spike_masks(fit.series), spike_sizes(fit.series)
+    masks = spike_masks(fit.series, declared=~fit.sigma_estimated)
+    sizes = spike_sizes(fit.series)
     for column, name in enumerate(fit.model.output_names):
         count = int(sum(mask[:, column].sum() for mask in masks))
         if not count:

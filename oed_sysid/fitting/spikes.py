@@ -19,7 +19,10 @@ from oed_sysid.data.dataset import Dataset
 # Spikes that normal noise shows in one data set of so many.
 SPIKE_CHANCE = 1e-3
 # Where residuals are structured, only what is this many deviations off stands out as a spike.
-STRUCTURED_SPIKE = 6.0
+STRUCTURED_SPIKE = 8.0
+# Share of the departures within which tails are looked at, and where it ends in normal numbers.
+TAIL = 0.9
+TAIL_AT = float(-ndtri(0.5 * (1.0 - TAIL)))
 # Single spikes from which on groups of them are spikes, too.
 SEVERAL = 3
 # Spread of the departure of white noise from the median of its four neighbours.
@@ -27,7 +30,10 @@ BESIDE = 1.137
 
 
 def spike_masks(
-    whitened: Sequence[np.ndarray], taken: Sequence[int] | None = None
+    whitened: Sequence[np.ndarray],
+    *,
+    declared: Sequence[bool] | None = None,
+    taken: Sequence[int] | None = None,
 ) -> tuple[np.ndarray, ...]:
     """Samples that stand out alone, per record.
 
@@ -35,6 +41,9 @@ def spike_masks(
     ----------
     whitened : sequence of ndarray (n_times, n_outputs)
         Residuals in any unit, NaN where missing.
+    declared : sequence of bool, optional
+        Outputs whose residuals are in units of a declared noise level: within what this makes
+        no sample is a spike, however smooth the others are.
     taken : sequence of int, optional
         Samples of each output that were taken out as spikes before.
 
@@ -42,44 +51,81 @@ def spike_masks(
     -------
     tuple of ndarray of bool (n_times, n_outputs)
     """
-    masks = [np.zeros(part.shape, dtype=bool) for part in whitened]
-    for column in range(whitened[0].shape[1]):
-        rows, series, pieces, size = _departures(whitened, column)
+    masks = tuple(np.zeros(part.shape, dtype=bool) for part in whitened)
+    n_outputs = whitened[0].shape[1]
+    for column in range(n_outputs):
+        rows, series, pieces, usual = _departures(whitened, column)
         n = sum(len(piece) for piece in pieces)
-        if n < 30 or size <= 0.0:
+        if n < 30 or usual <= 0.0:
             continue
-        own = np.concatenate(series)
-        middle = float(np.median(own))
-        slow = 1.4826 * float(np.median(np.abs(own - middle)))
-        surely = float(-ndtri(0.5 * SPIKE_CHANCE / n / whitened[0].shape[1]))
-        structured = slow > 1.1 * size / BESIDE
-        if structured:
-            surely = max(surely, STRUCTURED_SPIKE)
-        limit = surely if structured else max(4.0, float(-ndtri(0.5 / n)))
-        # Neighbours that happen to lie on the other side do not make a spike; nor does a bend of
-        # slow residuals, which a cubic through the neighbours follows.
-        others = [_off_cubic(values) for values in series] if structured else series
-        if structured:
-            slow = 1.4826 * float(np.median(np.abs(np.concatenate(others)))) or size
-        centre = 0.0 if structured else middle
-        sizes = [
-            np.minimum(np.abs(piece) / size, np.abs(other - centre) / slow)
-            for piece, other in zip(pieces, others, strict=True)
-        ]
+        least = 1.0 if declared is not None and declared[column] else 0.0
         count = 0 if taken is None else taken[column]
-        if np.any(np.concatenate(sizes) > surely):
-            for mask, index, scaled in zip(masks, rows, sizes, strict=True):
-                # Where spikes are clear, what chance does in one sample of n is one of them too.
-                mask[index, column] = scaled > limit
-                count += int(mask[:, column].sum())
-        if structured or count < SEVERAL:
-            continue
-        # Where there are several spikes some meet: as many in a row as chance makes of so many.
-        longest = max(int(np.log(SPIKE_CHANCE / n) / np.log(min(count / n, 0.5))), 2)
-        for mask, index, values in zip(masks, rows, series, strict=True):
-            big = np.abs(values - middle) > surely * slow
-            mask[index[big & (_run_lengths(big) <= longest)], column] = True
-    return tuple(masks)
+        chance = SPIKE_CHANCE / n_outputs
+        found = _outliers(series, pieces, max(usual, BESIDE * least), least, count, chance)
+        for mask, index, one in zip(masks, rows, found, strict=True):
+            mask[index, column] = one
+    return masks
+
+
+def _outliers(
+    series: list[np.ndarray],
+    pieces: list[np.ndarray],
+    usual: float,
+    least: float,
+    count: int,
+    chance: float,
+) -> list[np.ndarray]:
+    """Spikes among the samples of one output, per record; see :func:`spike_masks`.
+
+    Parameters
+    ----------
+    series, pieces : list of ndarray (n,)
+        Values, and their departures from the median of their neighbours.
+    usual, least : float
+        Usual departure, and least deviation of the values.
+    count : int
+        Spikes that were taken out before.
+    chance : float
+        Probability that normal noise shows one.
+    """
+    own = np.concatenate(series)
+    n, middle = len(own), float(np.median(own))
+    slow = max(_deviation(own - middle), least)
+    surely = float(-ndtri(0.5 * chance / n))
+    structured = slow > 1.1 * usual / BESIDE
+    if structured:
+        # A bend of slow residuals is followed by the cubic through the neighbours; a transient
+        # here and there makes large departures usual.
+        surely = limit = max(surely, STRUCTURED_SPIKE)
+        off = [_off_cubic(values) for values in series]
+        spread = max(_deviation(np.concatenate(off)), least)
+        usual = max(usual, float(np.quantile(np.abs(np.concatenate(pieces)), TAIL)) / TAIL_AT)
+    else:
+        # Neighbours that happen to lie on the other side do not make a spike.
+        limit = max(4.0, float(-ndtri(0.5 / n)))
+        off, spread = [values - middle for values in series], slow
+    sizes = [
+        np.minimum(np.abs(piece) / usual, np.abs(away) / (spread or usual))
+        for piece, away in zip(pieces, off, strict=True)
+    ]
+    masks = [np.zeros(len(values), dtype=bool) for values in series]
+    if np.any(np.concatenate(sizes) > surely):
+        # Where spikes are clear, what chance does in one sample of n is one of them too.
+        masks = [size > limit for size in sizes]
+        count += sum(int(mask.sum()) for mask in masks)
+    if structured or count < SEVERAL:
+        return masks
+    # Where there are several spikes some meet: as many in a row as chance makes of so many.
+    longest = max(int(np.log(SPIKE_CHANCE / n) / np.log(min(count / n, 0.5))), 2)
+    for mask, away in zip(masks, off, strict=True):
+        big = np.abs(away) > surely * slow
+        mask |= big & (_run_lengths(big) <= longest)
+    return masks
+
+
+def _deviation(values: np.ndarray) -> float:
+    """Standard deviation of normal numbers of mean zero, from the median of their sizes."""
+    return 1.4826 * float(np.median(np.abs(values)))
 
 
 def spike_sizes(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
@@ -120,7 +166,7 @@ def _departures(
     series = [part[index, column] for part, index in zip(whitened, rows, strict=True)]
     pieces = [_beside(values) for values in series]
     away = np.concatenate(pieces)
-    usual = 1.4826 * float(np.median(np.abs(away - np.median(away)))) if len(away) else 0.0
+    usual = _deviation(away - np.median(away)) if len(away) else 0.0
     return rows, series, pieces, usual
 
 
