@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 
 from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, State
 from oed_sysid.data.record import Record
-from oed_sysid.estimators import multiple_shooting
-from oed_sysid.fitting.fit import Fit
+from oed_sysid.likelihood import multiple_shooting
+from oed_sysid.likelihood.fit import Fit
 
 NOISE = np.array([0.02, 0.003, 0.002])
 TRUE = {"K": 0.09, "T": 9.0, "a": 0.012, "drag": 0.03}
