@@ -32,8 +32,8 @@ BESIDE = 1.137
 def spike_masks(
     whitened: Sequence[np.ndarray],
     *,
-    declared: Sequence[bool] | None = None,
-    taken: Sequence[int] | None = None,
+    declared: np.ndarray | None = None,
+    taken: np.ndarray | None = None,
 ) -> tuple[np.ndarray, ...]:
     """Samples that stand out alone, per record.
 
@@ -41,10 +41,10 @@ def spike_masks(
     ----------
     whitened : sequence of ndarray (n_times, n_outputs)
         Residuals in any unit, NaN where missing.
-    declared : sequence of bool, optional
+    declared : ndarray of bool (n_outputs,), optional
         Outputs whose residuals are in units of a declared noise level: within what this makes
         no sample is a spike, however smooth the others are.
-    taken : sequence of int, optional
+    taken : ndarray of int (n_outputs,), optional
         Samples of each output that were taken out as spikes before.
 
     Returns
