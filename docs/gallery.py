@@ -34,7 +34,7 @@ from oed_sysid import (
     report,
     simulate,
 )
-from oed_sysid.design import Levels, design_experiment
+from oed_sysid.design import Levels, Search, Trial, design_experiment
 from oed_sysid.estimators import Multistart
 from oed_sysid.estimators.profile import profile
 from oed_sysid.manoeuvres import TurningCircle, ZigZag
@@ -207,12 +207,13 @@ def _designed():  # type: ignore[no-untyped-def]
     """Ninety seconds of rudder that identify the ferry best within 20 degrees of either."""
     return design_experiment(
         FERRY.free("A"),
-        limits=Limits(inputs={"rudder": (-0.35, 0.35)}, signals={"psi": (-0.6, 0.6)}),
-        duration=90.0,
-        sample_time=0.5,
-        parametrisation=Levels(12),
-        n_starts=2,
+        Trial(
+            limits=Limits(inputs={"rudder": (-0.35, 0.35)}, signals={"psi": (-0.6, 0.6)}),
+            duration=90.0,
+            sample_time=0.5,
+        ),
         rng=np.random.default_rng(0),
+        search=Search(family=Levels(12), n_starts=2),
     )
 
 

@@ -28,10 +28,9 @@ from oed_sysid.information import autocorrelation
 from oed_sysid.model import Model
 from oed_sysid.noise.disturbances import Place, chosen_places, disturbance
 from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.response import plays
+from oed_sysid.sensitivity.response import Levels, plays
 from oed_sysid.simulation import simulate_inputs
 
-Levels = Mapping[str, float] | Sequence[float] | np.ndarray | None
 Colour = Mapping[str, float | Sequence[float]] | None
 
 
