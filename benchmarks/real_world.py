@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from oed_sysid.benchmark import OURS, WORLDS, Row, benchmark
-from oed_sysid.benchmark.contestants import (
+from oed_sysid.benchmark.contest import (
     BELIEVERS,
     OURS_BELIEVING,
     OURS_DISTURBED,

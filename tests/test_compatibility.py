@@ -170,7 +170,7 @@ def test_bias_of_pitch_and_misalignment_are_one_group() -> None:
 
 def test_sensor_effect_of_the_model_is_no_alarm() -> None:
     """A bias that the model allows for is told, but does not make the log suspect."""
-    from oed_sysid.effects.sensors import sensor_bias
+    from oed_sysid.effects import sensor_bias
 
     model = DIVER.model + sensor_bias("bias_q", "q", "rad/s", scale=0.01)
     data = diving_log(Fault("bias", ("q",), 0.008))

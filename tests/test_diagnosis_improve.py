@@ -18,7 +18,7 @@ from oed_sysid.diagnosis.improvement import Improvement
 from oed_sysid.diagnosis.rank import rank, threshold
 from oed_sysid.diagnosis.score import scores
 from oed_sysid.diagnosis.study import Study
-from oed_sysid.effects.actuators import backlash
+from oed_sysid.effects import backlash
 from oed_sysid.errors import OedSysidError
 from oed_sysid.fitting.input_noise import sigma_filter
 

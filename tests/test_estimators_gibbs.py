@@ -8,9 +8,13 @@ from scipy import stats
 
 from oed_sysid import Dataset, load_problem
 from oed_sysid.estimators import EquationError, GibbsRegression
-from oed_sysid.estimators.baselines.chains import effective_draws, split_r_hat
-from oed_sysid.estimators.baselines.gibbs import conjugate_posterior, sample_posterior
-from oed_sysid.estimators.baselines.regression_rows import exact_rates
+from oed_sysid.estimators.baselines.equations import exact_rates
+from oed_sysid.estimators.baselines.gibbs import (
+    conjugate_posterior,
+    effective_draws,
+    sample_posterior,
+    split_r_hat,
+)
 from oed_sysid.simulation import simulate
 
 

@@ -17,7 +17,7 @@ from oed_sysid.estimators import (
     RecursiveLeastSquares,
     RecursiveLSSVM,
 )
-from oed_sysid.estimators.baselines.ls_svm import GaussianKernel, train
+from oed_sysid.estimators.baselines.support_vectors import GaussianKernel, train
 from oed_sysid.simulation import simulate
 
 SHIP = load_problem("online_ship")

@@ -23,12 +23,19 @@ from oed_sysid import (
 from oed_sysid.effects import Actuator, Memory, Sensor
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.estimators import EquationError, LeastSquaresSVM, SupportVectorRegression
-from oed_sysid.estimators.baselines.equation_error import is_linear
-from oed_sysid.estimators.baselines.ls_svm import GaussianKernel, train
-from oed_sysid.estimators.baselines.optional_libraries import optional
-from oed_sysid.estimators.baselines.regression_form import regression_form
-from oed_sysid.estimators.baselines.regression_rows import exact_rates, local_cubic, rows_of
-from oed_sysid.estimators.baselines.total_least_squares import TotalLeastSquares, generalised_tls
+from oed_sysid.estimators.baselines.equations import (
+    exact_rates,
+    local_cubic,
+    regression_form,
+    rows_of,
+)
+from oed_sysid.estimators.baselines.least_squares import (
+    TotalLeastSquares,
+    generalised_tls,
+    is_linear,
+)
+from oed_sysid.estimators.baselines.population import optional
+from oed_sysid.estimators.baselines.support_vectors import GaussianKernel, train
 from oed_sysid.manoeuvres import Doublet
 from oed_sysid.simulation import simulate
 from tests.simple_models import NOMOTO

@@ -12,8 +12,7 @@ from scipy.optimize import minimize
 from oed_sysid import Dataset, Model, load_problem
 from oed_sysid.errors import ModelError
 from oed_sysid.estimators import DifferentialSwarm, OutputError
-from oed_sysid.estimators.baselines.swarm import redrawn
-from oed_sysid.estimators.baselines.trajectory_cost import TrajectoryCost
+from oed_sysid.estimators.baselines.population import TrajectoryCost, redrawn
 from oed_sysid.simulation import simulate, simulate_inputs
 from tests.test_estimators_contract import TEST, YAW
 

@@ -9,7 +9,7 @@ from turning_ship import CANDIDATES, CUBIC, NOISE, SAMPLE, SHIP, dataset, rates
 
 from oed_sysid.diagnosis.score import two_sided
 from oed_sysid.diagnosis.study import Study
-from oed_sysid.effects.sensors import sensor_bias
+from oed_sysid.effects import sensor_bias
 from oed_sysid.errors import DataError
 from oed_sysid.fitting.filtered import Filtered
 from oed_sysid.noise.disturbances import disturbed_equations

@@ -9,12 +9,30 @@
 ['multiple_shooting', 'heading_differences']
 """
 
-from oed_sysid.benchmark.cell import Cell, Outcome, run_cell
-from oed_sysid.benchmark.contestants import CONTESTANTS, OURS, POPULATIONS, QUICK, Contestant
-from oed_sysid.benchmark.grid import PROBLEMS, Benchmark, benchmark
-from oed_sysid.benchmark.measures import Row, Verdict, measure, verdicts
-from oed_sysid.benchmark.scenarios import UNITS, Scenario, load_scenario
-from oed_sysid.benchmark.tables import as_csv, as_markdown
+from oed_sysid.benchmark.comparison import (
+    PROBLEMS,
+    Benchmark,
+    Row,
+    Verdict,
+    as_csv,
+    as_markdown,
+    benchmark,
+    measure,
+    verdicts,
+)
+from oed_sysid.benchmark.contest import (
+    CONTESTANTS,
+    OURS,
+    POPULATIONS,
+    QUICK,
+    UNITS,
+    Cell,
+    Contestant,
+    Outcome,
+    Scenario,
+    load_scenario,
+    run_cell,
+)
 from oed_sysid.benchmark.world import WORLDS, World
 
 __all__ = [

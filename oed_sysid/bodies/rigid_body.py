@@ -33,9 +33,8 @@ from oed_sysid.bodies.motions import LABELS, SIZES, UNITS
 from oed_sysid.bodies.sensing import accelerometer_text
 from oed_sysid.bodies.texts import Place, minus, plus, times
 from oed_sysid.channels import Input, Output, State
-from oed_sysid.effects.amplitudes import amplitude
-from oed_sysid.effects.base import Effect, Environment, Force
-from oed_sysid.effects.derivatives import SNAME, hull_derivatives
+from oed_sysid.effects.base import Effect, Environment, Force, amplitude
+from oed_sysid.effects.table import SNAME, hull_derivatives
 from oed_sysid.errors import ModelError
 from oed_sysid.language import expressions, notation
 from oed_sysid.model import Model

@@ -10,13 +10,8 @@ from collections.abc import Collection, Sequence
 
 from oed_sysid.bodies.rigid_body import RigidBody
 from oed_sysid.bodies.texts import plus, times
-from oed_sysid.effects import actuators as act
-from oed_sysid.effects import drag, environment, propulsion
-from oed_sysid.effects import inertia as mass_matrix
-from oed_sysid.effects import sensors as sense
-from oed_sysid.effects.amplitudes import amplitude
-from oed_sysid.effects.base import Effect, Force
-from oed_sysid.effects.derivatives import coupling
+from oed_sysid.effects import forces, signals
+from oed_sysid.effects.base import Effect, Force, amplitude
 from oed_sysid.language import notation
 
 WATER = 1025.0  # kg/m3, sea water
@@ -82,53 +77,53 @@ def underwater_vehicle_effects(
         turn = "pitch" if moment == "M" else "yaw"
         flow = f"{v}_r"
         for effect in (
-            drag.quadratic_drag(f"{word}_crossflow_drag", axis, flow, scale=side),
-            drag.quadratic_drag(
+            forces.quadratic_drag(f"{word}_crossflow_drag", axis, flow, scale=side),
+            forces.quadratic_drag(
                 f"{turn}_quadratic_damping", moment, rate, scale=side * length**3 / 8
             ),
-            drag.quadratic_drag(
+            forces.quadratic_drag(
                 f"{turn}_crossflow_moment", moment, flow, scale=0.1 * side * length
             ),
-            drag.quadratic_drag(
+            forces.quadratic_drag(
                 f"{word}_quadratic_{turn}_damping", axis, rate, scale=0.1 * side * length**2
             ),
-            coupling(f"{word}_lift", axis, flow, scale=0.2 * side),
-            coupling(f"{turn}_munk_moment", moment, flow, scale=0.05 * side * length),
-            coupling(f"{word}_lift_of_{turn}_rate", axis, rate, scale=0.05 * side * length),
-            coupling(f"{turn}_damping", moment, rate, scale=0.02 * side * length**2),
-            drag.hull_asymmetry(f"hull_asymmetry_{word}", axis, scale=0.005 * side),
-            drag.hull_asymmetry(f"hull_asymmetry_{turn}", moment, scale=0.002 * side * length),
-            drag.induced_drag(f"surge_induced_drag_{word}", flow, scale=0.3 * side),
+            forces.coupling(f"{word}_lift", axis, flow, scale=0.2 * side),
+            forces.coupling(f"{turn}_munk_moment", moment, flow, scale=0.05 * side * length),
+            forces.coupling(f"{word}_lift_of_{turn}_rate", axis, rate, scale=0.05 * side * length),
+            forces.coupling(f"{turn}_damping", moment, rate, scale=0.02 * side * length**2),
+            forces.hull_asymmetry(f"hull_asymmetry_{word}", axis, scale=0.005 * side),
+            forces.hull_asymmetry(f"hull_asymmetry_{turn}", moment, scale=0.002 * side * length),
+            forces.induced_drag(f"surge_induced_drag_{word}", flow, scale=0.3 * side),
         ):
             needed = [*effect.terms, v if flow in str(effect.terms) else rate]
             add(effect, *map(str, needed))
-    add(drag.linear_damping("surge_linear_drag", "X", "u_r", scale=0.02 * side * speed), "u")
+    add(forces.linear_damping("surge_linear_drag", "X", "u_r", scale=0.02 * side * speed), "u")
     roll = side * diameter**2 * speed * 0.02
-    add(drag.linear_damping("roll_linear_damping", "K", "p", scale=roll), "p")
-    add(drag.quadratic_drag("roll_quadratic_damping", "K", "p", scale=roll), "p")
+    add(forces.linear_damping("roll_linear_damping", "K", "p", scale=roll), "p")
+    add(forces.quadratic_drag("roll_quadratic_damping", "K", "p", scale=roll), "p")
     for fin in fins:
-        add(drag.deflection_drag(f"surge_drag_of_{fin}", fin, scale=0.05 * side), "u")
+        add(forces.deflection_drag(f"surge_drag_of_{fin}", fin, scale=0.05 * side), "u")
     found += _weights(body, weight)
     for axis, v, word in (("X", "u", "surge"), ("Y", "v", "sway"), ("Z", "w", "heave")):
         size = WATER * diameter**2 * length * (0.05 if v == "u" else 0.2)
         name = f"{word}_added_mass_error"
-        add(mass_matrix.added_mass_error(name, axis, v, scale=size, bound=2 * size), v)
+        add(forces.added_mass_error(name, axis, v, scale=size, bound=2 * size), v)
     for axis, rate, word in (("M", "q", "pitch"), ("N", "r", "yaw")):
         size = WATER * diameter**2 * length**3 * 0.01
         name = f"{word}_added_inertia_error"
-        add(mass_matrix.added_mass_error(name, axis, rate, scale=size, bound=2 * size), rate)
+        add(forces.added_mass_error(name, axis, rate, scale=size, bound=2 * size), rate)
     found.append(body.current(scale=0.1 * speed))
-    add(propulsion.thrust_speed_loss(thrust=thrust, scale=0.1 / speed), "u")
+    add(forces.thrust_speed_loss(thrust=thrust, scale=0.1 / speed), "u")
     add(_reaction(thrust, diameter), "K")
     for fin in fins:
         found += [
-            act.actuator_offset(f"{fin}_offset", fin, scale=0.02),
-            act.stall(f"{fin}_stall", fin, scale=2.0),
+            signals.actuator_offset(f"{fin}_offset", fin, scale=0.02),
+            signals.stall(f"{fin}_stall", fin, scale=2.0),
         ]
     found += [
-        act.actuator_lag("fin_lag", fins, scale=0.2),
-        act.actuator_delay("fin_delay", fins, max_delay=0.6, step=step, scale=0.2),
-        act.rate_limit("fin_rate_limit", fins, scale=2.0),
+        signals.actuator_lag("fin_lag", fins, scale=0.2),
+        signals.actuator_delay("fin_delay", fins, max_delay=0.6, step=step, scale=0.2),
+        signals.rate_limit("fin_rate_limit", fins, scale=2.0),
     ]
     return _beyond(known, [*found, *_sensors(body, outputs or (), speed)])
 
@@ -164,40 +159,40 @@ def catamaran_effects(
     side = WATER * draught * length  # half rho times lateral area of two hulls
     port, starboard = thrusts
     found: list[Effect] = [
-        drag.linear_damping("surge_linear_drag", "X", "u_r", scale=0.05 * side * speed),
-        drag.quadratic_drag("surge_quadratic_drag", "X", "u_r", scale=0.05 * side),
-        drag.cubic_damping("surge_wave_resistance", "X", "u_r", scale=0.03 * side / speed),
-        drag.linear_damping("sway_linear_damping", "Y", "v_r", scale=0.2 * side * speed),
-        drag.quadratic_drag("sway_crossflow_drag", "Y", "v_r", scale=side),
-        drag.quadratic_drag("yaw_quadratic_damping", "N", "r", scale=side * length**3 / 16),
-        drag.crossed_drag("yaw_drift_damping", "N", "v_r", "r", scale=side * length**2 / 8),
-        coupling("sway_lift", "Y", "v_r", scale=0.2 * side),
-        coupling("yaw_munk_moment", "N", "v_r", scale=0.05 * side * length),
-        coupling("yaw_damping", "N", "r", scale=0.03 * side * length**2),
-        coupling("sway_of_yaw_rate", "Y", "r", scale=0.05 * side * length),
-        drag.induced_drag("surge_induced_drag", "v_r", scale=0.2 * side),
+        forces.linear_damping("surge_linear_drag", "X", "u_r", scale=0.05 * side * speed),
+        forces.quadratic_drag("surge_quadratic_drag", "X", "u_r", scale=0.05 * side),
+        forces.cubic_damping("surge_wave_resistance", "X", "u_r", scale=0.03 * side / speed),
+        forces.linear_damping("sway_linear_damping", "Y", "v_r", scale=0.2 * side * speed),
+        forces.quadratic_drag("sway_crossflow_drag", "Y", "v_r", scale=side),
+        forces.quadratic_drag("yaw_quadratic_damping", "N", "r", scale=side * length**3 / 16),
+        forces.crossed_drag("yaw_drift_damping", "N", "v_r", "r", scale=side * length**2 / 8),
+        forces.coupling("sway_lift", "Y", "v_r", scale=0.2 * side),
+        forces.coupling("yaw_munk_moment", "N", "v_r", scale=0.05 * side * length),
+        forces.coupling("yaw_damping", "N", "r", scale=0.03 * side * length**2),
+        forces.coupling("sway_of_yaw_rate", "Y", "r", scale=0.05 * side * length),
+        forces.induced_drag("surge_induced_drag", "v_r", scale=0.2 * side),
         _product("speed_loss_in_turn", "X", "v_r*r", "kg", 0.2 * side * length),
         _product("thrust_asymmetry", "X", f"({port} - {starboard})", "1", 0.1),
         _product("thrust_moment", "N", f"({port} + {starboard})", "m", 0.05 * length),
-        propulsion.thrust_speed_loss("port_thrust_speed_loss", thrust=port, scale=0.2 / speed),
-        propulsion.thrust_speed_loss(
+        forces.thrust_speed_loss("port_thrust_speed_loss", thrust=port, scale=0.2 / speed),
+        forces.thrust_speed_loss(
             "starboard_thrust_speed_loss", thrust=starboard, scale=0.2 / speed
         ),
-        mass_matrix.added_mass_error(
+        forces.added_mass_error(
             "surge_added_mass_error",
             "X",
             "u",
             scale=0.05 * side * length,
             bound=0.1 * side * length,
         ),
-        mass_matrix.added_mass_error(
+        forces.added_mass_error(
             "sway_added_mass_error",
             "Y",
             "v",
             scale=0.2 * side * length,
             bound=0.4 * side * length,
         ),
-        mass_matrix.added_mass_error(
+        forces.added_mass_error(
             "yaw_added_inertia_error",
             "N",
             "r",
@@ -205,9 +200,9 @@ def catamaran_effects(
             bound=0.04 * side * length**3,
         ),
         body.current(scale=0.1 * speed),
-        environment.steady_wind(force=0.02 * side * speed**2, arm=0.2 * length),
-        act.actuator_lag("propeller_lag", thrusts, scale=0.3),
-        act.actuator_delay("propeller_delay", thrusts, max_delay=0.6, step=step, scale=0.2),
+        forces.steady_wind(force=0.02 * side * speed**2, arm=0.2 * length),
+        signals.actuator_lag("propeller_lag", thrusts, scale=0.3),
+        signals.actuator_delay("propeller_delay", thrusts, max_delay=0.6, step=step, scale=0.2),
     ]
     return _beyond(known, [*found, *_sensors(body, outputs or (), speed)])
 
@@ -317,10 +312,10 @@ def _sensors(body: RigidBody, outputs: Collection[str], speed: float) -> list[Ef
     for name in outputs:
         if name in sizes:
             unit = notation.FACTOR_UNITS[name] if name in "uvw" else "rad/s"
-            found.append(sense.sensor_bias(f"bias_{name}", name, unit, scale=sizes[name]))
-            found.append(sense.sensor_scale(f"scale_{name}", name, scale=0.05))
+            found.append(signals.sensor_bias(f"bias_{name}", name, unit, scale=sizes[name]))
+            found.append(signals.sensor_scale(f"scale_{name}", name, scale=0.05))
         elif name in body.angles and name != "psi":
-            found.append(sense.sensor_bias(f"bias_{name}", name, "rad", scale=0.02))
+            found.append(signals.sensor_bias(f"bias_{name}", name, "rad", scale=0.02))
     if "u" in outputs and "v" in outputs:
-        found.append(sense.sensor_misalignment("log_misalignment", "u", "v", scale=0.02))
+        found.append(signals.sensor_misalignment("log_misalignment", "u", "v", scale=0.02))
     return found

@@ -18,7 +18,7 @@ from oed_sysid.channels import Output
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.effects import Effect, Force
-from oed_sysid.effects.derivatives import factor_of
+from oed_sysid.effects.table import factor_of
 from oed_sysid.language import dimensions, expressions, notation
 from oed_sysid.language.units import Dimension, dimension
 from oed_sysid.model import Model

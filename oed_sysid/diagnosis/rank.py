@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from oed_sysid.diagnosis.score import Score, scores, two_sided
 from oed_sysid.diagnosis.study import Study
 from oed_sysid.effects import Effect
-from oed_sysid.effects.by_record import BY_RECORD
+from oed_sysid.effects.variants import BY_RECORD
 from oed_sysid.fitting.fit import align
 from oed_sysid.fitting.gauss_newton import FilteredSolution
 

@@ -18,7 +18,7 @@ from oed_sysid.diagnosis.sizes import Sizes, sizes_of
 from oed_sysid.diagnosis.usual_commands import LAG, OF_SWING, usual_commands
 from oed_sysid.diagnosis.usual_forces import usual_forces
 from oed_sysid.diagnosis.usual_surroundings import usual_surroundings
-from oed_sysid.effects import Effect, in_each_record, inertia, sensors
+from oed_sysid.effects import Effect, forces, in_each_record, signals
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.fitting.start_guess import check_channels
 from oed_sysid.model import Model
@@ -85,7 +85,7 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
 def _inertias(model: Model, sizes: Sizes) -> Iterator[Effect]:
     for axis, state in model.axes.items():
         mass = 1.0 / sizes.mobility[axis]
-        yield inertia.added_mass_error(
+        yield forces.added_mass_error(
             f"inertia_{axis}_{state}", axis, state, scale=OF_INERTIA * mass, bound=0.5 * mass
         )
 
@@ -99,15 +99,15 @@ def _sensors(model: Model, sizes: Sizes) -> Iterator[Effect]:
         # Only positions show where the vehicle went, and so that its compass is off.
         is_position = name in HORIZONTAL and output.unit == "m"
         if not is_position and (name != "psi" or set(HORIZONTAL) & set(measured)):
-            yield sensors.sensor_bias(f"bias_{name}", name, output.unit, scale=OF_SWING * swing)
-            yield sensors.sensor_scale(f"scale_{name}", name)
-        yield sensors.sensor_lag(f"lag_{name}", name, scale=LAG * sizes.sample)
+            yield signals.sensor_bias(f"bias_{name}", name, output.unit, scale=OF_SWING * swing)
+            yield signals.sensor_scale(f"scale_{name}", name)
+        yield signals.sensor_lag(f"lag_{name}", name, scale=LAG * sizes.sample)
     for across, rate in (("v", "r"), ("w", "q")):
         if {"u", across} <= set(measured):
-            yield sensors.sensor_misalignment(f"misalignment_u_{across}", "u", across)
+            yield signals.sensor_misalignment(f"misalignment_u_{across}", "u", across)
         if {across, rate} <= set(measured):
             arm = OF_SWING * sizes.swing[across] / max(sizes.swing[rate], 1e-300)
-            yield sensors.sensor_lever_arm(f"lever_arm_{across}", across, rate, scale=arm)
+            yield signals.sensor_lever_arm(f"lever_arm_{across}", across, rate, scale=arm)
 
 
 def equipped(problem: Problem, dataset: Dataset | None = None) -> Problem:
@@ -176,7 +176,7 @@ def _late(dataset: Dataset, log: LogCheck | None) -> tuple[Effect, ...]:
         if signal in measured:
             most = OF_DELAY * size + 2.0 * step
             found.append(
-                sensors.sensor_delay(
+                signals.sensor_delay(
                     f"delay_{signal}", signal, max_delay=most, interval=step, scale=size
                 )
             )

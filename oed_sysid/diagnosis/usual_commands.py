@@ -9,7 +9,8 @@ import numpy as np
 
 from oed_sysid.diagnosis.sizes import Sizes
 from oed_sysid.diagnosis.usual_forces import commanded
-from oed_sysid.effects import Effect, actuators
+from oed_sysid.effects import Effect
+from oed_sysid.effects import signals as actuators
 from oed_sysid.model import Model
 
 # Share of a signal's swing, and of a lift, that an effect makes.

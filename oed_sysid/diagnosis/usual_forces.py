@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from oed_sysid.diagnosis.dictionary import Factors, Term, cyclic
 from oed_sysid.diagnosis.sizes import Sizes
-from oed_sysid.effects import Effect, Force, mechanical
-from oed_sysid.effects.derivatives import ABKOWITZ
+from oed_sysid.effects import Effect, Force, forces
+from oed_sysid.effects.table import ABKOWITZ
 from oed_sysid.errors import OedSysidError
 from oed_sysid.language.dimensions import dimension_of
 from oed_sysid.language.units import Dimension, dimension
@@ -41,7 +41,7 @@ def usual_forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
             if size > 0 and level > 0 and term.symbol not in taken:
                 yield _named(term.effect(model, units, size / level), word, equation, text)
         if size > 0 and not model.axes and state not in cyclic(model):
-            yield mechanical.coulomb_friction(
+            yield forces.coulomb_friction(
                 f"friction_{state}", equation, state, unit=_rate_unit(units[state]),
                 velocity_unit=units[state], smooth=SLOW * sizes.level[state], scale=size,
             )  # fmt: skip

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from oed_sysid.bodies.attitude import rotation
 from oed_sysid.diagnosis.dictionary import HORIZONTAL
 from oed_sysid.diagnosis.sizes import Sizes
-from oed_sysid.effects import Effect, Environment, Force, environment, restoring
+from oed_sysid.effects import Effect, Environment, Force, forces
 from oed_sysid.model import Model
 from oed_sysid.parameters import Parameter
 
@@ -31,13 +31,13 @@ def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
         yield _current(states, OF_SPEED * speed)
     elif {"u", "v"} <= set(states) and "psi" in angles:
         flow = (states["u"], states["v"])
-        yield environment.current_horizontal_plane(flow=flow, scale=OF_SPEED * speed)
+        yield forces.current_horizontal_plane(flow=flow, scale=OF_SPEED * speed)
     elif "u" in states and "psi" in angles and "v" not in angles:
         yield _head_current(states["u"], OF_SPEED * speed)
     if {"u", "w"} <= set(states) and "theta" in angles and "v" not in states:
         flow = (states["u"], states["w"])
-        yield environment.current_forward(flow=flow, scale=OF_SPEED * speed)
-        yield environment.current_down(flow=flow, scale=0.5 * OF_SPEED * speed)
+        yield forces.current_forward(flow=flow, scale=OF_SPEED * speed)
+        yield forces.current_down(flow=flow, scale=0.5 * OF_SPEED * speed)
     if "u" in states or not model.axes:
         return
     for state in model.states:
@@ -49,7 +49,7 @@ def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
                 {state.name: size.name},
                 (size,),
                 description=f"current that carries the vehicle along {state.name}",
-                source=environment.CURRENT,
+                source=forces.CURRENT,
                 needs=f"{state.name} and velocities through the water",
             )
 
@@ -72,7 +72,7 @@ def _current(flow: dict[str, str], scale: float) -> Effect:
         terms,
         tuple(towards),
         description="steady current",
-        source=environment.CURRENT,
+        source=forces.CURRENT,
         needs="position or velocity over ground, on several headings",
     )
 
@@ -88,7 +88,7 @@ def _head_current(flow: str, scale: float) -> Effect:
         {flow: f"{flow} - ({north.name}*cos(psi) + {east.name}*sin(psi))"},
         (north, east),
         description="steady horizontal current along the heading",
-        source=environment.CURRENT,
+        source=forces.CURRENT,
         needs="velocity over ground, on several headings",
     )
 
@@ -104,7 +104,7 @@ def _weights(model: Model, sizes: Sizes) -> Iterator[Effect]:
         {a: f"{size.name}*({text})" for a, text in pulls if a in model.axes and text != "0"},
         (size,),
         description="weight less buoyancy differs from its nominal value",
-        source=restoring.FOSSEN,
+        source=forces.WEIGHT,
         needs="several pitch angles",
     )
 
@@ -116,4 +116,4 @@ def _winds(model: Model, sizes: Sizes) -> Iterator[Effect]:
         return
     across = sizes.force("Y", model.axes["Y"])
     arm = sizes.force("N", model.axes["N"]) / across if "N" in axes and across > 0 else 1.0
-    yield environment.steady_wind(axes=axes, force=OF_LOAD * across or 1.0, arm=arm or 1.0)
+    yield forces.steady_wind(axes=axes, force=OF_LOAD * across or 1.0, arm=arm or 1.0)

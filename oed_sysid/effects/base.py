@@ -6,6 +6,7 @@ command -> **actuator** -> **environment** (relative flow) -> **force** ->
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,6 +18,8 @@ from oed_sysid.language import callables, expressions
 from oed_sysid.language.callables import Function, Table, argument_names
 from oed_sysid.parameters import Parameter, check_unique, with_parameters
 
+# Bounds of an amplitude in typical ones: wide enough to never decide, tight enough to converge.
+_SPAN = 20.0
 STAGES = ("actuator", "environment", "force", "inertia", "sensor")
 
 
@@ -162,28 +165,34 @@ class Effect:
             check_kinds(where, what, getattr(self, what), kind)
         tables = {name: callables.check_table(name, t) for name, t in self.tables.items()}
         object.__setattr__(self, "tables", tables)
-        check_unique(self.parameters, owner=f"Effect {self.name!r}")
-        if not self.terms and not self.states:
-            raise ModelError(f"Effect {self.name!r} contributes nothing: give at least one term.")
-        if self.states and self.stage not in ("actuator", "force", "environment"):
-            raise ModelError(f"Effect {self.name!r}: a {self.stage} effect cannot add states.")
-        if self.memory and self.stage not in ("actuator", "sensor"):
-            raise ModelError(f"Effect {self.name!r}: a {self.stage} effect cannot keep memory.")
-        if self.memory and self.states:
-            raise ModelError(
-                f"Effect {self.name!r} has both sampled memory and continuous states. Keep one: an "
-                "effect with states works within the equations of motion."
-            )
-        for name in self.amplitudes or ():
-            if name not in {parameter.name for parameter in self.parameters}:
-                raise ModelError(
-                    f"Effect {self.name!r} names the amplitude {name!r}, which is not one of its "
-                    f"parameters: {', '.join(p.name for p in self.parameters)}."
-                )
+        self._check_parts()
         counts = {name: callables.n_arguments(table) for name, table in tables.items()}
         counts |= {one.name: callables.n_arguments(one) for one in self.functions}
         for text in self._texts():
             expressions.check_calls(text, where=where, tables=counts, complete=False)
+
+    def _check_parts(self) -> None:
+        """Refuse parts that do not go together, or not with the stage."""
+        where = f"Effect {self.name!r}"
+        check_unique(self.parameters, owner=where)
+        if not self.terms and not self.states:
+            raise ModelError(f"{where} contributes nothing: give at least one term.")
+        if self.states and self.stage not in ("actuator", "force", "environment"):
+            raise ModelError(f"{where}: a {self.stage} effect cannot add states.")
+        if self.memory and self.stage not in ("actuator", "sensor"):
+            raise ModelError(f"{where}: a {self.stage} effect cannot keep memory.")
+        if self.memory and self.states:
+            raise ModelError(
+                f"{where} has both sampled memory and continuous states. Keep one: an "
+                "effect with states works within the equations of motion."
+            )
+        known = [parameter.name for parameter in self.parameters]
+        for name in self.amplitudes or ():
+            if name not in known:
+                raise ModelError(
+                    f"{where} names the amplitude {name!r}, which is not one of its "
+                    f"parameters: {', '.join(known)}."
+                )
 
     @classmethod
     def from_function(
@@ -272,22 +281,16 @@ class Effect:
     @property
     def shape_names(self) -> tuple[str, ...]:
         """Estimated parameters that are no amplitudes and that records share, as a frequency."""
-        amplitudes = self.amplitude_names
-        return tuple(
-            p.name
-            for p in self.parameters
-            if not (p.fixed or p.per_record) and p.name not in amplitudes
-        )
+        return self._others(per_record=False)
 
     @property
     def start_names(self) -> tuple[str, ...]:
         """Estimated parameters of each record that are no amplitudes, such as a start value."""
-        amplitudes = self.amplitude_names
-        return tuple(
-            p.name
-            for p in self.parameters
-            if p.per_record and not p.fixed and p.name not in amplitudes
-        )
+        return self._others(per_record=True)
+
+    def _others(self, *, per_record: bool) -> tuple[str, ...]:
+        free = [p.name for p in self.parameters if not p.fixed and p.per_record == per_record]
+        return tuple(name for name in free if name not in self.amplitude_names)
 
     def absent(self) -> Effect:
         """Return the effect with every amplitude at zero."""
@@ -379,3 +382,58 @@ class Sensor(Effect):
     """
 
     stage: ClassVar[str] = "sensor"
+
+
+def amplitude(
+    effect: str,
+    unit: str,
+    *,
+    scale: float | None = None,
+    value: float = 0.0,
+    parameter: str | None = None,
+    positive: bool = False,
+    bound: float = math.inf,
+    per_record: bool = False,
+    description: str = "",
+) -> Parameter:
+    """Parameter that measures an effect's size.
+
+    Parameters
+    ----------
+    effect : str
+        Name of the effect; the parameter is called ``"E_" + effect``.
+    unit : str
+        SI unit.
+    scale : float, optional
+        Typical amplitude, in ``unit``; by default the size of ``value``, or 1.
+    value : float
+        Present value; zero is absent.
+    parameter : str, optional
+        Another name.
+    positive : bool
+        Whether the amplitude cannot be negative, as a delay cannot.
+    bound : float
+        Largest magnitude that makes sense, where it is less than twenty scales.
+    per_record : bool
+        Whether the value differs from record to record.
+    description : str
+        What the parameter means.
+
+    Examples
+    --------
+    >>> lag = amplitude("fin_lag", "s", scale=0.25, positive=True)
+    >>> lag.name, lag.lower, lag.upper
+    ('E_fin_lag', 0.0, 5.0)
+    """
+    size = abs(value) or 1.0 if scale is None else scale
+    limit = min(_SPAN * max(size, abs(value)), bound)
+    return Parameter(
+        name=parameter or f"E_{effect}",
+        value=value,
+        unit=unit,
+        lower=0.0 if positive else -limit,
+        upper=limit,
+        scale=size,
+        per_record=per_record,
+        description=description,
+    )

@@ -1,6 +1,15 @@
-r"""Unknown inputs: a command that nobody logged, or wind, as a series that is estimated.
+r"""What is not the same twice: random forces, noise of logged inputs, unknown inputs as series.
 
-The series is linear between nodes :math:`t_0 + k\,\Delta` after the beginning of the record,
+.. math::
+    w(t + \Delta) = e^{-\Delta/\tau} w(t) + \sqrt{1 - e^{-2\Delta/\tau}}\, \sigma\, \epsilon
+
+A random effect adds a first-order Gauss-Markov process ``w`` of standard deviation :math:`\sigma`
+and correlation time :math:`\tau` to a force, a logged input or a measurement: Gelb (1974). It is
+absent at :math:`\sigma = 0`. On its own a model takes it at its mean, which is zero; an estimator
+that knows of process noise (:class:`~oed_sysid.estimators.MultipleShooting`) estimates both.
+
+A command that nobody logged, or wind, can also be a series that is estimated, Jategaonkar (2015).
+It is linear between nodes :math:`t_0 + k\,\Delta` after the beginning of the record,
 
 .. math::
     d(t) = E_0 + \sum_{k=1}^{n} E_k \, \operatorname{clip}\Big(\frac{t - t_0}{\Delta} - k + 1,
@@ -10,21 +19,103 @@ The series is linear between nodes :math:`t_0 + k\,\Delta` after the beginning o
 parameter of its own for each record, with a normal prior, :math:`E_0 \sim N(0, s^2)` and
 :math:`E_k \sim N(0, c^2)`: a random walk, which keeps the series smooth where the record says
 little.
-:class:`~oed_sysid.effects.random.RandomForce` is the better choice for what changes within seconds;
-an estimated series is the better one for what is slow, deterministic in its effect, or to be seen.
+:func:`RandomForce` is the better choice for what changes within seconds; an estimated series is the
+better one for what is slow, deterministic in its effect, or to be seen.
 """
 
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
-from oed_sysid.effects.base import Actuator, ExtraState, Force, Memory
+from oed_sysid.effects.base import (
+    Actuator,
+    Effect,
+    ExtraState,
+    Force,
+    Memory,
+    RandomProcess,
+    Sensor,
+)
 from oed_sysid.errors import ModelError
 from oed_sysid.parameters import Parameter
 
+GELB = "Gelb (1974), Applied optimal estimation, section 3.8."
 SOURCE = "Jategaonkar (2015), Flight vehicle system identification, chapter 3 (unknown inputs)."
 # Above this number of nodes a fit has more unknowns than it can use.
 MOST_NODES = 200
+
+Kind = TypeVar("Kind", bound=Effect)
+
+
+def RandomForce(
+    equation: str, *, level: float = 0.0, time: float = 1.0, known: bool = False
+) -> Force:
+    """Random force in one equation: waves, gusts, turbulence.
+
+    Parameters
+    ----------
+    equation : str
+        Axis (``"Z"``) or state that the force acts on.
+    level : float
+        Standard deviation, N, N m or the state's unit per second; where estimation begins.
+    time : float
+        Correlation time, s.
+    known : bool
+        Whether level and time are known rather than estimated.
+
+    >>> RandomForce("Z", level=0.3, time=2.0).noise.place
+    'force Z'
+    """
+    words = ("random_force", f"random force in {equation}")
+    return _random(Force, equation, words, level, time, known)
+
+
+def InputNoise(signal: str, *, level: float = 0.0, known: bool = False) -> Actuator:
+    """White noise on a logged input: a measured fin angle is a sensor too.
+
+    >>> InputNoise("ds", level=0.002).noise.time
+    0.0
+    """
+    words = ("input_noise", f"noise on the logged {signal}")
+    return _random(Actuator, signal, words, level, 0.0, known)
+
+
+def SensorDrift(
+    output: str, *, level: float = 0.0, time: float = 60.0, known: bool = False
+) -> Sensor:
+    """Zero of a sensor that wanders.
+
+    >>> SensorDrift("q", level=0.001).terms
+    {'q': 'q + disturbance_sensor_q'}
+    """
+    words = ("sensor_drift", f"wandering zero of {output}")
+    return _random(Sensor, output, words, level, time, known)
+
+
+def _random(
+    kind: type[Kind], key: str, words: tuple[str, str], level: float, time: float, known: bool
+) -> Kind:
+    """Effect of a Gauss-Markov process, which a model alone takes at its mean."""
+    place, name = f"{kind.stage} {key}", f"disturbance_{kind.stage}_{key}"
+    if level < 0 or time < 0:
+        raise ModelError(
+            f"The random process at {place!r} has level {level} and time {time}. Give numbers "
+            "that are not negative; level zero means absent."
+        )
+    return kind(
+        f"{words[0]}_{key}",
+        {key: name if kind is Force else f"{key} + {name}"},
+        (Parameter(name, 0.0, fixed=True),),
+        noise=RandomProcess(place, name, level, time, known),
+        description=words[1],
+        source=GELB,
+    )
+
+
+def random_effects(effects: tuple[Effect, ...]) -> tuple[Effect, ...]:
+    """Those effects that are random."""
+    return tuple(effect for effect in effects if effect.noise is not None)
 
 
 def UnknownInput(
@@ -142,9 +233,8 @@ def _parameters(
     name: str, unit: str, duration: float, spacing: float, scale: float, change: float | None
 ) -> tuple[Parameter, ...]:
     step = 0.5 * scale if change is None else change
-    for what, value in (
-        ("duration", duration), ("spacing", spacing), ("scale", scale), ("change", step)
-    ):  # fmt: skip
+    facts = {"duration": duration, "spacing": spacing, "scale": scale, "change": step}
+    for what, value in facts.items():
         if not (isinstance(value, int | float) and 0.0 < value < math.inf):
             raise ModelError(
                 f"The unknown input of {name!r} has {what} {value!r}. Give a number above 0."

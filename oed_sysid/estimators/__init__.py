@@ -1,18 +1,19 @@
 """Estimators: from a model and measured records to a :class:`~oed_sysid.fitting.fit.Fit`."""
 
 from oed_sysid.estimators.base import Estimator
-from oed_sysid.estimators.baselines.equation_error import EquationError
 from oed_sysid.estimators.baselines.gibbs import GibbsRegression
-from oed_sysid.estimators.baselines.ls_svm import LeastSquaresSVM
-from oed_sysid.estimators.baselines.nomoto import HeadingDifferences
+from oed_sysid.estimators.baselines.least_squares import (
+    EquationError,
+    HeadingDifferences,
+    TotalLeastSquares,
+)
 from oed_sysid.estimators.baselines.population import (
     CovarianceMatrixAdaptation,
     DifferentialEvolution,
+    DifferentialSwarm,
     ParticleSwarm,
 )
-from oed_sysid.estimators.baselines.support_vector import SupportVectorRegression
-from oed_sysid.estimators.baselines.swarm import DifferentialSwarm
-from oed_sysid.estimators.baselines.total_least_squares import TotalLeastSquares
+from oed_sysid.estimators.baselines.support_vectors import LeastSquaresSVM, SupportVectorRegression
 from oed_sysid.estimators.kalman import JointKalmanFilter
 from oed_sysid.estimators.multiple_shooting import MultipleShooting
 from oed_sysid.estimators.multistart import Multistart

@@ -11,7 +11,7 @@ import numpy as np
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators.baselines.regression_summary import fit_from_values
+from oed_sysid.estimators.baselines.regression import fit_from_values
 from oed_sysid.fitting.fit import Fit, Status
 from oed_sysid.fitting.noise_levels import given_levels, noise_floor
 from oed_sysid.fitting.start_guess import check_channels, measured_states

@@ -13,7 +13,7 @@ from oed_sysid.batch.threads import one_thread
 from oed_sysid.compiled.filtering import filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.effects.base import RandomProcess
-from oed_sysid.effects.random import random_effects
+from oed_sysid.effects.unknown import random_effects
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.estimators.losses import loss_by_name
 from oed_sysid.estimators.nonlinear_program import NonlinearProgram

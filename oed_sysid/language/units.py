@@ -56,7 +56,7 @@ class Dimension:
         return self * other**-1
 
     def __pow__(self, power: float | Fraction) -> Dimension:
-        exact = Fraction(power).limit_denominator(1000)
+        exact = Fraction(power) if isinstance(power, int) else _fraction(power)
         return Dimension(tuple(a and a * exact for a in self.exponents), self.radian * exact)
 
     @property
@@ -73,6 +73,10 @@ class Dimension:
             if with_volt.get("A", 0) == 0 and len(with_volt) + 1 < len(symbols):
                 symbols = with_volt | {"V": -self.exponents[3]}
         return _text({**symbols, "rad": self.radian})
+
+
+def _fraction(power: float | Fraction) -> Fraction:
+    return Fraction(power).limit_denominator(1000)
 
 
 def _nonzero(value: Dimension) -> dict[str, Fraction]:

@@ -10,8 +10,7 @@ for a course-unstable vessel they grow. In the loop the law is replayed instead,
     \delta_k = \pm\delta_a \text{ reversed where } |\hat\psi_k - \psi_0| \text{ passes } \psi_s ,
 
 at a limited rate, with the model's own :math:`\hat\psi, \hat r`. The law is given, or read from
-the record (:mod:`oed_sysid.predictions.course_control`,
-:mod:`oed_sysid.predictions.zigzag_control`). Bands are those of draws from the fit, each in its
+the record (:mod:`oed_sysid.predictions.laws`). Bands are those of draws from the fit, each in its
 own loop with a law drawn from its own uncertainty, in which the law sees noisy sensors, the rudder
 has the noise that the law did not explain, and the start is as uncertain as its measurement.
 """
@@ -31,9 +30,8 @@ from oed_sysid.errors import ModelError
 from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.fitting.start_guess import measured_columns, measured_states
 from oed_sysid.model import Model
-from oed_sysid.predictions.course_control import CourseControl
-from oed_sysid.predictions.draws import draw
-from oed_sysid.predictions.zigzag_control import ZigzagControl
+from oed_sysid.predictions.draws import asked, parameter_sets
+from oed_sysid.predictions.laws import CourseControl, ZigzagControl
 
 __all__ = ["ClosedLoop", "Control", "CourseControl", "UncertainControl", "ZigzagControl"]
 __all__ += ["closed_loop"]
@@ -171,8 +169,7 @@ def closed_loop(
     ModelError
         If the model has no such input.
     """
-    fit = fit_or_model if isinstance(fit_or_model, Fit) else None
-    model = fit_or_model.model if isinstance(fit_or_model, Fit) else fit_or_model
+    fit, model = asked(fit_or_model)
     if control.input not in model.input_names:
         raise ModelError(
             f"The law gives {control.input!r}; model {model.name!r} has the inputs "
@@ -181,9 +178,7 @@ def closed_loop(
     rng = rng or np.random.default_rng(0)
     sigma = np.zeros(len(model.outputs)) if fit is None else fit.sigma
     held = model.fix(*model.free_names)
-    table = [held.value_vector]
-    if fit is not None and n_draws > 0:
-        table += list(draw(fit, n_draws, rng))
+    table = parameter_sets(fit, model, n_draws, rng)
     quiet = np.zeros(len(sigma))
     outputs, inputs = _run(held, record, control, table[0], quiet, rng)
     opened = _run(held, record, None, table[0], quiet, rng)[0]
@@ -194,7 +189,7 @@ def closed_loop(
     drawn = np.array([one for one in runs if np.isfinite(one).all()])
     nothing = np.full(outputs.shape, np.nan)
     std, lower, upper = nothing, nothing, nothing
-    caveat = fit_or_model.caveat if isinstance(fit_or_model, Fit) else ""
+    caveat = "" if fit is None else fit.caveat
     if len(drawn) > 1:
         noisy = drawn + sigma * rng.standard_normal(drawn.shape)
         std = np.sqrt(drawn.var(axis=0) + sigma**2)

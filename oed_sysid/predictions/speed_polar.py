@@ -18,6 +18,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.experiment import Limits
 from oed_sysid.fitting.fit import Fit, align
 from oed_sysid.model import Model
+from oed_sysid.predictions.draws import asked, parameter_sets
 from oed_sysid.simulation import equilibrium
 
 
@@ -184,38 +185,25 @@ def speed_polar(
     Larsson & Eliasson (2000), Principles of yacht design, 2nd ed., ch. 16, for
     velocity prediction by equilibrium.
     """
-    fit = fit_or_model if isinstance(fit_or_model, Fit) else None
-    model = fit_or_model.model if isinstance(fit_or_model, Fit) else fit_or_model
+    fit, model = asked(fit_or_model)
     names = names or SailingNames()
     names.check(model)
     angles, sheets = np.asarray(angles, dtype=float), np.asarray(sheets, dtype=float)
     if not angles.size or not sheets.size:
         raise ModelError("A polar needs at least one angle and one sheet angle.")
     solver = _Solver(model, names, wind_speed, limits)
-    keys = (*model.state_names, names.helm)
-    begin = dict(guess or {names.speed: 0.3 * wind_speed})
-    best: list[dict[str, float] | None] = []
-    for angle in angles:
-        # From the best of the neighbouring angle, the neighbouring sheet and the given guess.
-        found: list[dict[str, float]] = []
-        for sheet in sheets:
-            known = [point for point in (*found[-1:], *best[-1:]) if point is not None]
-            starts = [*({key: one[key] for key in keys} for one in known), begin]
-            points = (solver.steady({}, angle, sheet, start) for start in starts)
-            if (point := next(filter(None, points), None)) is not None:
-                found.append(point)
-        best.append(max(found, key=lambda point: point[names.speed]) if found else None)
-    table = [] if fit is None else _drawn(fit, n_draws, rng or np.random.default_rng(0))
+    best = solver.trimmed(angles, sheets, dict(guess or {names.speed: 0.3 * wind_speed}))
+    table = parameter_sets(fit, model, n_draws, rng)[1:]
     speeds = np.full((len(table), len(angles)), math.nan)
     for row, values in enumerate(table):
+        drawn = dict(zip(model.parameter_names, map(float, values), strict=True))
         for column, (angle, point) in enumerate(zip(angles, best, strict=True)):
             if point is not None:
-                near = {key: point[key] for key in keys}
-                sailed = solver.steady(values, angle, point[names.sheet], near)
+                sailed = solver.steady(drawn, angle, point[names.sheet], solver.start(point))
                 speeds[row, column] = sailed[names.speed] if sailed else math.nan
     states = {
         key: np.array([math.nan if point is None else point[key] for point in best])
-        for key in (*keys, names.sheet)
+        for key in (*solver.keys, names.sheet)
     }
     caveat = "" if fit is None else fit.caveat
     best_speeds, best_sheets = states[names.speed], states[names.sheet]
@@ -231,6 +219,31 @@ class _Solver:
         self, model: Model, names: SailingNames, wind_speed: float, limits: Limits | None
     ) -> None:
         self.model, self.names, self.wind_speed, self.limits = model, names, wind_speed, limits
+        self.keys = (*model.state_names, names.helm)
+
+    def start(self, point: Mapping[str, float]) -> dict[str, float]:
+        """States and helm of a steady point, from which another is looked for."""
+        return {key: point[key] for key in self.keys}
+
+    def trimmed(
+        self, angles: np.ndarray, sheets: np.ndarray, begin: Mapping[str, float]
+    ) -> list[dict[str, float] | None]:
+        """The fastest of the sheets at each angle; None where no sheet sails.
+
+        Each search begins at the neighbouring sheet, the best of the neighbouring angle, or
+        ``begin``, whichever leads somewhere.
+        """
+        best: list[dict[str, float] | None] = []
+        for angle in angles:
+            found: list[dict[str, float]] = []
+            for sheet in sheets:
+                known = [point for point in (*found[-1:], *best[-1:]) if point is not None]
+                starts = [*map(self.start, known), begin]
+                points = (self.steady({}, angle, sheet, start) for start in starts)
+                if (point := next(filter(None, points), None)) is not None:
+                    found.append(point)
+            best.append(max(found, key=lambda point: point[self.names.speed], default=None))
+        return best
 
     def steady(
         self,
@@ -255,21 +268,3 @@ class _Solver:
         )
         found = {**point.states, **point.inputs}
         return found if point.ok and found[names.speed] > 0 else None
-
-
-def _drawn(fit: Fit, n_draws: int, rng: np.random.Generator) -> list[dict[str, float]]:
-    """Parameter sets: the sampler's own draws, else from the covariance, within bounds."""
-    sampled = fit.extras.get("draws")
-    if sampled and set(fit.names) <= set(sampled):
-        flat = np.column_stack([np.ravel(sampled[name]) for name in fit.names])
-        table = flat[rng.choice(len(flat), min(n_draws, len(flat)), replace=False)]
-    elif np.isfinite(fit.covariance).all():
-        table = rng.multivariate_normal(fit.estimates, fit.covariance, n_draws, method="eigh")
-    else:
-        raise ModelError(
-            "The fit has parameters without a finite uncertainty, so there is no band. Fix them, "
-            "give them a prior_std, or ask with n_draws=0 and fit.model."
-        )
-    chosen = [fit.model.parameter(name) for name in fit.names]
-    table = np.clip(table, [p.lower for p in chosen], [p.upper for p in chosen])
-    return [dict(zip(fit.names, map(float, row), strict=True)) for row in table]

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import ndtri
@@ -321,12 +321,7 @@ def average_structures(
     if len(candidates) < 2:
         raise ModelError(f"{len(candidates)} structures are no average. Give two or more.")
     _check_settings(horizon, floor, power)
-    for one in candidates:
-        if tests is not None and one.tests is not None and (seen := tests.shared(one.tests)):
-            raise ModelError(
-                f"Structure {one.name!r} was fitted to {seen} of the {tests.n_tests} tests that "
-                "shall judge it. Judge with other tests, or fit without these."
-            )
+    _check_tests(candidates, tests)
     rungs = ladder(dataset, strength)
     spread = _spread(dataset)
     found = [_transfer(one, dataset, rungs, spread, purpose, horizon, tests, scored, floor)
@@ -343,32 +338,31 @@ def average_structures(
         [(one.score / best) ** -power if best > 0 else float(one.score == 0) for one in found]
     )
     weights = raw / raw.sum()
-    done = []
-    for candidate, each, weight in zip(candidates, found, weights, strict=True):
-        std: dict[str, float] = {}
-        if weight >= LEAST_WEIGHT:
-            std = record_errors(candidate, dataset, purpose)
-        done.append(
-            Transfer(
-                each.name,
-                each.step,
-                each.forces,
-                each.drift,
-                each.score,
-                float(weight),
-                each.values,
-                std,
-                each.note,
-            )
+    done = [
+        replace(
+            each,
+            weight=float(weight),
+            std=record_errors(candidate, dataset, purpose) if weight >= LEAST_WEIGHT else {},
         )
+        for candidate, each, weight in zip(candidates, found, weights, strict=True)
+    ]
+    return _averaged(done, rungs, len(dataset), floor)
+
+
+def _averaged(
+    done: Sequence[Transfer],
+    rungs: Sequence[tuple[tuple[str, ...], tuple[str, ...]]],
+    n_records: int,
+    floor: float,
+) -> StructureAverage:
+    """Mean of the structures by their weights, and the three parts of its variance."""
     used = [one for one in done if one.weight > 0]
-    names = tuple(used[0].values)
+    share = np.array([one.weight for one in used])
     values: dict[str, float] = {}
     between: dict[str, float] = {}
     within: dict[str, float] = {}
-    for name in names:
+    for name in used[0].values:
         table = np.array([one.values[name] for one in used])
-        share = np.array([one.weight for one in used])
         values[name] = float(share @ table)
         between[name] = float(np.sqrt(share @ (table - values[name]) ** 2))
         # Those too light for a jackknife are taken to scatter as the others do.
@@ -376,8 +370,8 @@ def average_structures(
         part = np.array([one.std[name] ** 2 for one in used if one.std])
         within[name] = float(np.sqrt(share[known] @ part / share[known].sum()))
     total = {
-        name: math.sqrt(between[name] ** 2 + within[name] ** 2 + (floor * values[name]) ** 2)
-        for name in names
+        name: math.sqrt(between[name] ** 2 + within[name] ** 2 + (floor * value) ** 2)
+        for name, value in values.items()
     }
     return StructureAverage(
         values,
@@ -386,7 +380,7 @@ def average_structures(
         within,
         tuple(sorted(done, key=lambda one: -one.weight)),
         tuple(fitted for fitted, _ in rungs),
-        len(dataset),
+        n_records,
     )
 
 
@@ -425,25 +419,16 @@ def _transfer(
             errors = tests.relative_errors(whole.model)
             forces = float(np.exp(np.mean(np.log(list(errors.values())))))
     except (OedSysidError, np.linalg.LinAlgError) as error:
-        return Transfer(
-            nothing.name, math.inf, 1.0, math.inf, math.inf, 0.0, {}, {}, str(error).split(". ")[0]
-        )
+        return replace(nothing, note=str(error).split(". ")[0])
     step = math.sqrt(squares / max(count, 1))
     moved = _changes(candidate.name, values, rungs_values, scored)
     drift = float(np.sqrt(np.mean(np.square(moved))))
     score = step * forces * math.hypot(drift, floor)
     usable = math.isfinite(score) and all(math.isfinite(value) for value in values.values())
-    return Transfer(
-        candidate.name,
-        step,
-        forces,
-        drift,
-        score if usable else math.inf,
-        0.0,
-        values if usable else {},
-        {},
-        "" if usable else "predictions are not finite",
-    )
+    found = replace(nothing, step=step, forces=forces, drift=drift)
+    if not usable:
+        return replace(found, note="predictions are not finite")
+    return replace(found, score=score, values=values)
 
 
 def _changes(
@@ -476,6 +461,16 @@ def _changes(
                 )
             moved.append(one[name] / values[name] - 1.0)
     return moved
+
+
+def _check_tests(candidates: Sequence[Structure], tests: CaptiveTests | None) -> None:
+    """Refuse tests that some candidate was fitted to."""
+    for one in candidates:
+        if tests is not None and one.tests is not None and (seen := tests.shared(one.tests)):
+            raise ModelError(
+                f"Structure {one.name!r} was fitted to {seen} of the {tests.n_tests} tests that "
+                "shall judge it. Judge with other tests, or fit without these."
+            )
 
 
 def _check_settings(horizon: float, floor: float, power: float) -> None:

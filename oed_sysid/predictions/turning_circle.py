@@ -7,7 +7,7 @@ where an extrapolation is made, and where its uncertainty has to be said.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from oed_sysid.fitting.fit import TWO_SIDED_95, Fit, align
 from oed_sysid.manoeuvres import TurningCircle
 from oed_sysid.manoeuvres.indices import TurningIndices, turning_indices
 from oed_sysid.model import Model
-from oed_sysid.predictions.draws import draw
+from oed_sysid.predictions.draws import asked, parameter_sets
 from oed_sysid.simulation import equilibrium, simulate_batch
 
 SIDES = ("starboard", "port")
@@ -116,16 +116,13 @@ class TurningPrediction:
             lines.append(f"  straight approach with the rudder at {neutral:.2f} deg")
         lines += [f"  {note}" for note in self.notes]
         scaled = [] if self.length is None else [f"{side} [L]" for side in self.sides]
-        rows = [("", *(f"{side}" for side in self.sides), "unit", *scaled)]
+        rows = [("", *self.sides, "unit", *scaled)]
         for quantity, unit in QUANTITIES.items():
             factor, shown = (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit)
             cells = [self._cell(quantity, side, factor) for side in self.sides]
-            in_lengths = [
-                self._cell(quantity, side, 1 / self.length)
-                if self.length is not None and quantity in LENGTHS
-                else ""
-                for side in (self.sides if scaled else ())
-            ]
+            in_lengths = [""] * len(scaled)
+            if self.length is not None and quantity in LENGTHS:
+                in_lengths = [self._cell(quantity, side, 1 / self.length) for side in self.sides]
             rows.append((quantity.replace("_", " "), *cells, shown, *in_lengths))
         lines += [f"  {line}" for line in align(rows)]
         lines += [
@@ -237,69 +234,89 @@ def turning_circle(
     >>> print(round(circle.value("steady_diameter", "port"), 1))  # 2 U/(K rudder)
     100.0
     """
-    fit = fit_or_model if isinstance(fit_or_model, Fit) else None
-    model = fit_or_model.model if isinstance(fit_or_model, Fit) else fit_or_model
-    if not isinstance(model, Model):
-        raise ModelError(f"Expected a fit or a model to turn, got {type(model).__name__}.")
-    wanted = SIDES if side == "both" else (side,)
-    if not set(wanted) <= set(SIDES):
-        raise ModelError(f"side is {side!r}. Choose starboard, port or both.")
-    if approach not in ("neutral", "amidships"):
-        raise ModelError(f"approach is {approach!r}. Choose neutral or amidships.")
+    fit, model = asked(fit_or_model)
+    wanted = _sides(side, approach)
     _check_numbers(speed, rudder, length, rate, n_draws)
     tracked = _with_track(model, speed)
     steered = _rudder_input(model, input)
-    values = [model.value_vector]
-    if fit is not None and n_draws > 0:
-        values += list(draw(fit, n_draws, rng or np.random.default_rng(0)))
     kept = [model.parameter_names.index(name) for name in tracked.parameter_names]
-    table = np.array(values)[:, kept]
+    table = np.array(parameter_sets(fit, model, n_draws, rng))[:, kept]
     start = {"u": speed} if "u" in model.state_names else {}
     trim, notes = 0.0, []
     if approach == "neutral":
         trim, start, note = _approach(model, steered, start)
         notes += [note] if note else []
     notes += _unsteady(model, steered, trim, start)
-    nominal: dict[str, dict[str, float]] = {}
-    draws: dict[str, dict[str, np.ndarray]] = {}
-    unfinished: dict[str, int] = {}
-    for sign in (1.0, -1.0):
+    orders = [
         # A circle's rudder is counted from amidships, wherever the approach had it.
-        order = TurningCircle(steered, sign * rudder - trim, rate=rate, neutral=trim)
-        times, paths = _turn(tracked, order, table[:1], start)
+        TurningCircle(steered, sign * rudder - trim, rate=rate, neutral=trim)
+        for sign in (1.0, -1.0)
+    ]
+    turns = _turns(tracked, orders, table, start, wanted)
+    empty = dict.fromkeys(QUANTITIES, math.nan)
+    draws = {
+        name: {q: np.array([(one or empty)[q] for one in members[1:]]) for q in QUANTITIES}
+        for name, members in turns.items()
+    }
+    return TurningPrediction(
+        model=model.name,
+        rudder=rudder,
+        speed=speed,
+        length=length,
+        nominal={name: turns[name][0] or empty for name in wanted},
+        draws=draws,
+        unfinished={name: sum(one is None for one in members) for name, members in turns.items()},
+        neutral=trim,
+        caveat="" if fit is None else fit.caveat,
+        notes=tuple(notes),
+    )
+
+
+def _turns(
+    model: Model,
+    orders: Sequence[TurningCircle],
+    table: np.ndarray,
+    start: Mapping[str, float],
+    wanted: Sequence[str],
+) -> dict[str, list[dict[str, float] | None]]:
+    """Quantities of all parameter sets by the side that is reached, of the wanted ones."""
+    turns: dict[str, list[dict[str, float] | None]] = {}
+    for order in orders:
+        times, paths = _turn(model, order, table[:1], start)
         reached = "starboard" if paths[0, -1, 2] > paths[0, 0, 2] else "port"
-        if reached not in wanted or reached in nominal:
+        if reached not in wanted or reached in turns:
             continue
         if len(table) > 1:
             # Slower draws need longer than the fitted values do.
             times = np.arange(0.0, 1.5 * times[-1], times[1])
             paths = simulate_batch(
-                tracked,
+                model,
                 times,
-                inputs={steered: order.waveform()(times)},
+                inputs={order.input: order.waveform()(times)},
                 values=table,
                 initials=start,
             )
-        found = [_quantities(times, path) for path in paths]
-        if found[0] is None:
+        turns[reached] = [_quantities(times, path) for path in paths]
+        if turns[reached][0] is None:
             raise SimulationError(
                 f"Model {model.name!r} does not turn by 180 degrees to {reached}."
             )
-        nominal[reached] = found[0]
-        empty = dict.fromkeys(QUANTITIES, math.nan)
-        members = [member or empty for member in found[1:]]
-        draws[reached] = {q: np.array([member[q] for member in members]) for q in QUANTITIES}
-        unfinished[reached] = sum(member is None for member in found[1:])
-    if missing := [name for name in wanted if name not in nominal]:
+    if missing := [name for name in wanted if name not in turns]:
         raise ModelError(
             f"Model {model.name!r} turns to the same side with either rudder; nothing turns it to "
             f"{missing[0]}. Check the sign and the size of its rudder force."
         )
-    ordered = {name: nominal[name] for name in wanted}
-    caveat = "" if fit is None else fit.caveat
-    return TurningPrediction(
-        model.name, rudder, speed, length, ordered, draws, unfinished, trim, caveat, tuple(notes)
-    )
+    return turns
+
+
+def _sides(side: str, approach: str) -> tuple[str, ...]:
+    """Sides that are asked for; words that say nothing are refused."""
+    wanted = SIDES if side == "both" else (side,)
+    if not set(wanted) <= set(SIDES):
+        raise ModelError(f"side is {side!r}. Choose starboard, port or both.")
+    if approach not in ("neutral", "amidships"):
+        raise ModelError(f"approach is {approach!r}. Choose neutral or amidships.")
+    return wanted
 
 
 def _check_numbers(

@@ -15,6 +15,7 @@ from oed_sysid.effects import Effect
 from oed_sysid.errors import OedSysidError, ProblemError
 from oed_sysid.experiment import Experiment, Limits
 from oed_sysid.model import Model
+from oed_sysid.problem.soundness import notes
 
 DEFAULT = "default"
 _NAME = re.compile(r"[A-Za-z]\w*")
@@ -315,6 +316,16 @@ class Problem:
             )
         return found
 
+    def notes(self) -> tuple[str, ...]:
+        """Say in which units the bare numbers of its models and candidates were read.
+
+        ``0.5*1025*2500*U*v`` is a force if its numbers stand for a density and an
+        area; what unit a number stands for follows from where it stands.
+        """
+        problems = (self, *self.others.values())
+        found = [line for one in problems for line in notes(one.models.values(), one.effects)]
+        return tuple(dict.fromkeys(found))
+
     def describe(self) -> str:
         """Return what the problem holds, in words."""
         inputs, outputs = ", ".join(self.model.input_names), ", ".join(self.model.output_names)
@@ -329,5 +340,6 @@ class Problem:
             f"candidates   {', '.join(effect.name for effect in self.effects) or USUAL}",
             f"experiments  {', '.join(self.experiments) or 'none'}",
             *(f"[{number}] {text}" for number, text in enumerate(self.references, start=1)),
+            *(f"note: {text}" for text in self.notes()),
         ]
         return "\n".join(line for line in lines if line)

@@ -3,7 +3,8 @@ r"""What can be wrong with a problem although every part of it is well formed.
 *Dimensions.* Every expression of a model is in the unit of what it gives: the
 rate of a state in that state's unit per second, a force in that of inertia
 times acceleration, an output in its own unit. A parameter without a stated unit
-may have any; what cannot be derived is not judged.
+may have any; what cannot be derived is not judged. A bare number may have any unit
+too: which one, follows from where it stands, and is said in a note.
 
 *Absence.* A candidate effect with zero amplitudes is absent: what it adds is 0,
 what it replaces stays. Both are tried with random numbers in the place of every
@@ -19,12 +20,12 @@ import numpy as np
 from oed_sysid.effects import Effect
 from oed_sysid.errors import OedSysidError
 from oed_sysid.language import expressions, notation
-from oed_sysid.language.dimensions import dimension_of
-from oed_sysid.language.units import Dimension, dimension
+from oed_sysid.language.dimensions import Deduction, Form
+from oed_sysid.language.units import dimension
 from oed_sysid.model import Model
 
 _N_TRIALS = 3
-_SECOND = dimension("s")
+_SECOND = Form(dimension("s"))
 
 
 def dimension_faults(model: Model) -> tuple[str, ...]:
@@ -44,7 +45,32 @@ def effect_faults(effects: Iterable[Effect], model: Model) -> tuple[str, ...]:
     """
     units = _Units(model)
     list(units.faults())
-    return tuple(fault for effect in effects for fault in units.of_effect(effect))
+    return tuple(fault for effect in effects for fault in units.copy().of_effect(effect))
+
+
+def notes(models: Iterable[Model], effects: Iterable[Effect]) -> tuple[str, ...]:
+    """Say in which unit the bare numbers of models and candidates were read, where not in 1.
+
+    Parameters
+    ----------
+    models : iterable of Model
+        The models of a problem; the first is the one that the candidates extend.
+    effects : iterable of Effect
+        The candidates.
+    """
+    found: list[str] = []
+    nominal = None
+    for model in models:
+        units = _Units(model)
+        list(units.faults())
+        nominal = nominal or units
+        found += units.notes()
+    if nominal is not None:
+        for effect in effects:
+            units = nominal.copy()
+            list(units.of_effect(effect))
+            found += units.notes()
+    return tuple(dict.fromkeys(found))
 
 
 class _Units:
@@ -52,11 +78,32 @@ class _Units:
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        self.known: dict[str, Dimension | None] = {"t": _SECOND, "h": _SECOND}
-        self.known |= {state.name: dimension(state.unit) for state in model.states}
-        self.known |= {channel.name: dimension(channel.unit) for channel in model.inputs}
+        self.units = Deduction()
+        self.masses: dict[str, Form | None] = {}
+        self.known: dict[str, Form | None] = {"t": _SECOND, "h": _SECOND}
+        self.known |= {state.name: Form(dimension(state.unit)) for state in model.states}
+        self.known |= {channel.name: Form(dimension(channel.unit)) for channel in model.inputs}
         self.known |= {p.name: _stated(p.unit) for p in model.all_parameters}
-        self.outputs = {output.name: dimension(output.unit) for output in model.outputs}
+        self.outputs = {output.name: Form(dimension(output.unit)) for output in model.outputs}
+
+    def copy(self) -> _Units:
+        """The same, to be extended by one effect."""
+        other = _Units(self.model)
+        other.units, other.known, other.masses = (
+            self.units.copy(),
+            dict(self.known),
+            dict(self.masses),
+        )
+        return other
+
+    def notes(self) -> tuple[str, ...]:
+        """Say which bare numbers were given a unit."""
+        for axis in self.model.axes:
+            # An inertia of bare numbers: forces are in newton unless the other terms say more.
+            force, usual = self._force(axis), _usual_force(axis)
+            if force is not None and usual is not None:
+                self.units.equal(force, usual)
+        return self.units.notes()
 
     def faults(self) -> Iterator[str]:
         """Yield what is wrong in a model and its effects."""
@@ -67,8 +114,8 @@ class _Units:
             known[name] = yield from self._derived(f"signal {name!r}", text)
         for axis, state in model.inertia:
             text = model.inertia[axis, state]
-            force, velocity = self._force(axis), known[state]
-            needed = None if force is None or velocity is None else force / (velocity / _SECOND)
+            force, rate = self._force(axis), self._rate(state)
+            needed = None if force is None or rate is None else force / rate
             yield from self._derived(f"inertia {(axis, state)}", text, needed)
         for name, text in model.kinematics.items():
             yield from self._derived(f"rate of {name!r}", text, self._rate(name))
@@ -105,23 +152,26 @@ class _Units:
         self.known = outer
 
     def _derived(
-        self, where: str, text: str, needed: Dimension | None = None
-    ) -> Generator[str, None, Dimension | None]:
+        self, where: str, text: str, needed: Form | None = None
+    ) -> Generator[str, None, Form | None]:
         """Yield a fault if there is one, and return the dimension."""
         try:
-            found = dimension_of(text, self.known)
+            found = self.units.form(text, self.known, where=where)
         except OedSysidError as error:
             yield f"{where}: {error}"
             return needed
-        if needed is not None and found is not None and found != needed:
-            yield f"{where}: {text!r} is in {found}, expected {needed}."
+        if needed is not None and found is not None and not self.units.equal(found, needed):
+            yield (
+                f"{where}: {text!r} is in {self.units.dimension(found)}, expected "
+                f"{self.units.dimension(needed)}."
+            )
         return found
 
-    def _rate(self, name: str) -> Dimension | None:
+    def _rate(self, name: str) -> Form | None:
         own = self.known.get(name)
         return None if own is None else own / _SECOND
 
-    def _needed(self, effect: Effect, key: str | tuple[str, str]) -> Dimension | None:
+    def _needed(self, effect: Effect, key: str | tuple[str, str]) -> Form | None:
         """Dimension of a term of an effect."""
         if effect.stage == "sensor":
             return self.outputs.get(str(key))
@@ -135,7 +185,7 @@ class _Units:
             return force
         return force / rate
 
-    def _force(self, axis: str) -> Dimension | None:
+    def _force(self, axis: str) -> Form | None:
         """Dimension of an axis: inertia times acceleration, or by the name of the axis."""
         state = self.model.axes[axis]
         rate = self._rate(state)
@@ -144,18 +194,25 @@ class _Units:
         if not any(row == axis for row, _ in self.model.inertia):
             return rate
         entry = self.model.inertia.get((axis, state))
-        try:
-            mass = None if entry is None else dimension_of(entry, self.known)
-        except OedSysidError:  # said where the inertia is looked at
-            return None
-        if mass is not None:
-            return mass * rate
-        return dimension("N" if axis in "XYZ" else "N m") if axis in notation.AXES else None
+        if axis not in self.masses:
+            where = f"inertia {(axis, state)}"
+            try:
+                mass = None if entry is None else self.units.form(entry, self.known, where=where)
+            except OedSysidError:  # said where the inertia is looked at
+                return None
+            self.masses[axis] = mass
+        mass = self.masses[axis]
+        return _usual_force(axis) if mass is None else mass * rate
 
 
-def _stated(unit: str) -> Dimension | None:
+def _usual_force(axis: str) -> Form | None:
+    """Force or moment, by the name of the axis."""
+    return Form(dimension("N" if axis in "XYZ" else "N m")) if axis in notation.AXES else None
+
+
+def _stated(unit: str) -> Form | None:
     """Dimension of a stated unit; an empty one is unknown."""
-    return dimension(unit) if unit else None
+    return Form(dimension(unit)) if unit else None
 
 
 def presence_at_zero(effect: Effect, model: Model) -> tuple[str, ...]:

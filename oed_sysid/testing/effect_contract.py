@@ -27,11 +27,8 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.effects import Effect
-from oed_sysid.errors import OedSysidError
-from oed_sysid.language import notation
-from oed_sysid.language.dimensions import dimension_of
-from oed_sysid.language.units import Dimension, dimension
 from oed_sysid.model import Model
+from oed_sysid.problem.soundness import effect_faults
 
 _ABSENT = 1e-12  # relative to the outputs
 _MIRROR = 1e-9
@@ -88,7 +85,7 @@ def check_effect(
         With a line for every broken promise.
     """
     probe = _Probe(effect, model, dict(initial or {}), dict(inputs or {}), n_times)
-    broken = [*_words(effect), *_units(effect, model)]
+    broken = [*_words(effect), *effect_faults([effect], model)]
     broken += probe.absent_at_zero(rng)
     for _ in range(n_points):
         broken += probe.jacobian(rng)
@@ -110,90 +107,6 @@ def _words(effect: Effect) -> list[str]:
             if parameter.scale is None:
                 broken.append(f"amplitude {parameter.name} has no typical scale")
     return broken
-
-
-# -- units -------------------------------------------------------------------------
-
-
-def stated(unit: str) -> Dimension | None:
-    """Dimension of a stated unit; an empty one, or one with roots (V^0.5/s), is unknown."""
-    try:
-        return dimension(unit) if unit else None
-    except OedSysidError:
-        return None
-
-
-def _units(effect: Effect, model: Model) -> list[str]:
-    """Terms whose dimension is not that of what they are added to or replace."""
-    known: dict[str, Dimension | None] = {"t": dimension("s"), "h": dimension("s")}
-    for listed in (model.states, model.inputs, model.all_parameters, effect.parameters):
-        known |= {item.name: stated(item.unit) for item in listed}
-    known |= {state.name: stated(state.unit) for state in effect.states}
-    broken: list[str] = []
-
-    def derive(text: str, expected: Dimension | None = None) -> Dimension | None:
-        try:
-            found = dimension_of(text, known)
-        except OedSysidError as error:
-            broken.append(str(error))
-            return None
-        if expected is not None and found is not None and found != expected:
-            broken.append(f"{text!r} is in {found}, expected {expected}")
-        return found
-
-    for name, text in (*model.actuator_signals.items(), *model.signals.items()):
-        known[name] = derive(text)
-    outputs = {output.name: stated(output.unit) for output in model.outputs}
-    if effect.stage == "sensor":
-        known |= outputs
-    for memory in effect.memory:
-        known[memory.name] = derive(memory.initial)
-    for name, text in effect.definitions.items():
-        known[name] = derive(text)
-    for key, text in effect.terms.items():
-        expected = (
-            outputs[key] if effect.stage == "sensor" else _expected(effect, model, key, known)
-        )
-        derive(text, expected)
-    for memory in effect.memory:
-        derive(memory.update, known[memory.name])
-    for state in effect.states:
-        own = known[state.name]
-        derive(state.rate, None if own is None else own / dimension("s"))
-    return broken
-
-
-def _expected(
-    effect: Effect, model: Model, key: str | tuple[str, str], known: Mapping[str, Dimension | None]
-) -> Dimension | None:
-    if effect.stage in ("actuator", "environment"):
-        return known[str(key)]
-    axis, state = key if isinstance(key, tuple) else (key, model.axes.get(key))
-    if state is None:  # the rate of a state
-        own = known[axis]
-        return None if own is None else own / dimension("s")
-    force = _force(model, axis, known)
-    velocity = known[state]
-    if effect.stage == "force" or force is None or velocity is None:
-        return force
-    return force / (velocity / dimension("s"))
-
-
-def _force(model: Model, axis: str, known: Mapping[str, Dimension | None]) -> Dimension | None:
-    """Dimension of an axis: inertia times acceleration, or by the name of the axis."""
-    state = model.axes[axis]
-    velocity = known[state]
-    if velocity is None:
-        return None
-    entry = model.inertia.get((axis, state))
-    if entry is None and not any(row == axis for row, _ in model.inertia):
-        return velocity / dimension("s")
-    mass = None if entry is None else dimension_of(entry, known)
-    if mass is not None:
-        return mass * velocity / dimension("s")
-    if axis not in notation.AXES:
-        return None
-    return dimension("N" if axis in "XYZ" else "N m")
 
 
 # -- trajectories ------------------------------------------------------------------

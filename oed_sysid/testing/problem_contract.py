@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,14 +18,11 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.effects import Effect
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiment import Experiment
-from oed_sysid.language.dimensions import dimension_of
-from oed_sysid.language.units import Dimension, dimension
-from oed_sysid.model import Model
 from oed_sysid.problem import Problem, load_problem
 from oed_sysid.problem.catalogue import catalogue_folder
 from oed_sysid.sensitivity import information_of
 from oed_sysid.simulation import simulate
-from oed_sysid.testing.effect_contract import check_effect, stated
+from oed_sysid.testing.effect_contract import check_effect
 
 # What a README speaks of, and words that show it does.
 TOPICS = {
@@ -48,9 +44,9 @@ def check_problem(
 ) -> None:
     """Check everything that the commands rely on in a problem folder.
 
-    * It loads, and its README says where it comes from, in which axes or units, and what
-      success means.
-    * In every model, the dimensions of rates and outputs follow from their terms.
+    * It loads, so that dimensions follow from its terms, and its README says where it comes
+      from, in which axes or units, and what success means. In which unit bare numbers
+      were read is printed.
     * Every candidate effect keeps the contract of :func:`check_effect`, among it that it
       is absent at zero; the problem's references may stand for its own.
     * Every experiment can be simulated, within finite numbers.
@@ -78,14 +74,13 @@ def check_problem(
         problem = load_problem(name_or_folder)
     except OedSysidError as error:
         raise AssertionError(f"Problem {name_or_folder}:\n- does not load: {error}") from None
+    for note in problem.notes():
+        print(f"Problem {problem.name!r}: {note}")
     text, broken = _readme(name_or_folder)
     data = None
     if records and problem.records is not None:
         data, more = _records(problem)
         broken += more
-    for name in problem.variants:
-        variant = problem.variant(name)
-        broken += [f"model {name!r}: {line}" for line in _dimensions(variant.model)]
     broken += _simulations(problem)
     broken += _identifiable(problem, data, text)
     if effects:
@@ -134,35 +129,6 @@ def _records(problem: Problem) -> tuple[Dataset | None, list[str]]:
         if not np.isfinite(record.outputs).any()
     ]
     return data, broken
-
-
-def _dimensions(model: Model) -> list[str]:
-    """Rates and outputs whose dimension is not that of their state or channel."""
-    known: dict[str, Dimension | None] = {"t": dimension("s"), "h": dimension("s")}
-    extra = [state for effect in model.effects for state in effect.states]
-    items: tuple[Any, ...] = (*model.states, *extra, *model.inputs, *model.all_parameters)
-    for item in items:
-        known[item.name] = stated(item.unit)
-    broken: list[str] = []
-
-    def derive(text: str, expected: Dimension | None, what: str) -> Dimension | None:
-        try:
-            found = dimension_of(text, known)
-        except OedSysidError as error:
-            broken.append(f"{what}: {error}")
-            return None
-        if found is not None and expected is not None and found != expected:
-            broken.append(f"{what}: {text!r} is in {found}, expected {expected}")
-        return found
-
-    for name, text in (*model.actuator_signals.items(), *model.signals.items()):
-        known[name] = derive(text, None, f"signal {name!r}")
-    for name, text in model.kinematics.items():
-        own = known[name]
-        derive(text, None if own is None else own / dimension("s"), f"rate of {name!r}")
-    for output in model.outputs:
-        derive(output.source, stated(output.unit), f"output {output.name!r}")
-    return broken
 
 
 def _simulations(problem: Problem) -> list[str]:

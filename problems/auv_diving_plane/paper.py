@@ -16,7 +16,7 @@ import numpy as np
 from oed_sysid import Dataset, Experiment, MultipleShooting, Record, load_problem, rank_parameters
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.estimators import LeastSquaresSVM, SupportVectorRegression
-from oed_sysid.estimators.baselines.regression_rows import exact_rates
+from oed_sysid.estimators.baselines.equations import exact_rates
 from oed_sysid.experiment import Limits
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.manoeuvres import Piecewise, ZigZagLike

@@ -18,9 +18,8 @@ import numpy as np
 from oed_sysid import Dataset, load_problem
 from oed_sysid.errors import DataError, PrecisionWarning
 from oed_sysid.estimators import LeastSquaresSVM
-from oed_sysid.estimators.baselines.ls_svm import train
-from oed_sysid.estimators.baselines.regression_form import regression_form
-from oed_sysid.estimators.baselines.regression_rows import rows_of
+from oed_sysid.estimators.baselines.equations import regression_form, rows_of
+from oed_sysid.estimators.baselines.support_vectors import train
 from oed_sysid.estimators.online import EquationStream, IncrementalLSSVM, RecursiveLSSVM
 from oed_sysid.report import new_figure
 from oed_sysid.simulation import simulate, simulate_inputs

@@ -16,7 +16,7 @@ import numpy as np
 from oed_sysid import Dataset, MultipleShooting, load_problem, speed_polar
 from oed_sysid.errors import SimulationError
 from oed_sysid.estimators import EquationError, GibbsRegression
-from oed_sysid.estimators.baselines.regression_rows import exact_rates
+from oed_sysid.estimators.baselines.equations import exact_rates
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.model import Model
 from oed_sysid.predictions.speed_polar import SpeedPolar

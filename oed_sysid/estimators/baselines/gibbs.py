@@ -2,22 +2,103 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators.baselines.chains import Chains, effective_draws, split_r_hat
-from oed_sysid.estimators.baselines.regression_form import regression_form
-from oed_sysid.estimators.baselines.regression_rows import Rates, check_rule, rows_of
-from oed_sysid.estimators.baselines.regression_summary import fit_from_values
+from oed_sysid.estimators.baselines.equations import Rates, Rows, check_rule
+from oed_sysid.estimators.baselines.regression import CONVERGED, Regression, regress
 from oed_sysid.fitting.fit import Fit, Status
+from oed_sysid.information import autocorrelation
 from oed_sysid.model import Model
 
+
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """Draws of several chains.
+
+    Attributes
+    ----------
+    coefficients : ndarray (n_chains, n_draws, n)
+    variances : ndarray (n_chains, n_draws)
+        Of the noise.
+    """
+
+    coefficients: np.ndarray
+    variances: np.ndarray
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Posterior mean, shape ``(n,)``."""
+        return self.coefficients.mean(axis=(0, 1))
+
+    @property
+    def std(self) -> np.ndarray:
+        """Posterior standard deviation, shape ``(n,)``."""
+        return self.coefficients.reshape(-1, self.coefficients.shape[2]).std(axis=0)
+
+
+def split_r_hat(draws: np.ndarray) -> np.ndarray:
+    """Potential scale reduction of half chains, one where they agree.
+
+    Parameters
+    ----------
+    draws : ndarray (n_chains, n_draws, n)
+
+    Returns
+    -------
+    ndarray (n,)
+
+    References
+    ----------
+    Gelman et al. (2013), Bayesian data analysis, 3rd ed., sec. 11.4.
+    """
+    half = draws.shape[1] // 2
+    halves = np.concatenate([draws[:, :half], draws[:, half : 2 * half]])
+    within = halves.var(axis=1, ddof=1).mean(axis=0)
+    between = half * halves.mean(axis=1).var(axis=0, ddof=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = ((half - 1) / half * within + between / half) / within
+    return np.sqrt(np.where(within > 0, ratio, 1.0))
+
+
+def effective_draws(draws: np.ndarray) -> np.ndarray:
+    """Number of independent draws that the chains are worth, shape ``(n,)``.
+
+    Combines the autocorrelation within chains with the spread between them and
+    cuts it where pairs turn negative (Gelman et al. 2013, sec. 11.5).
+
+    Parameters
+    ----------
+    draws : ndarray (n_chains, n_draws, n)
+    """
+    n_chains, n_draws, n = draws.shape
+    result = np.empty(n)
+    for i in range(n):
+        part = draws[:, :, i]
+        within = part.var(axis=1, ddof=1).mean()
+        if within == 0:
+            result[i] = n_chains * n_draws
+            continue
+        total = (n_draws - 1) / n_draws * within + part.mean(axis=1).var(ddof=1)
+        correlations = np.array([autocorrelation(chain, n_draws - 1) for chain in part])
+        variances = part.var(axis=1)[:, None]
+        rho = 1.0 - (within - (correlations * variances).mean(axis=0)) / total
+        pairs = rho[1:-1:2] + rho[2::2]
+        negative = np.flatnonzero(pairs < 0)
+        tail = pairs[: negative[0]] if len(negative) else pairs
+        result[i] = n_chains * n_draws / max(1.0 + 2.0 * float(tail.sum()), 1e-3)
+    return np.minimum(result, n_chains * n_draws)
+
+
 DRAWS = ("joint", "coordinate")
+
+
 R_HAT_LIMIT = 1.01
+
+
 # A parameter without a prior gets one this wide, in units of what explains the whole target.
 WIDE = 1e3
 
@@ -208,7 +289,7 @@ class GibbsRegression:
         ``"joint"`` or ``"coordinate"``, as published.
     rule, window, rates
         Where derivatives come from, see
-        :class:`~oed_sysid.estimators.baselines.equation_error.EquationError`.
+        :class:`~oed_sysid.estimators.baselines.least_squares.EquationError`.
     seed : int
         Of the random numbers.
 
@@ -257,42 +338,35 @@ class GibbsRegression:
         ModelError
             As :meth:`EquationError.fit`, and where equations share a parameter.
         """
-        began = time.perf_counter()
-        form = regression_form(model)
-        rows = rows_of(form, dataset, rule=self.rule, window=self.window, rates=self.rates)
-        rows.check_separate()
+        return regress(self, model, dataset, self._solve, window=self.window)
+
+    def _solve(self, rows: Rows) -> Regression:
         rng = np.random.default_rng(self.seed)
-        names = form.names
+        names = rows.form.names
         estimates, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
         facts: dict[str, dict] = {"r_hat": {}, "effective_draws": {}, "draws": {}}
-        for index in range(len(form.equations)):
+        for index in range(len(rows.form.equations)):
             features, targets, own = rows.equation(index)
             where = [names.index(name) for name in own]
-            chains, units = self._sample(model, features, targets, own, rng)
+            chains, units = self._sample(rows.form.model, features, targets, own, rng)
             draws = chains.coefficients * units
             flat = draws.reshape(-1, len(own))
             estimates[where] = flat.mean(axis=0)
             covariance[np.ix_(where, where)] = np.atleast_2d(np.cov(flat.T))
-            r_hat, effective = split_r_hat(draws), effective_draws(draws)
-            for i, name in enumerate(own):
-                facts["r_hat"][name] = float(r_hat[i])
-                facts["effective_draws"][name] = float(effective[i])
-                facts["draws"][name] = draws[:, :, i]
+            facts["r_hat"] |= zip(own, map(float, split_r_hat(draws)), strict=True)
+            facts["effective_draws"] |= zip(own, map(float, effective_draws(draws)), strict=True)
+            facts["draws"] |= zip(own, np.moveaxis(draws, 2, 0), strict=True)
         worst = max(facts["r_hat"], key=lambda name: facts["r_hat"][name])
-        status = Status("converged", "")
+        status = CONVERGED
         if facts["r_hat"][worst] > R_HAT_LIMIT:
             status = Status(
                 "iterations",
                 f"the chains disagree in {worst} (R-hat {facts['r_hat'][worst]:.3f}). Raise "
                 "n_draws, or use draw='joint'.",
             )
-        return fit_from_values(
-            model,
-            dataset,
-            estimator=self.name,
-            estimates=estimates,
-            covariance=covariance,
-            began=began,
+        return Regression(
+            estimates,
+            covariance,
             status=status,
             iterations=self.n_draws + self.burn_in,
             extras=facts,

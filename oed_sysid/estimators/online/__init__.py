@@ -10,11 +10,13 @@
 ============================  ========================================================
 """
 
-from oed_sysid.estimators.online.filter import KalmanStream
-from oed_sysid.estimators.online.incremental import IncrementalLSSVM
-from oed_sysid.estimators.online.recursive import RecursiveLeastSquares, RecursiveLSSVM
-from oed_sysid.estimators.online.regression import OnlineRegression
-from oed_sysid.estimators.online.stream import EquationStream
+from oed_sysid.estimators.online.machines import (
+    IncrementalLSSVM,
+    OnlineRegression,
+    RecursiveLeastSquares,
+    RecursiveLSSVM,
+)
+from oed_sysid.estimators.online.streams import EquationStream, KalmanStream
 
 __all__ = [
     "EquationStream",
