@@ -38,10 +38,10 @@ from oed_sysid.design import (
 )
 from oed_sysid.design.vehicles import draw_models
 from oed_sysid.errors import DesignError, SimulationError
-from oed_sysid.experiment import Experiment
-from oed_sysid.model import Model
-from oed_sysid.sensitivity import confirm_bound, information_of
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.information import confirm_bound, information_of
+from oed_sysid.physics.model import Model
 
 
 def designed(

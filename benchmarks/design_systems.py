@@ -18,8 +18,8 @@ from oed_sysid import (
     State,
     load_problem,
 )
-from oed_sysid.manoeuvres import ZigZag
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.manoeuvres import ZigZag
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
 
 
 @dataclass(frozen=True)

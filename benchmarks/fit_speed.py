@@ -19,8 +19,8 @@ import numpy as np
 from benchmarks.efficiency import NOISE, START, vehicle
 from oed_sysid import Dataset, MultipleShooting
 from oed_sysid.data.record import Record
-from oed_sysid.model import Model
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.physics.model import Model
 
 TESTS = ((90.0, 0.10, 9.0, 14.0), (90.0, 0.20, 6.0, 9.0), (60.0, 0.05, 12.0, 20.0))
 N_STARTS, SPAN, REPEATS = 40, 4.0, 15

@@ -25,7 +25,7 @@ from benchmarks.efficiency import NOISE, START, vehicle
 from benchmarks.measure import machine, verdict
 from oed_sysid import Dataset, MultipleShooting
 from oed_sysid.data.record import Record
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
 
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
 STEP = 0.1

@@ -18,9 +18,9 @@ from benchmarks.measure import least
 from oed_sysid import load_problem
 from oed_sysid.compiled import graph as graphs
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.sensitivity import Play, noise_of, respond
-from oed_sysid.sensitivity.bound import triangle, whitened_factor
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.information import Play, noise_of, respond
+from oed_sysid.information.bound import triangle, whitened_factor
 
 N_SAMPLES, STEP, REPEATS = 2400, 0.1, 25
 EXTRA = ("X_udot", "Z_wdot", "M_wdot", "M_qdot")

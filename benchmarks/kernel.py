@@ -24,7 +24,7 @@ from benchmarks.measure import least, machine, verdict
 from oed_sysid import load_problem
 from oed_sysid.compiled import graph as graphs
 from oed_sysid.compiled.kernels import Kernel, kernel
-from oed_sysid.model import Model
+from oed_sysid.physics.model import Model
 
 N_SAMPLES, STEP = 2400, 0.1
 EXTRA = ("X_udot", "Z_wdot", "M_wdot", "M_qdot")

@@ -22,11 +22,11 @@ from benchmarks.random_forces.simulator import simulate
 from benchmarks.random_forces.trial import _model, believed, dataset
 from oed_sysid import Dataset, Model, MultipleShooting, improve, load_problem
 from oed_sysid.compiled.filtering import filter_kernel
-from oed_sysid.diagnosis.study import fitting_candidates
-from oed_sysid.effects import Effect
-from oed_sysid.fitting.filtered import Filtered, disturbed_model
-from oed_sysid.fitting.setting import Setting
-from oed_sysid.noise.disturbances import chosen_places
+from oed_sysid.evidence.study import fitting_candidates
+from oed_sysid.likelihood.disturbances import chosen_places
+from oed_sysid.likelihood.filtered import Filtered, disturbed_model
+from oed_sysid.likelihood.setting import Setting
+from oed_sysid.physics import Effect
 
 
 def passes(model: Model, train: Dataset, effects: Sequence[Effect]) -> None:

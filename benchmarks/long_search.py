@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.efficiency import NOISE, START
 from benchmarks.measure import machine, verdict
 from oed_sysid import Dataset, Record, improve, load_problem
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
 
 SAMPLES, STEP = 90_000, 0.02
 HIDDEN = {"Zww": -40.0}

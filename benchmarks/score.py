@@ -16,8 +16,8 @@ import sys
 
 from benchmarks.measure import elapsed, least, machine, verdict
 from oed_sysid import Dataset, load_problem
-from oed_sysid.diagnosis.score import scores
-from oed_sysid.diagnosis.study import Study
+from oed_sysid.evidence.score import scores
+from oed_sysid.evidence.study import Study
 
 
 def main() -> None:

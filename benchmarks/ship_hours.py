@@ -62,10 +62,10 @@ from oed_sysid.design import (
     design_programme,
 )
 from oed_sysid.errors import OedSysidError
-from oed_sysid.manoeuvres import TurningCircle, ZigZag
-from oed_sysid.noise.realisation import at_sea
-from oed_sysid.sensitivity import information_of, sea_noise
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information import information_of, sea_noise
+from oed_sysid.likelihood.realisation import at_sea
 
 RESULTS = Path(__file__).parent / "results" / "ship_hours.jsonl"
 SPREAD, TURNAROUND, N_RUNS = 0.3, 600.0, 4

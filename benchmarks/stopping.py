@@ -39,9 +39,9 @@ from oed_sysid.design import (
     goals_of,
 )
 from oed_sysid.errors import OedSysidError
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.noise.realisation import simulate_at_sea
-from oed_sysid.sensitivity import sea_noise
+from oed_sysid.information import sea_noise
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.realisation import simulate_at_sea
 
 RESULTS = Path(__file__).parent / "results" / "stopping.jsonl"
 HOURS, GOAL, SPREAD = 3.0, 0.06, 0.12

@@ -18,9 +18,9 @@ import numpy as np
 from benchmarks.efficiency import NOISE, START, vehicle
 from benchmarks.measure import machine, verdict
 from oed_sysid import Dataset
+from oed_sysid.baselines import DifferentialSwarm
 from oed_sysid.data.record import Record
-from oed_sysid.estimators import DifferentialSwarm
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
 
 N_PARTICLES, N_GENERATIONS, N_SAMPLES = 100, 300, 1000
 

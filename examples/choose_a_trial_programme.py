@@ -19,8 +19,8 @@ from oed_sysid.design import (
     assess_limits,
     design_experiment,
 )
-from oed_sysid.sensitivity import information_of
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information import information_of
 
 problem = load_problem("remus_diving_plane")
 rng = np.random.default_rng(3)

@@ -22,9 +22,9 @@ from oed_sysid.design import (
     decide,
     design_programme,
 )
-from oed_sysid.noise.realisation import simulate_at_sea
-from oed_sysid.sensitivity import sea_noise
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.information import sea_noise
+from oed_sysid.likelihood.realisation import simulate_at_sea
 
 HOURS = 3.0
 problem = load_problem("kvlcc2", variant="mmg")

@@ -20,7 +20,7 @@ from oed_sysid.design import (
     design_experiment,
 )
 from oed_sysid.errors import DesignError
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
 
 
 def test_forbidden_frequencies_get_no_power() -> None:

@@ -15,7 +15,7 @@ from oed_sysid.design import Caution, Design, Levels, ZigZags, assess_limits
 from oed_sysid.design.limits import LimitBounds
 from oed_sysid.design.vehicles import Scenarios
 from oed_sysid.errors import DesignError
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
 
 CAUTION = Caution(0.9, 0.3, n_sets=60, n_checks=300)
 

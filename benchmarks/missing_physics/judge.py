@@ -13,9 +13,9 @@ from benchmarks.missing_physics.cases import Draw
 from benchmarks.missing_physics.simulator import TEST, TRAIN, Case, Records
 from benchmarks.missing_physics.truth import true_structure
 from oed_sysid import Dataset, Problem, Record, load_problem
-from oed_sysid.diagnosis.improve import improve
-from oed_sysid.diagnosis.improvement import Improvement
-from oed_sysid.effects import Effect
+from oed_sysid.evidence.improve import improve
+from oed_sysid.evidence.improvement import Improvement
+from oed_sysid.physics import Effect
 
 
 @lru_cache(maxsize=1)

@@ -9,7 +9,7 @@ from benchmarks.scoreboard.row import Row, missing, place, refused
 from benchmarks.scoreboard.table import Table, plain, read_table
 from oed_sysid import load_problem
 from oed_sysid.errors import DataError
-from oed_sysid.predictions.structures import StructureAverage, average_structures, peak_input
+from oed_sysid.prediction.structures import StructureAverage, average_structures, peak_input
 from problems.kvlcc2.captive import captive_tests
 from problems.kvlcc2.structures import CIRCLES, HORIZON, SCORED, SIDES, candidates, circles
 

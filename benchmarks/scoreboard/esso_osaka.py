@@ -16,8 +16,8 @@ from benchmarks.scoreboard.logs import further, pieces
 from benchmarks.scoreboard.row import Row, attempted, missing
 from oed_sysid import Dataset, MultipleShooting, Record, load_problem
 from oed_sysid.errors import SimulationError
-from oed_sysid.model import Model
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.physics.model import Model
 from problems.esso_osaka.records import VALIDATION, windows
 
 AHEAD, FITTED = 100.0, 25.0  # s

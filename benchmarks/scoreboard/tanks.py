@@ -18,8 +18,8 @@ from benchmarks.scoreboard.row import Row, attempted, missing, place
 from benchmarks.scoreboard.tanks_record import FORM, VALIDATION, at_hand, read_validation
 from oed_sysid import Dataset, Model, MultipleShooting, Record, load_problem, read_csv
 from oed_sysid.data.third_party import fetch
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.likelihood.fit import Fit
 
 FULL = 10.0  # V
 BLOCKS = 8

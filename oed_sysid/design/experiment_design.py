@@ -30,8 +30,6 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.batch.journal import Journal
-from oed_sysid.batch.threads import single_threaded
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.design.criteria import Criterion, DOptimal
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
@@ -53,12 +51,14 @@ from oed_sysid.design.trial import Search, Task, Trial
 from oed_sysid.design.vehicles import Caution, Robust
 from oed_sysid.design.waveforms import Grid
 from oed_sysid.errors import DataError, DesignError, OedSysidError, respelled
-from oed_sysid.estimators import MultipleShooting
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.fitting.archive import encode
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.model import Model
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.likelihood.archive import encode
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.journal import Journal
+from oed_sysid.runtime.threads import single_threaded
 
 # Rounds with more and stricter vehicles, until fresh ones confirm the probability asked for.
 _N_STRICTER = 3
@@ -521,7 +521,7 @@ def campaign(
         Each run; its name is numbered.
     measure : callable
         Takes the designed experiment and returns the record: at sea the crew
-        and a file, in a study :func:`oed_sysid.simulation.simulate`.
+        and a file, in a study :func:`oed_sysid.experiments.simulation.simulate`.
     n_runs : int
         How many.
     design : callable

@@ -11,7 +11,7 @@ sizes and on absent effects in units of theirs,
 with the criterion :math:`\varphi` of :mod:`oed_sysid.design.criteria` or
 :mod:`oed_sysid.design.missing_effects`. Designs, programmes and decisions all take the expected
 information from here; random forces and autocorrelated sensors are in :math:`F`
-(:mod:`oed_sysid.sensitivity.bound`).
+(:mod:`oed_sysid.information.bound`).
 
 A search sees white noise. Its levels are raised by one factor until a run is worth to it what it
 is worth under the forces,
@@ -29,21 +29,21 @@ import numpy as np
 from oed_sysid.design.criteria import Criterion, Measure, Setting, log_determinant
 from oed_sysid.design.missing_effects import ByShifts, Detect, Detection, Discriminate
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Experiment
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.information import Information
-from oed_sysid.model import Model
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.bound import (
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.information.bound import (
     RunInformation,
     information_of,
     joint_information,
     prior_factor,
     triangle,
 )
-from oed_sysid.sensitivity.noise import Colour, Noise, noise_of
-from oed_sysid.sensitivity.response import Levels, expected_noise
-from oed_sysid.sensitivity.shifts import Shifts
+from oed_sysid.information.noise import Colour, Noise, noise_of
+from oed_sysid.information.response import Levels, expected_noise
+from oed_sysid.information.shifts import Shifts
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +55,12 @@ class Knowledge:
     prior : {"auto", None} or Information
         Of a fit its information, of a model the parameters' ``prior_std``; None ignores both.
     start : {"unknown", "known"} or mapping of str to float
-        See :func:`~oed_sysid.sensitivity.information_of`.
+        See :func:`~oed_sysid.information.information_of`.
     noise : optional
         Standard deviations, a noise model with random forces, or a fit; by default the fit's
         noise, random forces included, or the model's ``noise_std``.
     coloured : optional
-        See :func:`~oed_sysid.sensitivity.information_of`.
+        See :func:`~oed_sysid.information.information_of`.
     spread : float or None
         Relative half-width of uniform draws of vehicles that are possible; None draws from what
         is known (prior standard deviations, or the fit).

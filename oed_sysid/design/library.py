@@ -34,11 +34,11 @@ from oed_sysid.design.limits import LimitBounds
 from oed_sysid.design.vehicles import kept_on, motion
 from oed_sysid.design.waveforms import Grid, neutral_within
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.information import Information
-from oed_sysid.manoeuvres import Piecewise, ZigZag, schroeder_phases
-from oed_sysid.model import Model
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.manoeuvres import Piecewise, ZigZag, schroeder_phases
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.likelihood.information import Information
+from oed_sysid.physics.model import Model
 
 KINDS = (
     "straight", "zigzag", "zigzag ahead", "3-2-1-1", "multisine", "levels", "circle", "spiral",

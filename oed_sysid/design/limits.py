@@ -19,10 +19,10 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Limits
-from oed_sysid.model import Model
-from oed_sysid.simulation import Trajectory
-from oed_sysid.simulation.trajectory import state_names
+from oed_sysid.experiments.experiment import Limits
+from oed_sysid.experiments.simulation import Trajectory
+from oed_sysid.experiments.trajectory import state_names
+from oed_sysid.physics.model import Model
 
 
 def units_of(model: Model) -> dict[str, str]:

@@ -25,7 +25,6 @@ from itertools import combinations
 
 import numpy as np
 
-from oed_sysid.batch.threads import single_threaded
 from oed_sysid.design.allocation import Library, Selection, Weights, order, select, weights
 from oed_sysid.design.assurance import AccuracyRange, Assurance, assess_limits
 from oed_sysid.design.criteria import AOptimal, Criterion, EOptimal, inverse
@@ -39,12 +38,13 @@ from oed_sysid.design.trial import Search, Task, Trial
 from oed_sysid.design.vehicles import draw_models, kept_on
 from oed_sysid.design.waveforms import Levels
 from oed_sysid.errors import DesignError, OedSysidError, respelled
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.information import Information
-from oed_sysid.manoeuvres import Manoeuvre, Piecewise, ZigZag
-from oed_sysid.model import Model
-from oed_sysid.sensitivity.bound import information_of
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.manoeuvres import Manoeuvre, Piecewise, ZigZag
+from oed_sysid.information.bound import information_of
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.information import Information
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.threads import single_threaded
 
 # Shares of the room between start and limits within which commands are refined: the rest is for
 # vehicles that differ.

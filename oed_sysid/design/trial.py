@@ -28,9 +28,9 @@ from oed_sysid.design.vehicles import (
 )
 from oed_sysid.design.waveforms import Grid, Levels, Parametrisation, Shape, neutral_within
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.model import Model
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.physics.model import Model
 
 # Share of the failures that proportion allows in the next round: it is to be the last.
 _STRICTER = 0.7
