@@ -50,7 +50,7 @@ _GENERATOR = (
     "text/expressions.py",
     "text/expressions.py",
     "text/callables.py",
-    "physics/validation.py",
+    "physics/structure.py",
     "compiled/generate.py",
     "compiled/trajectory.c",
     "compiled/filter.c",
