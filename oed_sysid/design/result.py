@@ -12,10 +12,10 @@ from textwrap import wrap
 
 import numpy as np
 
-from oed_sysid.design.assurance import TRUSTED, AccuracyRange, Assurance, Tracks, stated
+from oed_sysid.design.assurance import TRUSTED, AccuracyRange, Assurance, PredictedTracks, stated
 from oed_sysid.design.library import Candidate, Reference
 from oed_sysid.design.limits import percent
-from oed_sysid.design.missing_effects import SURE, Chance, missing_physics, told_apart
+from oed_sysid.design.missing_effects import SURE, Detection, missing_physics, told_apart
 from oed_sysid.design.on_board import sea_trial_card
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import Trajectory, simulate
@@ -77,8 +77,8 @@ class Design:
         where noise is white.
     spread : AccuracyRange or None
         Accuracy on other vehicles that are possible, if asked for.
-    chances : tuple of Chance
-        For :class:`~oed_sysid.design.Reveal`: how surely each candidate effect would show.
+    chances : tuple of Detection
+        For :class:`~oed_sysid.design.Detect`: how surely each candidate effect would show.
     """
 
     experiment: Experiment
@@ -98,7 +98,7 @@ class Design:
     assurance: Assurance | None = None
     sea: NoiseModel | None = None
     spread: AccuracyRange | None = None
-    chances: tuple[Chance, ...] = ()
+    chances: tuple[Detection, ...] = ()
 
     _repr_html_ = as_html
 
@@ -247,13 +247,13 @@ class Design:
             rows = [rows[i] for i in np.argsort(self.relative_errors)]
         return Table(("parameter", "value", *columns), rows)
 
-    def card(self, tracks: Tracks | None = None, *, title: str = "") -> Report:
+    def card(self, tracks: PredictedTracks | None = None, *, title: str = "") -> Report:
         """Return the sea-trial card as a page: danger first, then what to run and where it goes.
 
         Parameters
         ----------
-        tracks : Tracks, optional
-            From :func:`~oed_sysid.design.plausible_tracks`.
+        tracks : PredictedTracks, optional
+            From :func:`~oed_sysid.design.predicted_tracks`.
         title : str
         """
         safe = self.assurance
@@ -417,7 +417,7 @@ class Programme:
     seconds : float
     misfits : mapping of (str, str) to float
         For discrimination: expected ``2 dlogL`` of the first rival over the second.
-    chances : tuple of Chance
+    chances : tuple of Detection
         For effects to be revealed: how surely each would show.
     """
 
@@ -446,7 +446,7 @@ class Programme:
     budget: tuple[float | None, int | None]
     seconds: float
     misfits: Mapping[tuple[str, str], float] = field(default_factory=dict)
-    chances: tuple[Chance, ...] = ()
+    chances: tuple[Detection, ...] = ()
 
     _repr_html_ = as_html
 
