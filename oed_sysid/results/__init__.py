@@ -38,7 +38,7 @@ from oed_sysid.results.improvement_plots import (
 )
 from oed_sysid.results.live_plots import LiveParameters, plot_history
 from oed_sysid.results.multistart_plots import plot_waterfall
-from oed_sysid.results.page import Page, Picture, numbers_page, page, style_sheet
+from oed_sysid.results.page import Page, Picture, card_page, numbers_page, page, style_sheet
 from oed_sysid.results.polar_plots import plot_polar
 from oed_sysid.results.prediction_plots import (
     figure_predictions,
@@ -61,6 +61,7 @@ __all__ = [
     "Figure",
     "Report",
     "page",
+    "card_page",
     "LiveParameters",
     "Page",
     "Picture",

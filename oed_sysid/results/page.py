@@ -23,6 +23,8 @@ from matplotlib.figure import Figure as Drawing
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
+from oed_sysid.design import Design
+from oed_sysid.design.assurance import PredictedTracks
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
@@ -117,6 +119,11 @@ def page(result: Any, *arguments: Any, **options: Any) -> Report:
     """
     made: Report = result.document(*arguments, **options)
     return made
+
+
+def card_page(design: Design, tracks: PredictedTracks | None = None, *, title: str = "") -> Report:
+    """Return the sea-trial card as a page; see :meth:`oed_sysid.design.Design.card`."""
+    return design.card(tracks, title=title)
 
 
 def numbers_page(content: Mapping[str, Any]) -> Report:
