@@ -30,7 +30,7 @@ import numpy as np
 
 from benchmarks.design_systems import remus
 from benchmarks.fit_peers import run_peer
-from benchmarks.measure import machine
+from benchmarks.harness import machine
 from oed_sysid import Experiment, Limits
 from oed_sysid.design import AOptimal, Design, DOptimal, EOptimal, Levels, design_experiment
 from oed_sysid.design.library import as_piecewise

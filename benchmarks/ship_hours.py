@@ -49,8 +49,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import machine
 from benchmarks.limits import inside
-from benchmarks.measure import machine
 from benchmarks.random_forces.scenarios import MEDIUM
 from oed_sysid import Experiment, Limits, Model, NoiseModel, load_problem
 from oed_sysid.design import AOptimal, DOptimal, design_programme
