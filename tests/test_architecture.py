@@ -8,6 +8,7 @@ import statistics
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -82,8 +83,13 @@ def layer_of(path: Path) -> str:
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
 
-def imports(path: Path) -> Iterator[tuple[int, str, tuple[str, ...]]]:
-    """Yield line, absolute module and imported names of every import of a file."""
+@cache
+def imports(path: Path) -> tuple[tuple[int, str, tuple[str, ...]], ...]:
+    """Line, absolute module and imported names of every import of a file."""
+    return tuple(_imports(path))
+
+
+def _imports(path: Path) -> Iterator[tuple[int, str, tuple[str, ...]]]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             for alias in node.names:
@@ -122,31 +128,27 @@ def label(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-@pytest.mark.parametrize("path", PACKAGE_MODULES, ids=label)
-def test_module_belongs_to_a_declared_layer(path: Path) -> None:
+def test_modules_belong_to_a_declared_layer() -> None:
     """Every module of the package has its place in the order of layers."""
-    assert layer_of(path) in LAYERS, (
-        f"{label(path)} is in no layer. Add {layer_of(path)!r} to LAYERS in "
-        "tests/test_architecture.py, at the lowest place that its imports allow."
+    stray = sorted({layer_of(path) for path in PACKAGE_MODULES} - set(LAYERS))
+    assert not stray, (
+        f"{', '.join(stray)}: in no layer. Add them to LAYERS in tests/test_architecture.py, at "
+        "the lowest place that their imports allow."
     )
 
 
-@pytest.mark.parametrize("path", PACKAGE_MODULES, ids=label)
-def test_imports_go_downwards(path: Path) -> None:
+def test_imports_go_downwards() -> None:
     """A module imports only from lower layers or from its own folder."""
-    own = layer_of(path)
-    if own not in LAYERS:
-        pytest.skip("reported by test_module_belongs_to_a_declared_layer")
-    below = LAYERS[: LAYERS.index(own)]
     wrong = []
-    for line, layer in package_layers(path):
-        if layer == own or layer in below or layer == "__version__":
-            continue
-        if layer not in LAYERS and own in USES_PUBLIC_API:
-            continue
-        reason = "a higher layer" if layer in LAYERS else "no layer; import the module that has it"
-        wrong.append(f"line {line}: {layer} ({reason})")
-    assert not wrong, f"{label(path)} imports upwards: " + "; ".join(wrong)
+    for path in PACKAGE_MODULES:
+        own = layer_of(path)
+        allowed = {*LAYERS[: LAYERS.index(own) + 1], "__version__"}
+        for line, layer in package_layers(path):
+            if layer in allowed or (layer not in LAYERS and own in USES_PUBLIC_API):
+                continue
+            reason = "higher" if layer in LAYERS else "no layer; import the module that has it"
+            wrong.append(f"{label(path)}:{line}: {layer} ({reason})")
+    assert not wrong, "imports upwards:\n" + "\n".join(wrong)
 
 
 @pytest.mark.parametrize(
@@ -164,10 +166,10 @@ def test_library_is_confined(library: str, layers: tuple[str, ...]) -> None:
     assert not wrong, f"{library} belongs in {', '.join(layers)}; found in {', '.join(wrong)}"
 
 
-@pytest.mark.parametrize("path", ALL_MODULES, ids=label)
-def test_module_has_a_noun(path: Path) -> None:
+def test_modules_have_nouns() -> None:
     """No module is a drawer for leftovers."""
-    assert path.stem not in FORBIDDEN_NAMES, f"{label(path)}: name the noun that it holds"
+    drawers = [label(path) for path in ALL_MODULES if path.stem in FORBIDDEN_NAMES]
+    assert not drawers, "name the nouns that these hold: " + ", ".join(drawers)
 
 
 def test_median_module_is_short() -> None:
@@ -176,20 +178,20 @@ def test_median_module_is_short() -> None:
     assert statistics.median(sizes) < MEDIAN_LINES
 
 
-@pytest.mark.parametrize("path", sorted(ROOT.glob("problems/*/*.py")), ids=label)
-def test_problem_uses_the_public_api_only(path: Path) -> None:
+def test_problems_use_the_public_api_only() -> None:
     """A shipped problem is written as a user would write one."""
     wrong = []
-    for line, module, names in imports(path):
-        head, *inner = module.split(".")
-        if head == "numpy" or head in sys.stdlib_module_names:
-            continue
-        private = any(part.startswith("_") for part in (*inner, *names))
-        if inner and (ROOT / head / Path(*inner)).with_suffix(".py").parent == path.parent:
-            continue  # a module of the problem's own folder
-        if head != "oed_sysid" or private or (inner and inner[0] not in LAYERS):
-            wrong.append(f"line {line}: {module}")
-    assert not wrong, f"{label(path)} imports more than the public API: " + "; ".join(wrong)
+    for path in sorted(ROOT.glob("problems/*/*.py")):
+        for line, module, names in imports(path):
+            head, *inner = module.split(".")
+            if head == "numpy" or head in sys.stdlib_module_names:
+                continue
+            private = any(part.startswith("_") for part in (*inner, *names))
+            if inner and (ROOT / head / Path(*inner)).with_suffix(".py").parent == path.parent:
+                continue  # a module of the problem's own folder
+            if head != "oed_sysid" or private or (inner and inner[0] not in LAYERS):
+                wrong.append(f"{label(path)}:{line}: {module}")
+    assert not wrong, "imports of more than the public API:\n" + "\n".join(wrong)
 
 
 def test_import_is_light() -> None:

@@ -47,7 +47,7 @@ def write_c(program: Program, folder: Path) -> tuple[Path, ...]:
 def header(program: Program) -> str:
     """Text of the header: sizes, names, and what can be called."""
     return template("model.h").substitute(
-        origin=_comment(program.origin),
+        origin=program.origin,
         name=program.identifier,
         upper=program.identifier.upper(),
         nx=len(program.state_names),
@@ -69,7 +69,7 @@ def source(program: Program) -> str:
         gamma=repr(GAMMA), weights=", ".join(repr(w) for row in STAGES for w in row)
     )
     return template("model.c").substitute(
-        origin=_comment(program.origin),
+        origin=program.origin,
         name=program.identifier,
         upper=program.identifier.upper(),
         na=program.n_actuator,
@@ -79,11 +79,11 @@ def source(program: Program) -> str:
         any_linear=int(any(program.linear_inputs)),
         functions="\n\n".join(_function(one) for one in program.routines),
         advance=loop,
-        state_names=_strings(program.state_names),
-        input_names=_strings(model.input_names),
-        output_names=_strings(model.output_names),
-        parameter_names=_strings(model.parameter_names),
-        estimated_names=_strings(program.free),
+        state_names=_strings(program.names.states),
+        input_names=_strings(program.names.inputs),
+        output_names=_strings(program.names.outputs),
+        parameter_names=_strings(program.names.parameters),
+        estimated_names=_strings(program.names.free),
         values=_numbers(model.value_vector),
         covariance=_numbers(program.covariance),
     )
@@ -92,7 +92,7 @@ def source(program: Program) -> str:
 def self_test(program: Program, run: Example) -> str:
     """Text of a program that repeats a trajectory of the package."""
     return template("self_test.c").substitute(
-        origin=_comment(program.origin),
+        origin=program.origin,
         name=program.identifier,
         upper=program.identifier.upper(),
         n=len(run.times),
@@ -130,10 +130,6 @@ def _numbers(values: Iterable[float] | np.ndarray) -> str:
 
 def _strings(names: Iterable[str]) -> str:
     return ", ".join(f'"{name}"' for name in names) or '""'
-
-
-def _comment(text: str) -> str:
-    return text.replace("*/", "* /")
 
 
 def template(name: str) -> Template:

@@ -25,6 +25,7 @@ from oed_sysid.errors import FileError
 from oed_sysid.export.c_code import header, source, template
 from oed_sysid.export.program import Program
 from oed_sysid.files import whole_file
+from oed_sysid.language.typeset import safe
 from oed_sysid.version import __version__
 
 _PLATFORMS = {
@@ -64,7 +65,7 @@ def write_fmu(program: Program, path: Path) -> tuple[Path, ...]:
         f"{name}.h": header(program),
         f"{name}.c": code,
         f"{name}_fmu.c": template("fmu.c").substitute(
-            origin=program.origin.replace("*/", "* /"), name=name, upper=name.upper(), guid=guid
+            origin=program.origin, name=name, upper=name.upper(), guid=guid
         ),
     }
     with tempfile.TemporaryDirectory() as folder:
@@ -119,7 +120,7 @@ def description(program: Program, guid: str) -> str:
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
-        modelName=model.name,
+        modelName=safe(model.name),
         guid=f"{{{guid}}}",
         description=program.origin,
         generationTool=f"oed_sysid {__version__}",
@@ -138,11 +139,8 @@ def description(program: Program, guid: str) -> str:
     files = ElementTree.SubElement(unit, "SourceFiles")
     for title in (f"{program.identifier}.c", f"{program.identifier}_fmu.c"):
         ElementTree.SubElement(files, "File", name=title)
-    stated = sorted(
-        {one.unit for one in model.inputs}
-        | {one.unit for one in model.outputs}
-        | {model.parameter(name).unit for name in model.parameter_names}
-    )
+    names = program.names
+    stated = sorted({*names.input_units, *names.output_units, *names.parameter_units})
     units = ElementTree.SubElement(root, "UnitDefinitions")
     for text in (one for one in stated if one):
         ElementTree.SubElement(units, "Unit", name=text)
@@ -170,22 +168,25 @@ def description(program: Program, guid: str) -> str:
         if attributes["causality"] == "output":
             outputs.append(reference + 1)
 
-    for channel in model.inputs:
-        held = "continuous" if channel.interpolation == "linear" else "discrete"
-        add(channel.name, channel.unit, 0.0, {"causality": "input", "variability": held})
+    for name, unit_text, linear in zip(
+        names.inputs, names.input_units, program.linear_inputs, strict=True
+    ):
+        held = "continuous" if linear else "discrete"
+        add(name, unit_text, 0.0, {"causality": "input", "variability": held})
     moving = {"variability": "continuous", "initial": "calculated"}
-    for output in model.outputs:
-        both = output.name in program.state_names  # the state and its measurement
-        name = f"{output.name}_measured" if both else output.name
-        add(name, output.unit, None, {"causality": "output", **moving})
+    for name, unit_text in zip(names.outputs, names.output_units, strict=True):
+        both = name in names.states  # the state and its measurement
+        title = f"{name}_measured" if both else name
+        add(title, unit_text, None, {"causality": "output", **moving})
     exact = {"causality": "parameter", "initial": "exact"}
-    for name, value in zip(model.parameter_names, model.value_vector, strict=True):
-        unit_text = model.parameter(name).unit
+    for name, unit_text, value in zip(
+        names.parameters, names.parameter_units, model.value_vector, strict=True
+    ):
         add(name, unit_text, float(value), {"variability": "tunable", **exact})
-    for name in program.state_names[: program.n_own]:
+    for name in names.states[: program.n_own]:
         words = {"description": f"{name} at the start"}
         add(f"{name}_start", "", 0.0, {"variability": "fixed", **exact, **words})
-    for name in program.state_names:
+    for name in names.states:
         add(name, "", None, {"causality": "local", **moving})
     structure = ElementTree.SubElement(root, "ModelStructure")
     for kind in ("Outputs", "InitialUnknowns"):

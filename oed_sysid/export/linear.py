@@ -19,6 +19,7 @@ import numpy as np
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.export.program import Program
 from oed_sysid.files import write_text
+from oed_sysid.language.typeset import safe
 from oed_sysid.model import Model
 from oed_sysid.simulation.steady import equilibrium, linearise
 
@@ -115,27 +116,27 @@ def write_control(
         for k in (0, 1)
     ]
     file = path if path.suffix == ".py" else path / f"{program.identifier}_linear.py"
-    values = dict(zip(model.parameter_names, map(float, model.value_vector), strict=True))
+    names, values = program.names, [float(value) for value in model.value_vector]
     a, b, c, d = (_rows(one) for one in matrices)
     write_text(
         file,
         _TEXT.substitute(
-            origin=program.origin.replace('"""', "'''").replace("\\", "/"),
-            file=file.name,
-            states=dict(point.states),
-            inputs=dict(point.inputs),
+            origin=program.origin,
+            file=safe(file.name),
+            states=dict(zip(names.states, point.states.values(), strict=False)),
+            inputs=dict(zip(names.inputs, point.inputs.values(), strict=True)),
             a=a,
             b=b,
             c=c,
             d=d,
             a_std=_rows(spread[0]),
             b_std=_rows(spread[1]),
-            parameters=values,
-            estimated=program.free,
+            parameters=dict(zip(names.parameters, values, strict=True)),
+            estimated=names.free,
             covariance=program.covariance.tolist(),
-            input_names=list(model.input_names),
-            output_names=list(model.output_names),
-            state_names=list(program.state_names),
+            input_names=list(names.inputs),
+            output_names=list(names.outputs),
+            state_names=list(names.states),
             name=repr(program.identifier),
         ),
     )

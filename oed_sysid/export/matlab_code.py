@@ -10,7 +10,7 @@ import numpy as np
 from oed_sysid.errors import ModelError
 from oed_sysid.export.c_code import template
 from oed_sysid.export.dialects import IN_MATLAB
-from oed_sysid.export.program import Program, Routine
+from oed_sysid.export.program import Program, Routine, identifier
 from oed_sysid.files import write_text
 
 
@@ -39,8 +39,6 @@ def write_matlab(program: Program, path: Path) -> tuple[Path, ...]:
             f"Model {program.model.name!r} is stiff (integrator='implicit'), which is not written "
             "for MATLAB. Export it as c, python or fmu."
         )
-    from oed_sysid.export.program import identifier
-
     name = identifier(path.stem) if path.suffix == ".m" else program.identifier
     file = path.with_name(f"{name}.m") if path.suffix == ".m" else path / f"{name}.m"
     write_text(file, matlab_text(program, name))
@@ -49,23 +47,23 @@ def write_matlab(program: Program, path: Path) -> tuple[Path, ...]:
 
 def matlab_text(program: Program, name: str) -> str:
     """Text of the function file."""
-    model = program.model
+    model, names = program.model, program.names
     return template("model.m.txt").substitute(
-        origin=program.origin.replace("\n", " "),
+        origin=program.origin,
         name=name,
-        states=_strings(program.state_names),
-        inputs=_strings(model.input_names),
-        input_units=_strings(one.unit for one in model.inputs),
+        states=_strings(names.states),
+        inputs=_strings(names.inputs),
+        input_units=_strings(names.input_units),
         linear=" ".join(str(int(one)) for one in program.linear_inputs),
-        outputs=_strings(model.output_names),
-        output_units=_strings(one.unit for one in model.outputs),
+        outputs=_strings(names.outputs),
+        output_units=_strings(names.output_units),
         own=program.n_own,
         na=program.n_actuator,
         ns=program.n_sensor,
         step=repr(model.step),
-        parameters=_strings(model.parameter_names),
+        parameters=_strings(names.parameters),
         values="\n".join(repr(float(value)) for value in model.value_vector),
-        estimated=_strings(program.free),
+        estimated=_strings(names.free),
         covariance="\n".join(
             " ".join(map(repr, row)) for row in np.array(program.covariance).tolist()
         ),
@@ -74,7 +72,7 @@ def matlab_text(program: Program, name: str) -> str:
 
 
 def _strings(names: Iterable[str]) -> str:
-    return ", ".join("'" + name.replace("'", "''") + "'" for name in names)
+    return ", ".join(f"'{name}'" for name in names)
 
 
 def _function(routine: Routine) -> str:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import keyword
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -31,12 +32,15 @@ from oed_sysid.compiled.graph import build
 from oed_sysid.errors import ModelError
 from oed_sysid.fitting.fit import Fit
 from oed_sysid.language.callables import OPERATION_WORDS
+from oed_sysid.language.typeset import safe, safe_unit
 from oed_sysid.model import Model
 from oed_sysid.simulation.trajectory import simulate_inputs
 from oed_sysid.version import __version__
 
 # Samples of the trajectory that a self-test repeats.
 MOST_TESTED = 400
+# Words that end or begin a block in MATLAB and are no words of Python.
+_MATLAB_WORDS = ("case", "end", "function", "otherwise", "parfor", "spmd", "switch")
 
 
 @dataclass(frozen=True)
@@ -82,6 +86,29 @@ class Routine:
     results: tuple[tuple[str, int], ...]
     operations: tuple[Operation, ...] = field(repr=False)
     n_work: int
+
+
+@dataclass(frozen=True)
+class Names:
+    """Names and units as they are written into code: ASCII letters, digits and few signs.
+
+    Attributes
+    ----------
+    states, inputs, outputs, parameters, free, signals : tuple of str
+        In the order of the program; ``free`` are the estimated parameters.
+    input_units, output_units, parameter_units : tuple of str
+        As they are read back by :func:`oed_sysid.language.units.dimension`.
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+    free: tuple[str, ...]
+    signals: tuple[str, ...]
+    input_units: tuple[str, ...]
+    output_units: tuple[str, ...]
+    parameter_units: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,14 +169,31 @@ class Program:
         return tuple(one.interpolation == "linear" for one in self.model.inputs)
 
     @property
+    def names(self) -> Names:
+        """Names and units that may stand in code of any language."""
+        model = self.model
+        parameters = _distinct(model.parameter_names)
+        of = dict(zip(model.parameter_names, parameters, strict=True))
+        return Names(
+            _distinct(self.state_names),
+            _distinct(model.input_names),
+            _distinct(model.output_names),
+            parameters,
+            tuple(of[name] for name in self.free),
+            _distinct(model.actuator_signals),
+            tuple(safe_unit(one.unit) for one in model.inputs),
+            tuple(safe_unit(one.unit) for one in model.outputs),
+            tuple(safe_unit(model.parameter(name).unit) for name in model.parameter_names),
+        )
+
+    @property
     def origin(self) -> str:
         """Words for the head of a file: what the model is and where it comes from."""
+        origin = f"{safe(self.model.name)}, written by oed_sysid {__version__}"
         if self.fit is None:
-            return f"{self.model.name}, written by oed_sysid {__version__}"
-        return (
-            f"{self.model.name}, written by oed_sysid {__version__}; fitted to "
-            f"{', '.join(self.fit.dataset.names)} ({self.fit.estimator})"
-        )
+            return origin
+        records = ", ".join(map(safe, self.fit.dataset.names))
+        return f"{origin}; fitted to {records} ({safe(self.fit.estimator)})"
 
     def describe(self) -> dict[str, object]:
         """Names, units, values and covariance as plain data, for a file beside the code."""
@@ -158,7 +202,8 @@ class Program:
         std = dict(zip(self.free, errors.tolist(), strict=True))
         return {
             "model": model.name,
-            "made_by": self.origin,
+            "made_by": f"oed_sysid {__version__}",
+            "fitted_to": [] if self.fit is None else list(self.fit.dataset.names),
             "step": model.step,
             "integrator": model.integrator,
             "states": list(self.state_names),
@@ -255,7 +300,18 @@ def identifier(name: str) -> str:
     """
     text = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "model"
     text = text if text[0].isalpha() else f"model_{text}"
-    return f"{text}_" if keyword.iskeyword(text) else text[:48]
+    return f"{text}_" if keyword.iskeyword(text) or text in _MATLAB_WORDS else text[:48]
+
+
+def _distinct(names: Iterable[str]) -> tuple[str, ...]:
+    """Safe forms of names, no two alike."""
+    found: list[str] = []
+    for name in names:
+        text = safe(name)
+        while text in found:
+            text += "_"
+        found.append(text)
+    return tuple(found)
 
 
 _ARGUMENTS = {

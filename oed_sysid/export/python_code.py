@@ -9,6 +9,7 @@ from oed_sysid.export.c_code import template
 from oed_sysid.export.dialects import IN_PYTHON
 from oed_sysid.export.program import Program, Routine
 from oed_sysid.files import write_text
+from oed_sysid.language.typeset import safe
 
 
 def write_python(program: Program, path: Path) -> tuple[Path, ...]:
@@ -33,29 +34,31 @@ def write_python(program: Program, path: Path) -> tuple[Path, ...]:
 
 def python_text(program: Program) -> str:
     """Text of the module."""
-    model = program.model
+    model, names = program.model, program.names
     rows = [
-        f"    {name!r}: {float(value)!r},  # {model.parameter(name).unit}"
-        for name, value in zip(model.parameter_names, model.value_vector, strict=True)
+        f"    {name!r}: {float(value)!r},  # {unit}"
+        for name, unit, value in zip(
+            names.parameters, names.parameter_units, model.value_vector, strict=True
+        )
     ]
     step = template("implicit.py.txt" if program.implicit else "explicit.py.txt").substitute(
         gamma=repr(GAMMA), weights=", ".join(repr(w) for row in STAGES for w in row)
     )
     return template("model.py.txt").substitute(
-        origin=program.origin.replace('"""', "'''").replace("\\", "/"),
-        title=repr(model.name),
-        states=program.state_names,
-        inputs=model.input_names,
-        input_units=tuple(one.unit for one in model.inputs),
+        origin=program.origin,
+        title=repr(safe(model.name)),
+        states=names.states,
+        inputs=names.inputs,
+        input_units=names.input_units,
         linear=program.linear_inputs,
-        outputs=model.output_names,
-        output_units=tuple(one.unit for one in model.outputs),
+        outputs=names.outputs,
+        output_units=names.output_units,
         own=program.n_own,
         na=program.n_actuator,
         ns=program.n_sensor,
         step=repr(model.step),
         parameters="\n".join(rows),
-        estimated=program.free,
+        estimated=names.free,
         covariance=program.covariance.tolist(),
         functions="\n\n\n".join(_function(one) for one in program.routines),
         step_function=step,

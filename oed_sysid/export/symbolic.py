@@ -14,6 +14,7 @@ from oed_sysid.export.program import Program, Routine
 from oed_sysid.files import write_text
 from oed_sysid.language import notation
 from oed_sysid.language.expressions import to_latex
+from oed_sysid.language.typeset import safe, safe_unit
 
 _MODULE = Template('''"""$origin.
 
@@ -105,21 +106,20 @@ def module_text(program: Program) -> str:
         inside = ", ".join(f'sp.Symbol("{name}", real=True)' for name in names)
         return f"({inside},)" if names else "()"
 
-    used = {"t", "h", *program.state_names, *model.parameter_names}
-    signals = tuple(
-        name if name not in used else f"{name}_signal" for name in model.actuator_signals
-    )
+    known = program.names
+    used = {"t", "h", *known.states, *known.parameters}
+    signals = tuple(name if name not in used else f"{name}_signal" for name in known.signals)
     return _MODULE.substitute(
-        origin=program.origin.replace('"""', "'''").replace("\\", "/"),
-        states=symbols(program.state_names),
-        inputs=symbols(model.input_names),
+        origin=program.origin,
+        states=symbols(known.states),
+        inputs=symbols(known.inputs),
         signals=symbols(signals),
-        parameters=symbols(model.parameter_names),
-        outputs=model.output_names,
+        parameters=symbols(known.parameters),
+        outputs=known.outputs,
         memory_a=symbols(tuple(f"actuator_memory_{i}" for i in range(program.n_actuator))),
         memory_s=symbols(tuple(f"sensor_memory_{i}" for i in range(program.n_sensor))),
         values=[float(value) for value in model.value_vector],
-        estimated=program.free,
+        estimated=known.free,
         covariance=program.covariance.tolist(),
         functions="\n\n\n".join(_function(one) for one in program.routines),
     )
@@ -145,11 +145,11 @@ def latex_text(program: Program) -> str:
         if program.fit is not None and name in std:
             low, high = program.fit.interval(name)
             interval = f"${low:.4g}$ to ${high:.4g}$"
-        unit = model.parameter(name).unit.replace("%", r"\%").replace("^", r"\^{}")
+        unit = safe_unit(model.parameter(name).unit).replace("^", r"\^{}")
         rows.append(rf"${_name(name)}$ & ${value:.5g}$ & {interval} & {unit} \\")
     return _PAGE.substitute(
-        origin=program.origin.replace("\n", " "),
-        title=model.name.replace("_", r"\_").replace("&", r"\&"),
+        origin=program.origin,
+        title=safe(model.name).replace("_", r"\_"),
         letters=" \\\\\n".join(_equations(program, {})),
         numbers=" \\\\\n".join(_equations(program, values)),
         rows="\n".join(rows),

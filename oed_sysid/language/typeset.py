@@ -1,4 +1,4 @@
-"""Expressions as a reader writes them: plain text and LaTeX.
+"""Expressions as a reader writes them: plain text and LaTeX; people's words in generated code.
 
 Sums and products are flattened first, so that signs are collected in front
 and no parentheses remain that only the syntax tree needed.
@@ -7,10 +7,12 @@ and no parentheses remain that only the syntax tree needed.
 from __future__ import annotations
 
 import ast
+import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 
 from oed_sysid.language import notation
+from oed_sysid.language.unit_table import SPELLINGS
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _COMPARE_TEXT = {ast.Lt: "<", ast.LtE: "≤", ast.Gt: ">", ast.GtE: "≥"}
@@ -281,3 +283,46 @@ class LatexPrinter(Printer):
     def parentheses(self, text: str) -> str:
         r"""``\left(text\right)``."""
         return rf"\left({text}\right)"
+
+
+# -- words of people in generated code --------------------------------------------------
+
+
+def safe(text: str, also: str = "") -> str:
+    """Text that ends no comment and no string and begins no code, in any language of this package.
+
+    Letters, digits, spaces and ``_ . + -`` stay; other letters become their number, anything
+    else an underscore. The text itself stands in the JSON file beside the code.
+
+    Parameters
+    ----------
+    text : str
+        What somebody called something.
+    also : str
+        Characters that stay too.
+
+    Examples
+    --------
+    >>> safe('dive 1 */ int main(void) {')
+    'dive 1 __ int main_void_ _'
+    >>> safe("ψ_0")
+    'u03c8_0'
+    """
+
+    def one(character: str) -> str:
+        if character.isascii() and (character.isalnum() or character in f" _.+-{also}"):
+            return character
+        return f"u{ord(character):04x}" if character.isalnum() else "_"
+
+    return "".join(map(one, str(text)))
+
+
+def safe_unit(unit: str) -> str:
+    """A unit in ASCII, without signs that mean something in code.
+
+    >>> safe_unit("kg·m²/°"), safe_unit("%")
+    ('kg m^2/deg', 'percent')
+    """
+    for spelling, symbol in {**SPELLINGS, "°": "deg", "%": "percent"}.items():
+        unit = unit.replace(spelling, symbol)
+    return safe(re.sub(r"[·*\s]+", " ", unit.replace("**", "^")), "/^()")

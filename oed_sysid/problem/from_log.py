@@ -20,6 +20,7 @@ from oed_sysid.data.csv_table import read_table
 from oed_sysid.errors import DataError, ProblemError
 from oed_sysid.files import make_folder, write_text
 from oed_sysid.language.expressions import CONSTANTS, FUNCTIONS
+from oed_sysid.language.typeset import safe
 from oed_sysid.language.units import parse_header, to_si
 from oed_sysid.problem.catalogue import FILE
 
@@ -65,7 +66,7 @@ def write_from_log(place: Path, log: Path, inputs: tuple[str, ...], words: dict[
     measured = [s for s in signals if s not in commands]
     if not measured:
         raise ProblemError(f"All columns of {log.name} are commands; at least one is an output.")
-    code = _problem(words, times, commands, measured, log.name)
+    code = _problem(words, times, commands, measured, safe(log.name))
     make_folder(place / "data")
     shutil.copyfile(log, place / "data" / f"{log.stem}.csv")
     write_text(place / FILE, code)
