@@ -28,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.design_systems import remus
+from benchmarks.design import remus
 from benchmarks.fit_peers import run_peer
 from benchmarks.harness import machine
 from oed_sysid import Experiment, Limits

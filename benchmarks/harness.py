@@ -17,13 +17,12 @@ import time
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_origin
 
-import casadi
 import numpy as np
-import scipy
 from joblib import Parallel, delayed
 
 from oed_sysid import Model, Record
@@ -78,10 +77,8 @@ def machine() -> str:
     except (OSError, StopIteration):
         pass
     load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
-    return (
-        f"{name}, {os.cpu_count()} cores{load}; Python {platform.python_version()}, NumPy "
-        f"{np.__version__}, SciPy {scipy.__version__}, CasADi {casadi.__version__}"
-    )
+    libraries = ", ".join(f"{one} {version(one.lower())}" for one in ("NumPy", "SciPy", "CasADi"))
+    return f"{name}, {os.cpu_count()} cores{load}; Python {platform.python_version()}, {libraries}"
 
 
 @cache
@@ -247,7 +244,9 @@ def command(main: Callable[..., Any], arguments: Sequence[str] | None = None) ->
         name = f"--{one.name.replace('_', '-')}"
         if one.kind is not inspect.Parameter.KEYWORD_ONLY:
             name, several = one.name, several or "?"
-        parser.add_argument(name, **options, **({"nargs": several} if several else {}))
+        if several:
+            options["nargs"] = several
+        parser.add_argument(name, **options)
     return main(**_split(vars(parser.parse_args(arguments)), known))
 
 

@@ -268,9 +268,9 @@ def complex_step(job: Task, point: np.ndarray) -> np.ndarray:
     c = {n: np.full(len(point), value, dtype=complex) for n, value in job.model.values.items()}
     for i, name in enumerate(job.model.free_names):
         c[name][5 + i] += 1j * tiny
-    heave_mass, heave_pitch = c["m"] - c["Z_wdot"], -c["Z_qdot"]
-    pitch_heave, pitch_mass = -c["M_wdot"], c["I_yy"] - c["M_qdot"]
-    determinant = heave_mass * pitch_mass - heave_pitch * pitch_heave
+    mass_w, cross_w = c["m"] - c["Z_wdot"], -c["Z_qdot"]
+    cross_q, mass_q = -c["M_wdot"], c["I_yy"] - c["M_qdot"]
+    determinant = mass_w * mass_q - cross_w * cross_q
 
     def rates(x: np.ndarray, fin: float, thrust: float) -> np.ndarray:
         u, w, q, theta, _ = x
@@ -280,8 +280,8 @@ def complex_step(job: Task, point: np.ndarray) -> np.ndarray:
         pitch = c["M_uw"] * u * w + c["M_uq"] * u * q + c["M_uuds"] * u * u * fin
         pitch = pitch - c["zgW"] * np.sin(theta)
         return np.stack([
-            surge / (c["m"] - c["X_udot"]), (pitch_mass * heave - heave_pitch * pitch) / determinant,
-            (heave_mass * pitch - pitch_heave * heave) / determinant, q,
+            surge / (c["m"] - c["X_udot"]), (mass_q * heave - cross_w * pitch) / determinant,
+            (mass_w * pitch - cross_q * heave) / determinant, q,
             -u * np.sin(theta) + w * np.cos(theta),
         ])  # fmt: skip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.missing_physics.truth import UNKNOWN_TERMS
+from benchmarks.missing_physics.judge import UNKNOWN_TERMS
 from benchmarks.rates import (
     LARGEST_GROUP,
     Entry,
