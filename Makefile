@@ -20,7 +20,7 @@ $(STAMP): pyproject.toml hatch_build.py
 	touch $(STAMP)
 
 demo: setup
-	$(BIN)/python -m oed_sysid.demo
+	$(BIN)/python -m oed_sysid.cli.demo
 
 test: setup
 	$(BIN)/ruff check .

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from oed_sysid.data.dataset import read_csv
 from oed_sysid.errors import OedSysidError
-from oed_sysid.problem import load_problem
+from oed_sysid.experiments.problem import load_problem
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests"))

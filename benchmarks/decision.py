@@ -21,7 +21,7 @@ from oed_sysid import load_problem
 from oed_sysid.design import ParameterGoal, candidate_runs, decide
 from oed_sysid.design.vehicles import draw_models
 from oed_sysid.errors import OedSysidError
-from oed_sysid.sensitivity import information_of, sea_noise
+from oed_sysid.information import information_of, sea_noise
 
 # Problem and variant.
 CASES = (

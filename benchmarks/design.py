@@ -46,9 +46,9 @@ from oed_sysid.design import (
 )
 from oed_sysid.design.vehicles import draw_models
 from oed_sysid.errors import DesignError, SimulationError
-from oed_sysid.manoeuvres import ZigZag
-from oed_sysid.sensitivity import confirm_bound, information_of
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.manoeuvres import ZigZag
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.information import confirm_bound, information_of
 
 
 @dataclass(frozen=True)

@@ -34,9 +34,9 @@ from benchmarks.harness import machine
 from oed_sysid import Experiment, Limits
 from oed_sysid.design import AOptimal, Design, DOptimal, EOptimal, Levels, design_experiment
 from oed_sysid.design.library import as_piecewise
-from oed_sysid.model import Model
-from oed_sysid.sensitivity import information_of
-from oed_sysid.simulation import Trajectory, simulate, simulate_inputs
+from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
+from oed_sysid.information import information_of
+from oed_sysid.physics.model import Model
 
 STEP, THRUST = 0.5, 9.0
 REACH = radians(20)

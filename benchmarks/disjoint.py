@@ -33,8 +33,8 @@ from scipy.special import stdtrit
 from benchmarks.harness import between, command
 from oed_sysid import Dataset, Fit, Model, MultipleShooting, Record, load_problem
 from oed_sysid.errors import OedSysidError
-from oed_sysid.predictions.structures import Structure, peak_input
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.prediction.structures import Structure, peak_input
 from problems.kvlcc2.mavmm import MAVMM, wake
 from problems.kvlcc2.structures import REGRESSION, ahead, circles
 

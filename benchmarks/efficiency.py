@@ -26,8 +26,8 @@ from scipy.signal import lfilter
 from benchmarks.harness import NOISE, START
 from oed_sysid import Dataset, MultipleShooting, load_problem
 from oed_sysid.data.record import Record
-from oed_sysid.model import Model
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.physics.model import Model
 
 FOLDER = Path("out/efficiency")
 # White noise gets five times the runs: a variance from 400 runs is known to 7 % only.

@@ -32,8 +32,8 @@ from benchmarks.harness import machine, verdict
 from benchmarks.peers.task import NAMES, NOISE, STEP
 from oed_sysid import Dataset, Fit, MultipleShooting, load_problem
 from oed_sysid.data.record import Record
-from oed_sysid.model import Model
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.physics.model import Model
 
 N_SAMPLES, LONGEST = 2400, 240.0
 # Module, and how many times faster than it we want to be.

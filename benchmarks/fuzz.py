@@ -26,12 +26,12 @@ from pathlib import Path
 
 import numpy as np
 
-from oed_sysid.channels import Channels, Input, Output
 from oed_sysid.data.dataset import read_csv
 from oed_sysid.errors import OedSysidError
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.language import dimensions, expressions, notation, units
-from oed_sysid.problem import load_problem
+from oed_sysid.experiments.problem import load_problem
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.text import dimensions, expressions, notation, units
 
 ROOT = Path(__file__).resolve().parent.parent
 SLOW = 2.0  # s

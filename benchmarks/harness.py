@@ -26,8 +26,8 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from oed_sysid import Model, Record
-from oed_sysid.files import write_text
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.runtime.files import write_text
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"

@@ -33,8 +33,8 @@ from oed_sysid.design import (
     design_experiment,
 )
 from oed_sysid.errors import DesignError
-from oed_sysid.manoeuvres import ThreeTwoOneOne
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.manoeuvres import ThreeTwoOneOne
+from oed_sysid.experiments.simulation import simulate
 
 FORCES, FORCE_TIME = np.array([0.1, 0.3, 0.06]), 1.0
 DURATION, DEPTH, THRUST = 60.0, 20.0, 9.0

@@ -19,10 +19,10 @@ from benchmarks.missing_physics.cases import draws, simulate_draws
 from benchmarks.missing_physics.judge import datasets
 from benchmarks.missing_physics.simulator import NOISE_STD, Case, Records
 from oed_sysid import Dataset, Force, Parameter, Problem, load_problem
-from oed_sysid.diagnosis.locate import Located, locate
-from oed_sysid.diagnosis.propose import Proposals, propose
-from oed_sysid.diagnosis.study import Study
-from oed_sysid.fitting.gauss_newton import FilteredSolution
+from oed_sysid.evidence.locate import Located, locate
+from oed_sysid.evidence.propose import Proposals, propose
+from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.gauss_newton import FilteredSolution
 
 # Without the unknown moment w^3 of positive sign, which throws the vehicle over.
 PLAN = "single/white:40 none/white:10 unknown/white:5 unknown/white:6-15 unknown/white:16-20"

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from oed_sysid.benchmark import OURS, WORLDS, Row, benchmark
-from oed_sysid.benchmark.contest import (
+from oed_sysid.baselines.benchmark import OURS, WORLDS, Row, benchmark
+from oed_sysid.baselines.contest import (
     BELIEVERS,
     OURS_BELIEVING,
     OURS_DISTURBED,

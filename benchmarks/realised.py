@@ -29,9 +29,9 @@ from benchmarks.random_forces.scenarios import MEDIUM, REMUS
 from benchmarks.random_forces.simulator import gauss_markov
 from oed_sysid import Dataset, Experiment, Model, MultipleShooting, Record, load_problem
 from oed_sysid.design import DOptimal, Levels, design_experiment
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity import information_of
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information import information_of
+from oed_sysid.likelihood.noise_model import NoiseModel
 
 TIME = 2.0
 PLANS = ("zigzags", "designed", "calm")

@@ -33,10 +33,10 @@ from oed_sysid.design import Caution, Discriminate, Levels, design_experiment
 from oed_sysid.design.criteria import eliminate
 from oed_sysid.design.missing_effects import told_apart
 from oed_sysid.design.result import Design
-from oed_sysid.diagnosis.rank import Ranking, rank
-from oed_sysid.diagnosis.study import Study
-from oed_sysid.fitting.gauss_newton import FilteredSolution
-from oed_sysid.sensitivity.shifts import Shifts, joint_information
+from oed_sysid.evidence.rank import Ranking, rank
+from oed_sysid.evidence.study import Study
+from oed_sysid.information.shifts import Shifts, joint_information
+from oed_sysid.likelihood.gauss_newton import FilteredSolution
 
 STORE = Store(RESULTS / "separating.jsonl", lambda row: (row["truth"], row["rival"]))
 FIRST = next(m for m in TRAIN if m.name == "train_zigzag_5_5")

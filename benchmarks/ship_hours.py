@@ -53,10 +53,10 @@ from benchmarks.random_forces.scenarios import MEDIUM
 from oed_sysid import Experiment, Limits, Model, NoiseModel, load_problem
 from oed_sysid.design import AOptimal, DOptimal, design_programme
 from oed_sysid.errors import OedSysidError
-from oed_sysid.manoeuvres import TurningCircle, ZigZag
-from oed_sysid.noise.realisation import at_sea
-from oed_sysid.sensitivity import information_of, sea_noise
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information import information_of, sea_noise
+from oed_sysid.likelihood.realisation import at_sea
 
 STORE = Store(RESULTS / "ship_hours.jsonl")
 SPREAD, TURNAROUND, N_RUNS = 0.3, 600.0, 4

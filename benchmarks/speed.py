@@ -69,10 +69,10 @@ from oed_sysid import Dataset, Model, MultipleShooting, Record, improve, load_pr
 from oed_sysid.compiled import graph as graphs
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.compiled.kernels import kernel as compiled
-from oed_sysid.diagnosis.study import Study, fitting_candidates
-from oed_sysid.sensitivity import Play, noise_of, respond
-from oed_sysid.sensitivity.bound import run_factor, triangle
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.evidence.study import Study, fitting_candidates
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.information import Play, noise_of, respond
+from oed_sysid.information.bound import run_factor, triangle
 
 N_SAMPLES, STEP = 2400, 0.1
 EXTRA = ("X_udot", "Z_wdot", "M_wdot", "M_qdot")
@@ -381,7 +381,7 @@ def growth() -> None:
 
 def swarm() -> None:
     """The published search, on the clock."""
-    from oed_sysid.estimators import DifferentialSwarm
+    from oed_sysid.baselines import DifferentialSwarm
 
     model = vehicle()
     for parameter in model.free_parameters:
@@ -409,9 +409,9 @@ def swarm() -> None:
 def passes(model: Model, train: Dataset, effects: Sequence[Any]) -> None:
     """Print the time of a pass for one sample."""
     from oed_sysid.compiled.filtering import filter_kernel
-    from oed_sysid.fitting.filtered import Filtered, disturbed_model
-    from oed_sysid.fitting.setting import Setting
-    from oed_sysid.noise.disturbances import chosen_places
+    from oed_sysid.likelihood.disturbances import chosen_places
+    from oed_sysid.likelihood.filtered import Filtered, disturbed_model
+    from oed_sysid.likelihood.setting import Setting
 
     places = chosen_places(model, "all")
     white = np.array([output.noise_std for output in model.outputs])
@@ -462,7 +462,7 @@ def likelihood() -> None:
 
 def score() -> None:
     """Time of the score test."""
-    from oed_sysid.diagnosis.score import scores
+    from oed_sysid.evidence.score import scores
 
     problem, (train, _) = load_problem("remus_diving_plane"), split()
     candidates = list(problem.effects)
@@ -569,7 +569,7 @@ IMPORT = "import oed_sysid"
 # What a user's first lines do: load a problem, read a record from a CSV file, fit.
 PREPARE = (
     "import sys, numpy as np; from oed_sysid import load_problem, write_csv; "
-    "from oed_sysid.simulation import simulate; p = load_problem('remus_diving_plane'); "
+    "from oed_sysid.experiments.simulation import simulate; p = load_problem('remus_diving_plane'); "
     "r = simulate(p.model, p.experiment('steps'), rng=np.random.default_rng(0)); "
     "write_csv(r, sys.argv[1])"
 )

@@ -27,9 +27,9 @@ from benchmarks.harness import RESULTS, Store, command, markdown
 from oed_sysid import Dataset, Limits, Model, MultipleShooting, Problem, improve, load_problem
 from oed_sysid.design import Candidate, Decision, Programme, decide, design_programme, goals_of
 from oed_sysid.errors import OedSysidError
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.noise.realisation import simulate_at_sea
-from oed_sysid.sensitivity import sea_noise
+from oed_sysid.information import sea_noise
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.realisation import simulate_at_sea
 
 STORE = Store(
     RESULTS / "stopping.jsonl",

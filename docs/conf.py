@@ -16,7 +16,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
 
-from oed_sysid.version import __version__  # noqa: E402
+from oed_sysid.runtime.version import __version__  # noqa: E402
 
 project = "oed_sysid"
 author = "the authors of oed_sysid"
@@ -48,25 +48,25 @@ html_show_sphinx = False
 
 PACKAGES = {
     "oed_sysid": "At the top level",
-    "oed_sysid.effects": "Effects",
-    "oed_sysid.bodies": "Rigid bodies",
-    "oed_sysid.manoeuvres": "Manoeuvres",
-    "oed_sysid.simulation": "Simulation",
-    "oed_sysid.logs": "Logs in",
-    "oed_sysid.compatibility": "Checks of logs",
-    "oed_sysid.estimators": "Estimators",
-    "oed_sysid.noise": "Noise",
-    "oed_sysid.sensitivity": "Sensitivity",
+    "oed_sysid.physics": "Effects",
+    "oed_sysid.physics.bodies": "Rigid bodies",
+    "oed_sysid.experiments.manoeuvres": "Manoeuvres",
+    "oed_sysid.experiments.simulation": "Simulation",
+    "oed_sysid.data.logs": "Logs in",
+    "oed_sysid.evidence.log_check": "Checks of logs",
+    "oed_sysid.baselines": "Estimators",
+    "oed_sysid.likelihood.noise": "Noise",
+    "oed_sysid.information": "Sensitivity",
     "oed_sysid.design": "Design of trials",
-    "oed_sysid.diagnosis": "Missing physics",
+    "oed_sysid.evidence": "Missing physics",
     "oed_sysid.export": "Models out",
     "oed_sysid.testing": "Contracts for extensions",
-    "oed_sysid.benchmark": "Benchmark of estimators",
-    "oed_sysid.report": "Pictures and reports",
+    "oed_sysid.baselines.benchmark": "Benchmark of estimators",
+    "oed_sysid.results": "Pictures and reports",
 }
 # Results and parts that users meet without importing them by name.
 RESULTS = {
-    "oed_sysid.diagnosis": (
+    "oed_sysid.evidence": (
         "compare.Comparison",
         "diagnose.Diagnosis",
         "improvement.Improvement",
@@ -75,8 +75,8 @@ RESULTS = {
         "rank.Ranking",
         "remainder.Remains",
     ),
-    "oed_sysid.noise": ("model.NoiseModel", "disturbances.Place"),
-    "oed_sysid.fitting": (
+    "oed_sysid.likelihood.noise": ("model.NoiseModel", "disturbances.Place"),
+    "oed_sysid.likelihood": (
         "fit.Fit",
         "fit.Status",
         "judgement.Concern",
@@ -84,7 +84,7 @@ RESULTS = {
         "captive.CaptiveTests",
     ),
 }
-MORE = {"oed_sysid.fitting": "Results of an estimation"}
+MORE = {"oed_sysid.likelihood": "Results of an estimation"}
 
 
 def public(package: str, taken: set[int]) -> list[str]:

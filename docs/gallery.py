@@ -3,7 +3,7 @@
     python docs/gallery.py
 
 writes ``docs/gallery/`` (pictures and page); ``make docs`` runs it. A caption is what the picture
-itself says it shows (:func:`oed_sysid.report.finding`), numbers included.
+itself says it shows (:func:`oed_sysid.results.finding`), numbers included.
 """
 
 from __future__ import annotations
@@ -31,15 +31,17 @@ from oed_sysid import (
     State,
     improve,
     load_problem,
-    report,
     simulate,
 )
+from oed_sysid import (
+    results as report,
+)
 from oed_sysid.design import Levels, design_experiment
-from oed_sysid.estimators import Multistart
-from oed_sysid.estimators.profile import profile
-from oed_sysid.manoeuvres import TurningCircle, ZigZag
-from oed_sysid.predictions.speed_polar import speed_polar
-from oed_sysid.sensitivity import rank_parameters
+from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
+from oed_sysid.information import rank_parameters
+from oed_sysid.likelihood.multistart import Multistart
+from oed_sysid.likelihood.profile import profile
+from oed_sysid.prediction.speed_polar import speed_polar
 
 HERE = Path(__file__).resolve().parent
 FERRY = Model(

@@ -11,7 +11,7 @@ where these leave structure missing, the search with them is made again without 
 """
 
 from oed_sysid import load_problem
-from oed_sysid.diagnosis.improve import improve
+from oed_sysid.evidence.improve import improve
 
 problem = load_problem("cascaded_tanks")
 train, test = problem.data().split(test="test_second_half")

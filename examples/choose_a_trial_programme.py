@@ -11,8 +11,8 @@ import numpy as np
 
 from oed_sysid import Dataset, Experiment, MultipleShooting, ZigZagLike, load_problem
 from oed_sysid.design import Caution, DOptimal, Levels, assess_limits, design_experiment
-from oed_sysid.sensitivity import information_of
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information import information_of
 
 problem = load_problem("remus_diving_plane")
 rng = np.random.default_rng(3)

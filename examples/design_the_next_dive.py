@@ -8,8 +8,8 @@ import numpy as np
 
 from oed_sysid import Dataset, MultipleShooting, load_problem
 from oed_sysid.design import DOptimal, Levels, design_experiment
-from oed_sysid.sensitivity import confirm_bound
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information import confirm_bound
 
 problem = load_problem("remus_diving_plane")
 rng = np.random.default_rng(5)

@@ -12,7 +12,7 @@ import matplotlib as mpl
 mpl.use("Agg")
 
 import oed_sysid
-from oed_sysid.report import fit_page, plot_autocorrelation, plot_zigzag
+from oed_sysid.results import fit_page, plot_autocorrelation, plot_zigzag
 
 place = Path("out/example")
 place.mkdir(parents=True, exist_ok=True)

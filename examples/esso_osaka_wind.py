@@ -10,7 +10,7 @@ measured sample.
 import numpy as np
 
 from oed_sysid import Dataset, MultipleShooting, improve, load_problem
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
 
 UNTOUCHED = ("zigzag_12_30", "zigzag_12_20", "turn_10_port_35", "turn_10_starboard_20", "random_6")
 PUBLISHED = np.array([0.044, 0.029, np.radians(0.97)])  # rms u, v, r: simulator of the source

@@ -20,7 +20,7 @@ from oed_sysid import (
     State,
     ZigZag,
 )
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
 
 TRUE = {"K": 0.1, "T": 12.0}
 

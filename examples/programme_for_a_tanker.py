@@ -14,9 +14,9 @@ import numpy as np
 
 from oed_sysid import Dataset, Limits, MultipleShooting, load_problem
 from oed_sysid.design import DOptimal, PredictionGoal, decide, design_programme
-from oed_sysid.noise.realisation import simulate_at_sea
-from oed_sysid.sensitivity import sea_noise
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.information import sea_noise
+from oed_sysid.likelihood.realisation import simulate_at_sea
 
 HOURS = 3.0
 problem = load_problem("kvlcc2", variant="mmg")

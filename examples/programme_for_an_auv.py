@@ -14,8 +14,8 @@ import numpy as np
 
 from oed_sysid import Dataset, Limits, MultipleShooting, improve, load_problem
 from oed_sysid.design import decide, design_programme, goals_of
-from oed_sysid.noise.realisation import simulate_at_sea
-from oed_sysid.sensitivity import sea_noise
+from oed_sysid.information import sea_noise
+from oed_sysid.likelihood.realisation import simulate_at_sea
 
 HOURS, GOAL = 3.0, 0.06
 problem = load_problem("remus_diving_plane")

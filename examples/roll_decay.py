@@ -9,7 +9,7 @@ amplitude hardly changes: there the honest answer is that nothing more can be sa
 from math import degrees
 
 from oed_sysid import Dataset, MultipleShooting, load_problem
-from oed_sysid.diagnosis.improve import improve
+from oed_sysid.evidence.improve import improve
 
 problem = load_problem("roll_decay")
 train, test = problem.data().split(test="test_small")

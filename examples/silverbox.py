@@ -7,7 +7,7 @@ offsets and a lag, one after the other.
 """
 
 from oed_sysid import MultipleShooting, load_problem
-from oed_sysid.diagnosis.improve import improve
+from oed_sysid.evidence.improve import improve
 
 problem = load_problem("silverbox")
 train, test = problem.data().split(test="test_third_realisation")

@@ -7,7 +7,7 @@ rivals for the second place are fitted in turn: are they different answers?
 """
 
 from oed_sysid import MultipleShooting, load_problem
-from oed_sysid.diagnosis.improve import improve
+from oed_sysid.evidence.improve import improve
 
 RIVALS = ("pitch_scale", "speed_bias", "vertical_current")
 

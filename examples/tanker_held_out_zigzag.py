@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from oed_sysid import MultipleShooting, load_problem
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
 
 HELD_OUT = "20_05"
 JUDGES = ("10_05", "15_05", "25_05")  # left out of the training in turn

@@ -15,9 +15,9 @@ import warnings
 import numpy as np
 
 from oed_sysid import load_problem
+from oed_sysid.baselines.online import IncrementalLSSVM, RecursiveLSSVM
 from oed_sysid.errors import PrecisionWarning
-from oed_sysid.estimators.online import IncrementalLSSVM, RecursiveLSSVM
-from oed_sysid.report import LiveParameters
+from oed_sysid.results import LiveParameters
 
 STEP, WEIGHT = 1.5, 1e8  # s; a large C: features and targets are small numbers
 AVERAGE = np.array([0.5, 1.0, 1.0, 0.5]) / 3  # over the four records' samples of a step

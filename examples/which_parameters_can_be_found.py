@@ -5,7 +5,7 @@ told apart is another matter, and depends on the manoeuvre.
 """
 
 from oed_sysid import load_problem
-from oed_sysid.sensitivity import identifiable_subset, information_of, rank_parameters
+from oed_sysid.information import identifiable_subset, information_of, rank_parameters
 
 problem = load_problem("remus_diving_plane")
 gentle = problem.experiment("zigzag_5_5")

@@ -9,65 +9,65 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from oed_sysid.version import __version__
+from oed_sysid.runtime.version import __version__
 
 _HOME = {
-    "Actuator": "effects",
-    "Environment": "effects",
-    "ExtraState": "effects",
-    "Force": "effects",
-    "Function": "language.callables",
-    "Inertia": "effects",
-    "Memory": "effects",
-    "Sensor": "effects",
-    "InputNoise": "effects",
-    "RandomForce": "effects",
-    "SensorDrift": "effects",
-    "UnknownForce": "effects",
-    "UnknownInput": "effects",
-    "NoiseModel": "noise.model",
-    "Channels": "channels",
-    "Input": "channels",
-    "Output": "channels",
-    "State": "channels",
+    "Actuator": "physics",
+    "Environment": "physics",
+    "ExtraState": "physics",
+    "Force": "physics",
+    "Function": "text.callables",
+    "Inertia": "physics",
+    "Memory": "physics",
+    "Sensor": "physics",
+    "InputNoise": "physics",
+    "RandomForce": "physics",
+    "SensorDrift": "physics",
+    "UnknownForce": "physics",
+    "UnknownInput": "physics",
+    "NoiseModel": "likelihood.noise_model",
+    "Channels": "physics.channels",
+    "Input": "physics.channels",
+    "Output": "physics.channels",
+    "State": "physics.channels",
     "Dataset": "data.dataset",
     "Record": "data.dataset",
     "read_csv": "data.dataset",
     "write_csv": "data.dataset",
-    "import_log": "logs",
-    "open_log": "logs",
-    "read_mapping": "logs",
-    "simulate": "simulation",
-    "simulate_inputs": "simulation",
-    "Experiment": "experiment",
-    "Limits": "experiment",
-    "PRBS": "manoeuvres",
-    "Chirp": "manoeuvres",
-    "Combined": "manoeuvres",
-    "Constant": "manoeuvres",
-    "Doublet": "manoeuvres",
-    "FromRecord": "manoeuvres",
-    "Multisine": "manoeuvres",
-    "Piecewise": "manoeuvres",
-    "PullOut": "manoeuvres",
-    "ReverseSpiral": "manoeuvres",
-    "Spiral": "manoeuvres",
-    "ThreeTwoOneOne": "manoeuvres",
-    "TurningCircle": "manoeuvres",
-    "ZigZag": "manoeuvres",
-    "ZigZagLike": "manoeuvres",
-    "Fit": "fitting.fit",
-    "Model": "model",
-    "MultipleShooting": "estimators",
+    "import_log": "data.logs",
+    "open_log": "data.logs",
+    "read_mapping": "data.logs",
+    "simulate": "experiments.simulation",
+    "simulate_inputs": "experiments.simulation",
+    "Experiment": "experiments.experiment",
+    "Limits": "experiments.experiment",
+    "PRBS": "experiments.manoeuvres",
+    "Chirp": "experiments.manoeuvres",
+    "Combined": "experiments.manoeuvres",
+    "Constant": "experiments.manoeuvres",
+    "Doublet": "experiments.manoeuvres",
+    "FromRecord": "experiments.manoeuvres",
+    "Multisine": "experiments.manoeuvres",
+    "Piecewise": "experiments.manoeuvres",
+    "PullOut": "experiments.manoeuvres",
+    "ReverseSpiral": "experiments.manoeuvres",
+    "Spiral": "experiments.manoeuvres",
+    "ThreeTwoOneOne": "experiments.manoeuvres",
+    "TurningCircle": "experiments.manoeuvres",
+    "ZigZag": "experiments.manoeuvres",
+    "ZigZagLike": "experiments.manoeuvres",
+    "Fit": "likelihood.fit",
+    "Model": "physics.model",
+    "MultipleShooting": "baselines",
     "OedSysidError": "errors",
-    "Parameter": "parameters",
-    "Problem": "problem",
-    "list_problems": "problem",
-    "load_problem": "problem",
-    "new_problem": "problem",
-    "jackknife": "predictions.jackknife",
-    "turning_circle": "predictions.turning_circle",
-    "speed_polar": "predictions.speed_polar",
+    "Parameter": "physics.parameters",
+    "Problem": "experiments.problem",
+    "list_problems": "experiments.problem",
+    "load_problem": "experiments.problem",
+    "new_problem": "experiments.problem",
+    "jackknife": "prediction.jackknife",
+    "turning_circle": "prediction.turning_circle",
+    "speed_polar": "prediction.speed_polar",
     "AOptimal": "design",
     "DOptimal": "design",
     "DsOptimal": "design",
@@ -75,20 +75,20 @@ _HOME = {
     "GOptimal": "design",
     "ModifiedE": "design",
     "VOptimal": "design",
-    "check": "compatibility",
-    "quick_check": "compatibility",
-    "compare": "diagnosis.compare",
-    "diagnose": "diagnosis.diagnose",
-    "improve": "diagnosis.improve",
-    "usual_effects": "diagnosis.usual",
+    "check": "evidence.log_check",
+    "quick_check": "evidence.log_check",
+    "compare": "evidence.compare",
+    "diagnose": "evidence.diagnose",
+    "improve": "evidence.improve",
+    "usual_effects": "evidence.usual",
     "Discriminate": "design",
     "Robust": "design",
     "design_experiment": "design",
     "design_series": "design",
-    "information_of": "sensitivity",
-    "rank_parameters": "sensitivity",
-    "reduce_model": "sensitivity",
-    "structural_identifiability": "sensitivity",
+    "information_of": "information",
+    "rank_parameters": "information",
+    "reduce_model": "information",
+    "structural_identifiability": "information",
 }
 
 __all__ = ["__version__", *_HOME]
@@ -105,9 +105,8 @@ def __dir__() -> list[str]:
 
 
 if TYPE_CHECKING:
-    from oed_sysid.channels import Channels, Input, Output, State
-    from oed_sysid.compatibility import check, quick_check  # type: ignore[no-redef]
     from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
+    from oed_sysid.data.logs import import_log, open_log, read_mapping
     from oed_sysid.design import (
         AOptimal,
         Discriminate,
@@ -121,31 +120,14 @@ if TYPE_CHECKING:
         design_experiment,
         design_series,
     )
-    from oed_sysid.diagnosis.compare import compare
-    from oed_sysid.diagnosis.diagnose import diagnose
-    from oed_sysid.diagnosis.improve import improve
-    from oed_sysid.diagnosis.usual import usual_effects
-    from oed_sysid.effects import (
-        Actuator,
-        Environment,
-        ExtraState,
-        Force,
-        Inertia,
-        InputNoise,
-        Memory,
-        RandomForce,
-        Sensor,
-        SensorDrift,
-        UnknownForce,
-        UnknownInput,
-    )
     from oed_sysid.errors import OedSysidError
-    from oed_sysid.estimators import MultipleShooting
-    from oed_sysid.experiment import Experiment, Limits
-    from oed_sysid.fitting.fit import Fit
-    from oed_sysid.language.callables import Function
-    from oed_sysid.logs import import_log, open_log, read_mapping
-    from oed_sysid.manoeuvres import (
+    from oed_sysid.evidence.compare import compare
+    from oed_sysid.evidence.diagnose import diagnose
+    from oed_sysid.evidence.improve import improve
+    from oed_sysid.evidence.log_check import check, quick_check  # type: ignore[no-redef]
+    from oed_sysid.evidence.usual import usual_effects
+    from oed_sysid.experiments.experiment import Experiment, Limits
+    from oed_sysid.experiments.manoeuvres import (
         PRBS,
         Chirp,
         Combined,
@@ -162,17 +144,35 @@ if TYPE_CHECKING:
         ZigZag,
         ZigZagLike,
     )
-    from oed_sysid.model import Model
-    from oed_sysid.noise.model import NoiseModel
-    from oed_sysid.parameters import Parameter
-    from oed_sysid.predictions.jackknife import jackknife
-    from oed_sysid.predictions.speed_polar import speed_polar
-    from oed_sysid.predictions.turning_circle import turning_circle
-    from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
-    from oed_sysid.sensitivity import (
+    from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
+    from oed_sysid.experiments.simulation import simulate, simulate_inputs
+    from oed_sysid.information import (
         information_of,
         rank_parameters,
         reduce_model,
         structural_identifiability,
     )
-    from oed_sysid.simulation import simulate, simulate_inputs
+    from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+    from oed_sysid.likelihood.noise_model import NoiseModel
+    from oed_sysid.physics import (
+        Actuator,
+        Environment,
+        ExtraState,
+        Force,
+        Inertia,
+        InputNoise,
+        Memory,
+        RandomForce,
+        Sensor,
+        SensorDrift,
+        UnknownForce,
+        UnknownInput,
+    )
+    from oed_sysid.physics.channels import Channels, Input, Output, State
+    from oed_sysid.physics.model import Model
+    from oed_sysid.physics.parameters import Parameter
+    from oed_sysid.prediction.jackknife import jackknife
+    from oed_sysid.prediction.speed_polar import speed_polar
+    from oed_sysid.prediction.turning_circle import turning_circle
+    from oed_sysid.text.callables import Function

@@ -1,7 +1,7 @@
 """Errors: every message names what was expected, what was got and what to do.
 
 A solver that does not converge is not an error but a status (see
-:mod:`oed_sysid.fitting.fit`); errors are for input that cannot be worked with.
+:mod:`oed_sysid.likelihood.fit`); errors are for input that cannot be worked with.
 """
 
 from __future__ import annotations

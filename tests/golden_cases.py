@@ -19,7 +19,7 @@ from oed_sysid import (
     load_problem,
     simulate,
 )
-from oed_sysid.noise.realisation import simulate_at_sea
+from oed_sysid.likelihood.realisation import simulate_at_sea
 
 # Problem, or problem/variant: the shipped records that are fitted; none means all.
 SHIPPED: dict[str, tuple[str, ...]] = {

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
-from oed_sysid.diagnosis.improve import improve
-from oed_sysid.effects import (
+from oed_sysid.errors import ModelError
+from oed_sysid.evidence.improve import improve
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.likelihood.actuator_starts import estimate_starts
+from oed_sysid.physics import (
     actuator_delay,
     actuator_lag,
     actuator_offset,
@@ -18,9 +21,6 @@ from oed_sysid.effects import (
     sensor_bias,
     unknown_start,
 )
-from oed_sysid.errors import ModelError
-from oed_sysid.fitting.actuator_starts import estimate_starts
-from oed_sysid.simulation import simulate_inputs
 
 STEP, SAMPLE = 0.01, 0.25
 LAG, PLAY = 2.0, 0.04

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from oed_sysid import Force, Input, Model, Output, Parameter, State
-from oed_sysid.effects import (
+from oed_sysid.errors import ModelError
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.physics import (
     actuator_lag,
     actuator_offset,
     backlash,
@@ -15,8 +17,6 @@ from oed_sysid.effects import (
     rate_limit,
     steady_wind,
 )
-from oed_sysid.errors import ModelError
-from oed_sysid.simulation import simulate_inputs
 
 TWIN = Model(
     name="twin screw",

@@ -23,7 +23,7 @@ import pytest
 
 from oed_sysid import Fit, load_problem, new_problem, read_csv
 from oed_sysid.app.records import at_hand
-from oed_sysid.problem.catalogue import catalogue_folder
+from oed_sysid.experiments.catalogue import catalogue_folder
 
 pytest.importorskip("streamlit", reason="needs the extra 'app'")
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")

@@ -21,14 +21,14 @@ from oed_sysid.app import charts, mapping, plans, replay, script, takeaway, task
 from oed_sysid.app.records import archive, at_hand, measured_sets
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
+from oed_sysid.data.logs import LogMapping, Source
 from oed_sysid.design.assurance import Assurance
-from oed_sysid.diagnosis.locate import Located, Series
 from oed_sysid.errors import OedSysidError
+from oed_sysid.evidence.locate import Located, Series
+from oed_sysid.experiments.catalogue import catalogue_folder
+from oed_sysid.experiments.simulation import simulate
 from oed_sysid.export import KINDS
-from oed_sysid.logs import LogMapping, Source
-from oed_sysid.noise.disturbances import Place
-from oed_sysid.problem.catalogue import catalogue_folder
-from oed_sysid.simulation import simulate
+from oed_sysid.likelihood.disturbances import Place
 
 CHANNELS = Channels(
     (Input("rudder", "rad"),), (Output("psi", "rad", "heading"), Output("r", "rad/s"))

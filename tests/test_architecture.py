@@ -19,56 +19,42 @@ PACKAGE = ROOT / "oed_sysid"
 # Bottom to top: a module imports from layers before its own, or from its own folder.
 LAYERS = (
     "errors",
-    "display",
-    "version",
-    "files",
-    "batch",
-    "language",
-    "channels",
-    "parameters",
+    "runtime",
+    "text",
+    "physics",
     "data",
-    "logs",
-    "effects",
-    "model",
-    "bodies",
     "compiled",
-    "manoeuvres",
-    "experiment",
-    "simulation",
-    "problem",
+    "experiments",
+    "likelihood",
+    "prediction",
     "information",
-    "projection",
-    "noise",
-    "fitting",
-    "compatibility",
-    "estimators",
-    "predictions",
+    "evidence",
     "export",
-    "sensitivity",
+    "baselines",
     "design",
-    "diagnosis",
-    "benchmark",
-    "report",
+    "results",
     "testing",
-    "demo",
     "app",
     "cli",
     "__main__",
 )
 # These speak to the user and therefore use the public API, as a user does.
-USES_PUBLIC_API = ("testing", "demo", "app", "cli")
+USES_PUBLIC_API = (
+    "testing",
+    "app",
+    "cli",
+)
 CASADI_LAYERS = (
-    "language",
-    "effects",
-    "model",
+    "text",
+    "physics",
     "compiled",
-    "simulation",
+    "experiments",
+    "likelihood",
     "export",
-    "information",
-    "estimators",
+    "baselines",
     "design",
 )
-MATPLOTLIB_LAYERS = ("report",)
+MATPLOTLIB_LAYERS = ("results",)
 FORBIDDEN_NAMES = ("utils", "util", "helpers", "helper", "common", "misc")
 MEDIAN_LINES = 360
 

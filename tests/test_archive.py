@@ -10,8 +10,8 @@ import pytest
 from vehicles import remus
 
 from oed_sysid.errors import DataError
-from oed_sysid.fitting.archive import decode, encode
-from oed_sysid.fitting.fit import ARCHIVED
+from oed_sysid.likelihood.archive import decode, encode
+from oed_sysid.likelihood.fit import ARCHIVED
 
 
 @pytest.mark.parametrize(

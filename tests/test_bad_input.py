@@ -14,12 +14,12 @@ import pytest
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
 from oed_sysid import check, diagnose, improve, simulate, turning_circle, usual_effects
-from oed_sysid.channels import Output
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError, OedSysidError
-from oed_sysid.estimators import MultipleShooting
-from oed_sysid.model import Model
-from oed_sysid.parameters import Parameter
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.physics.channels import Output
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 DATA = yaw_data(0)
 MODEL = yaw_model()

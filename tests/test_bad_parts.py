@@ -7,14 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from oed_sysid import manoeuvres as m
-from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.cli import BAD_INPUT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv
-from oed_sysid.effects import ExtraState, Force
 from oed_sysid.errors import OedSysidError
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.parameters import Parameter
+from oed_sysid.experiments import manoeuvres as m
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.physics import ExtraState, Force
+from oed_sysid.physics.channels import Channels, Input, Output, State
+from oed_sysid.physics.parameters import Parameter
 
 NAN, INF = float("nan"), float("inf")
 CHANNELS = Channels((), (Output("y", "m"),))

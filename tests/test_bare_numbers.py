@@ -13,9 +13,9 @@ import pytest
 
 from oed_sysid import load_problem
 from oed_sysid.errors import ModelError, ProblemError
-from oed_sysid.language.dimensions import Deduction, Form, dimension_of
-from oed_sysid.language.units import dimension
 from oed_sysid.testing import check_problem
+from oed_sysid.text.dimensions import Deduction, Form, dimension_of
+from oed_sysid.text.units import dimension
 
 HEAD = "from oed_sysid import Force, Input, Model, Output, Parameter, Problem, Sensor, State\n"
 SHIP = """

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid.benchmark import (
+from oed_sysid.baselines.benchmark import (
     CONTESTANTS,
     PROBLEMS,
     Benchmark,
@@ -23,10 +23,10 @@ from oed_sysid.benchmark import (
     run_cell,
     verdicts,
 )
-from oed_sysid.benchmark.comparison import verdict_table
+from oed_sysid.baselines.comparison import verdict_table
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.errors import ModelError, ProblemError
-from oed_sysid.report.benchmark_plots import figure_benchmark
+from oed_sysid.results.benchmark_plots import figure_benchmark
 
 TWO = ("multiple_shooting", "heading_differences")
 
@@ -73,7 +73,7 @@ def test_finished_runs_are_not_run_again(
         ran.append(cell)
         return run_cell(cell)
 
-    monkeypatch.setattr("oed_sysid.benchmark.comparison.run_cell", counted)
+    monkeypatch.setattr("oed_sysid.baselines.comparison.run_cell", counted)
     again = benchmark(["nomoto_sparse_heading"], TWO, noise=[0.0, 1.0], seeds=2, store=folder)
     assert ran == []
     assert [row.rmse for row in again.rows] == [row.rmse for row in small.rows]
@@ -104,7 +104,7 @@ def test_failures_are_counted_and_cost(monkeypatch: pytest.MonkeyPatch) -> None:
     def gives_up(*_: object) -> None:
         raise np.linalg.LinAlgError("singular matrix")
 
-    monkeypatch.setattr("oed_sysid.estimators.EquationError.fit", gives_up)
+    monkeypatch.setattr("oed_sysid.baselines.EquationError.fit", gives_up)
     found = run_cell(Cell("online_ship", "equation_error", 1.0))
     assert (found.status, found.failed, found.errors) == ("error", True, {})
     assert "singular matrix" in found.message
@@ -120,7 +120,7 @@ def test_faults_of_programs_are_not_taken_for_failures(monkeypatch: pytest.Monke
     def misspelt(*_: object) -> None:
         raise NameError("savgol")
 
-    monkeypatch.setattr("oed_sysid.estimators.EquationError.fit", misspelt)
+    monkeypatch.setattr("oed_sysid.baselines.EquationError.fit", misspelt)
     with pytest.raises(NameError):
         run_cell(Cell("online_ship", "equation_error", 1.0))
 

@@ -21,7 +21,7 @@ from benchmarks.disjoint import (
 )
 from oed_sysid import Dataset, Fit, Model, MultipleShooting, load_problem
 from oed_sysid.data import third_party
-from oed_sysid.predictions.structures import Structure
+from oed_sysid.prediction.structures import Structure
 from tests.turning_ship import SHIP, record
 
 needs_data = pytest.mark.skipif(

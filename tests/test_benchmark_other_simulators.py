@@ -27,7 +27,7 @@ from benchmarks.other_vehicles.truth.simulator import (  # noqa: E402
     multisine,
     simulate,
 )
-from oed_sysid.simulation import simulate_inputs  # noqa: E402
+from oed_sysid.experiments.simulation import simulate_inputs  # noqa: E402
 
 RNG = np.random.default_rng(0)
 

@@ -9,9 +9,16 @@ import numpy as np
 import pytest
 
 from benchmarks.real_world import BEGIN, END, table, written
-from oed_sysid.benchmark import WORLDS, Benchmark, Cell, benchmark, load_scenario, run_cell
+from oed_sysid.baselines.benchmark import (
+    WORLDS,
+    Benchmark,
+    Cell,
+    benchmark,
+    load_scenario,
+    run_cell,
+)
 from oed_sysid.errors import ProblemError
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
 
 PROBLEM = "nomoto_sparse_heading"
 

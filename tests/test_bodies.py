@@ -9,10 +9,10 @@ import pytest
 from free_body import FreeBody, rotation
 
 from oed_sysid import Input, Model, Parameter
-from oed_sysid.bodies import RigidBody, load_cell, rigid_body
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.language import expressions
+from oed_sysid.physics.bodies import RigidBody, load_cell, rigid_body
 from oed_sysid.testing.effect_contract import check_effect
+from oed_sysid.text import expressions
 
 CENTRE = np.array([0.03, -0.02, 0.05])
 LIFT = np.array([-0.01, 0.015, -0.02])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Experiment, Input, Model, MultipleShooting, Parameter
-from oed_sysid.bodies import RigidBody, rigid_body
 from oed_sysid.errors import ModelError
-from oed_sysid.manoeuvres import ZigZag, ZigZagLike
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.manoeuvres import ZigZag, ZigZagLike
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.physics.bodies import RigidBody, rigid_body
 
 
 def plain(parts: RigidBody) -> Model:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from oed_sysid import Input, Model
-from oed_sysid.bodies import catamaran_effects, rigid_body, underwater_vehicle_effects
-from oed_sysid.effects import Effect
+from oed_sysid.physics import Effect
+from oed_sysid.physics.bodies import catamaran_effects, rigid_body, underwater_vehicle_effects
 from oed_sysid.testing import check_effect
 
 MEASURED = ("u", "v", "w", "p", "q", "r", "phi", "theta")

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Force, MultipleShooting, diagnose, improve
-from oed_sysid.diagnosis.by_motion import failing
-from oed_sysid.diagnosis.compare import compare
-from oed_sysid.diagnosis.preparation import prepared
-from oed_sysid.diagnosis.study import Study
-from oed_sysid.effects import amplitude
 from oed_sysid.errors import DataError
-from oed_sysid.fitting.captive import CaptiveTests
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.report.comparison_page import comparison_page
-from oed_sysid.report.fit_plots import plot_output
-from oed_sysid.report.improvement_page import improvement_page
+from oed_sysid.evidence.by_motion import failing
+from oed_sysid.evidence.compare import compare
+from oed_sysid.evidence.preparation import prepared
+from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.captive import CaptiveTests
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.physics import amplitude
+from oed_sysid.results.comparison_page import comparison_page
+from oed_sysid.results.fit_plots import plot_output
+from oed_sysid.results.improvement_page import improvement_page
 from tests.test_captive import TRUTH, ship
 
 NOISE, CROSSFLOW = 0.3, -60.0

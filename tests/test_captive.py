@@ -22,11 +22,11 @@ from oed_sysid import (
     State,
     ZigZag,
 )
+from oed_sysid.baselines import OutputError
 from oed_sysid.errors import DataError, ModelError, UnitWarning
-from oed_sysid.estimators import OutputError
-from oed_sysid.fitting.captive import CaptiveTests
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.likelihood.captive import CaptiveTests
+from oed_sysid.likelihood.fit import Fit
 
 TRUTH = {"Y_v": -40.0, "Y_r": 25.0, "N_v": -15.0, "N_r": -60.0, "Y_d": 12.0, "N_d": -30.0}
 SPEED = 2.0

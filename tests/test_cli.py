@@ -14,7 +14,7 @@ from oed_sysid.cli.arguments import spread
 
 NOMOTO = """
 from oed_sysid import Experiment, Input, Model, Output, Parameter, Problem, State
-from oed_sysid.manoeuvres import ZigZag
+from oed_sysid.experiments.manoeuvres import ZigZag
 
 model = Model(
     name="Nomoto",
@@ -164,7 +164,7 @@ def test_unexpected_error_tells_how_to_report(ferry: Path, capsys, monkeypatch) 
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("broken inside")
 
-    monkeypatch.setattr("oed_sysid.problem.load_problem", fail)
+    monkeypatch.setattr("oed_sysid.experiments.problem.load_problem", fail)
     assert main(["problems", str(ferry)]) == UNEXPECTED
     printed = capsys.readouterr().err
     assert "broken inside" in printed

@@ -10,7 +10,7 @@ import pytest
 
 from oed_sysid import Dataset, load_problem, write_csv
 from oed_sysid.cli import main
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
 
 
 @pytest.fixture(scope="module")

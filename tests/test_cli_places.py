@@ -8,8 +8,8 @@ import pytest
 
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.errors import FileError, ProblemError
-from oed_sysid.files import check_place, make_folder, write_text
-from oed_sysid.problem import new_problem
+from oed_sysid.experiments.problem import new_problem
+from oed_sysid.runtime.files import check_place, make_folder, write_text
 
 SHIP = "nomoto_sparse_heading"
 

@@ -11,7 +11,7 @@ import pytest
 
 from oed_sysid import Experiment, Limits, load_problem, write_csv
 from oed_sysid.cli import BAD_INPUT, DONE, main
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
 
 
 @pytest.fixture(name="ship", scope="module")

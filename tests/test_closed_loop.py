@@ -7,8 +7,8 @@ import pytest
 
 from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.predictions.closed_loop import CourseControl, ZigzagControl, closed_loop
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.prediction.closed_loop import CourseControl, ZigzagControl, closed_loop
 
 STEP = 0.5
 

@@ -21,20 +21,13 @@ from benchmarks.compatibility import (
     named_as,
     spoil,
 )
-from oed_sysid import (
-    Dataset,
-    check,
-    load_problem,
-    quick_check,
-    read_csv,
-    write_csv,
-)
-from oed_sysid.compatibility import corrected_copies
-from oed_sysid.compatibility.blocks import integral
-from oed_sysid.compatibility.colour import Colour, estimate
-from oed_sysid.compatibility.screens import screen
-from oed_sysid.compatibility.traces import Trace
-from oed_sysid.simulation import simulate
+from oed_sysid import Dataset, check, load_problem, quick_check, read_csv, write_csv
+from oed_sysid.evidence.blocks import integral
+from oed_sysid.evidence.colour import Colour, estimate
+from oed_sysid.evidence.log_check import corrected_copies
+from oed_sysid.evidence.screens import screen
+from oed_sysid.evidence.traces import Trace
+from oed_sysid.experiments.simulation import simulate
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +169,7 @@ def test_bias_of_pitch_and_misalignment_are_one_group() -> None:
 
 def test_sensor_effect_of_the_model_is_no_alarm() -> None:
     """A bias that the model allows for is told, but does not make the log suspect."""
-    from oed_sysid.effects import sensor_bias
+    from oed_sysid.physics import sensor_bias
 
     model = DIVER.model + sensor_bias("bias_q", "q", "rad/s", scale=0.01)
     data = diving_log(Fault("bias", ("q",), 0.008))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, check, load_problem, simulate
-from oed_sysid.compatibility.screens import screen
-from oed_sysid.compatibility.traces import Trace
+from oed_sysid.evidence.screens import screen
+from oed_sysid.evidence.traces import Trace
 
 TIMES = np.arange(800) * 0.1
 RUNS = ((100, 3), (290, 8), (520, 15))

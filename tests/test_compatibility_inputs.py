@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Problem, Record, check, load_problem, simulate
-from oed_sysid.fitting.start_guess import kinematic_states, measured_states
+from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
 
 
 @pytest.fixture(scope="module")

@@ -11,12 +11,12 @@ from yaw_vehicle import NOISE, yaw_data, yaw_model
 
 from oed_sysid import MultipleShooting
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.estimators.losses import loss_by_name
-from oed_sysid.fitting.gauss_newton import solve
-from oed_sysid.fitting.iterates import Exact, Gathered
-from oed_sysid.fitting.shooting import Shooting
-from oed_sysid.parameters import Parameter
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.likelihood.gauss_newton import solve
+from oed_sysid.likelihood.iterates import Exact, Gathered
+from oed_sysid.likelihood.losses import loss_by_name
+from oed_sysid.likelihood.shooting import Shooting
+from oed_sysid.physics.parameters import Parameter
 
 SIGMA = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
 
@@ -75,7 +75,7 @@ def test_both_ways_end_at_the_same_optimum(problem, monkeypatch: pytest.MonkeyPa
     shooting = problem()
     estimator = MultipleShooting(noise=shooting.sigma)
     quick = estimator.fit(shooting.model, shooting.dataset)
-    monkeypatch.setattr("oed_sysid.fitting.gauss_newton.Gathered", Exact)
+    monkeypatch.setattr("oed_sysid.likelihood.gauss_newton.Gathered", Exact)
     exact = estimator.fit(shooting.model, shooting.dataset)
     assert quick.status.ok
     assert np.allclose(quick.estimates, exact.estimates, rtol=1e-8)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State
-from oed_sysid.diagnosis.constancy import CHANCE, Sizes, imitates, sizes_by_record
-from oed_sysid.diagnosis.rank import threshold
-from oed_sysid.diagnosis.reconsider import without_imitations
-from oed_sysid.diagnosis.standing import Added, Standing
-from oed_sysid.diagnosis.study import Study
-from oed_sysid.effects import sensor_scale
+from oed_sysid.evidence.constancy import CHANCE, Sizes, imitates, sizes_by_record
+from oed_sysid.evidence.rank import threshold
+from oed_sysid.evidence.reconsider import without_imitations
+from oed_sysid.evidence.standing import Added, Standing
+from oed_sysid.evidence.study import Study
+from oed_sysid.physics import sensor_scale
 
 SHIP = Model(
     name="Nomoto ship",

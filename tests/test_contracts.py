@@ -21,7 +21,7 @@ from oed_sysid import (
     new_problem,
 )
 from oed_sysid.design.criteria import Measure, Setting
-from oed_sysid.manoeuvres import Doublet
+from oed_sysid.experiments.manoeuvres import Doublet
 from oed_sysid.testing import check_criterion, check_problem
 
 SHIP = Model(

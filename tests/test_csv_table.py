@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid.data.csv_table import Table, read_table, write_table
 from oed_sysid.errors import DataError
+from oed_sysid.text.csv_table import Table, read_table, write_table
 
 HEADER = "t [s];theta [rad];z [m]"
 

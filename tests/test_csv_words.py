@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid.channels import Channels, Input, Output
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.data.dataset import read_csv
 from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError, ProblemError, UnitWarning
-from oed_sysid.problem import load_problem
+from oed_sysid.experiments.problem import load_problem
+from oed_sysid.physics.channels import Channels, Input, Output
 
 SHIP = Channels((Input("delta", "rad"),), (Output("psi", "rad"), Output("r", "rad/s")))
 HEADER = "t [s],delta [rad],psi [rad]"

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid.channels import Channels, Input, Output
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.errors import DataError
+from oed_sysid.physics.channels import Channels, Input, Output
 
 CHANNELS = Channels(
     inputs=(Input("fin", "rad", column="fin_command"), Input("thrust", "N")),

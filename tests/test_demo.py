@@ -17,7 +17,7 @@ def tell(place: Path, data: str | None) -> tuple[str, float]:
     environment["OED_SYSID_DATA"] = str(place / "nothing") if data is None else data
     began = time.perf_counter()
     done = subprocess.run(
-        [sys.executable, "-m", "oed_sysid.demo"],
+        [sys.executable, "-m", "oed_sysid.cli.demo"],
         capture_output=True,
         text=True,
         cwd=place,

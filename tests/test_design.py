@@ -45,10 +45,10 @@ from oed_sysid.design.criteria import eliminate
 from oed_sysid.design.limits import Corridor
 from oed_sysid.design.objective import Objective, Scene
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Experiment as Plan
-from oed_sysid.manoeuvres import Doublet
-from oed_sysid.sensitivity import information_of, noise_of
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.experiment import Experiment as Plan
+from oed_sysid.experiments.manoeuvres import Doublet
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.information import information_of, noise_of
 
 LIMITS = Limits(
     inputs={"rudder": (-0.35, 0.35)}, rates={"rudder": 0.2}, signals={"psi": (-0.6, 0.6)}

@@ -11,7 +11,7 @@ from test_design import LIMITS, grid, quick, ship
 from oed_sysid import Dataset, Force, Limits, MultipleShooting, Parameter, load_problem
 from oed_sysid.design import Discriminate, Levels, Multisines, campaign, design_experiment
 from oed_sysid.errors import DesignError
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
 
 
 def test_forbidden_frequencies_get_no_power() -> None:

@@ -19,9 +19,9 @@ from oed_sysid.design import (
     goals_of,
 )
 from oed_sysid.errors import DesignError
-from oed_sysid.manoeuvres import Doublet, ThreeTwoOneOne
-from oed_sysid.sensitivity import information_of
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.manoeuvres import Doublet, ThreeTwoOneOne
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information import information_of
 
 PATTERN = Experiment("pattern", duration=40.0, sample_time=0.5)
 WHITE = MultipleShooting(disturbances="none", noise="given")

@@ -12,11 +12,11 @@ from oed_sysid import Dataset, Experiment, Force, MultipleShooting, NoiseModel, 
 from oed_sysid.design import Discriminate, Reveal, design_experiment, design_programme
 from oed_sysid.design.missing_effects import log_power, told_apart
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Limits
-from oed_sysid.manoeuvres import Doublet
-from oed_sysid.sensitivity import information_of
-from oed_sysid.sensitivity.shifts import Shifts, joint_information
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.experiment import Limits
+from oed_sysid.experiments.manoeuvres import Doublet
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information import information_of
+from oed_sysid.information.shifts import Shifts, joint_information
 
 CUBIC = Force("cubic", {"r": "-E_cubic*r**3"}, (Parameter("E_cubic", 0.0, scale=30.0),))
 SINES = Force(

@@ -35,10 +35,10 @@ from oed_sysid.design import (
 from oed_sysid.design.limits import Corridor
 from oed_sysid.design.vehicles import Guards, in_waves
 from oed_sysid.errors import DesignError, FileError
-from oed_sysid.manoeuvres import Doublet, Piecewise
-from oed_sysid.report import card_page, design_page, figure_card
-from oed_sysid.report.card_plots import DANGER
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.manoeuvres import Doublet, Piecewise
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.results import card_page, design_page, figure_card
+from oed_sysid.results.card_plots import DANGER
 
 SEA = NoiseModel(
     np.array([5e-3, 2e-3]), np.zeros(2), np.array([0.01]), force_time=3.0,

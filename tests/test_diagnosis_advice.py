@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from oed_sysid import Force, Parameter
-from oed_sysid.diagnosis.improvement import advice
-from oed_sysid.diagnosis.rank import Ranking
-from oed_sysid.diagnosis.score import Score
+from oed_sysid.evidence.improvement import advice
+from oed_sysid.evidence.rank import Ranking
+from oed_sysid.evidence.score import Score
 
 
 def candidate(name: str, needs: str, error: float) -> Score:

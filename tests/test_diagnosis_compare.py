@@ -9,12 +9,12 @@ import pytest
 
 from oed_sysid import Force, Input, Model, MultipleShooting, Output, Parameter, Sensor, State
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.diagnosis.compare import Comparison, compare
-from oed_sysid.diagnosis.forecasts import forecasts
-from oed_sysid.diagnosis.improve import improve
-from oed_sysid.diagnosis.misfit import correlate
-from oed_sysid.diagnosis.regimes import Signal, concentrations, regimes
 from oed_sysid.errors import DataError
+from oed_sysid.evidence.compare import Comparison, compare
+from oed_sysid.evidence.forecasts import forecasts
+from oed_sysid.evidence.improve import improve
+from oed_sysid.evidence.misfit import correlate
+from oed_sysid.evidence.regimes import Signal, concentrations, regimes
 
 NOISE = np.array([0.01, 0.004])
 CUBIC = Force(

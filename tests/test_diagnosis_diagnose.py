@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 
 from oed_sysid import load_problem, read_csv
-from oed_sysid.diagnosis.diagnose import diagnose
-from oed_sysid.problem import catalogue_folder
+from oed_sysid.evidence.diagnose import diagnose
+from oed_sysid.experiments.problem import catalogue_folder
 
 
 def test_the_hidden_effect_of_the_shipped_records_leads() -> None:

@@ -13,14 +13,14 @@ from scipy import stats
 from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 
 from oed_sysid import Dataset, load_problem, read_csv
-from oed_sysid.diagnosis.improve import improve
-from oed_sysid.diagnosis.improvement import Improvement
-from oed_sysid.diagnosis.rank import rank, threshold
-from oed_sysid.diagnosis.score import scores
-from oed_sysid.diagnosis.study import Study
-from oed_sysid.effects import backlash
 from oed_sysid.errors import OedSysidError
-from oed_sysid.fitting.input_noise import sigma_filter
+from oed_sysid.evidence.improve import improve
+from oed_sysid.evidence.improvement import Improvement
+from oed_sysid.evidence.rank import rank, threshold
+from oed_sysid.evidence.score import scores
+from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.input_noise import sigma_filter
+from oed_sysid.physics import backlash
 
 AUV_DATA = Path(__file__).resolve().parent.parent / "problems" / "remus_diving_plane" / "data"
 
@@ -256,7 +256,7 @@ def test_what_was_found_stays_where_a_later_stage_fails(monkeypatch: pytest.Monk
             raise OedSysidError("a stage that fails")
         return rank(*args, **settings)
 
-    monkeypatch.setattr("oed_sysid.diagnosis.improve.rank", ranked)
+    monkeypatch.setattr("oed_sysid.evidence.improve.rank", ranked)
     found = improve(SHIP, dataset(11, -15.0), dataset(12, -15.0), candidates=CANDIDATES)
     assert [step.added for step in found.steps] == ["cubic_damping"]
     assert any("a stage that fails" in note for note in found.notes)

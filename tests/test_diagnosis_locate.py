@@ -9,12 +9,12 @@ import pytest
 from diving_plane import PROBLEM, records
 
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.diagnosis.locate import along_fit, locate
-from oed_sysid.diagnosis.study import Study
-from oed_sysid.effects import Force
-from oed_sysid.noise.disturbances import places
-from oed_sysid.noise.linearisation import System
-from oed_sysid.parameters import Parameter
+from oed_sysid.evidence.locate import along_fit, locate
+from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.disturbances import places
+from oed_sysid.likelihood.linearisation import System
+from oed_sysid.physics import Force
+from oed_sysid.physics.parameters import Parameter
 
 DRAG = -120.0
 CROSSFLOW = Force("drag", {"Z": "Z_d*w*abs(w)"}, (Parameter("Z_d", 0.0, "kg/m", scale=100.0),))

@@ -10,12 +10,12 @@ from diving_plane import PROBLEM, records
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, load_problem
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.diagnosis.dictionary import Signal, Term, signals_along, terms
-from oed_sysid.diagnosis.propose import propose, term_scores
-from oed_sysid.diagnosis.study import Study
-from oed_sysid.language.units import same_dimension
-from oed_sysid.noise.linearisation import System
-from oed_sysid.noise.model import NoiseModel
+from oed_sysid.evidence.dictionary import Signal, Term, signals_along, terms
+from oed_sysid.evidence.propose import propose, term_scores
+from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.linearisation import System
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.text.units import same_dimension
 
 VEHICLE = (
     Signal("u_r", "m/s", "motion", True),

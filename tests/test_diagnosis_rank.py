@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from oed_sysid import Force, Parameter
-from oed_sysid.diagnosis.rank import Ranking
-from oed_sysid.diagnosis.score import Score
+from oed_sysid.evidence.rank import Ranking
+from oed_sysid.evidence.score import Score
 
 
 def score(name: str, statistic: float, signature: np.ndarray) -> Score:

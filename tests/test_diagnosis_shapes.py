@@ -7,7 +7,7 @@ import pytest
 
 from oed_sysid import Dataset, Force, Model, Output, Parameter, Record, State
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.diagnosis.improve import improve
+from oed_sysid.evidence.improve import improve
 
 
 @pytest.mark.parametrize("brim", [1.0, 5.0], ids=["near", "above every level"])

@@ -11,7 +11,7 @@ import pytest
 
 from oed_sysid import load_problem, write_csv
 from oed_sysid.cli import DONE, main
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(
@@ -171,7 +171,7 @@ def test_export_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
 
 def test_logs_page_maps_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The mapping of the page is understood, key by key."""
-    from oed_sysid.logs.mapping import parse
+    from oed_sysid.data.mapping import parse
 
     (text,) = blocks(ROOT / "docs" / "logs.md", "toml")
     mapping = parse(text)
@@ -181,7 +181,7 @@ def test_logs_page_maps_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 def test_language_of_the_page_is_that_of_the_package() -> None:
     """The table of functions on the page names every function of the language."""
-    from oed_sysid.language.expressions import FUNCTIONS
+    from oed_sysid.text.expressions import FUNCTIONS
 
     text = (ROOT / "docs" / "own_vehicle.md").read_text(encoding="utf-8")
     table = text.split("## 4. What a text may say")[1].split("Everything is checked")[0]

@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from oed_sysid import effects
-from oed_sysid.channels import Input, Output, State
+from oed_sysid import physics as effects
 from oed_sysid.compiled.kernels import Kernel
-from oed_sysid.effects import Effect
-from oed_sysid.model import Model
+from oed_sysid.physics import Effect
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
 
 STEP = 0.1
 FINE = 2000
@@ -189,7 +189,7 @@ def test_one_parameter_for_several_channels() -> None:
     """Shared lag, delay and rate limit move each channel as its own effect would."""
     from oed_sysid import Force, Input, Model, Output, State
     from oed_sysid.compiled.kernels import kernel
-    from oed_sysid.effects import actuator_delay, actuator_lag, rate_limit
+    from oed_sysid.physics import actuator_delay, actuator_lag, rate_limit
 
     def pair(*effects):
         return Model(

@@ -17,9 +17,9 @@ from vehicles import (
     ship,
 )
 
-from oed_sysid import effects
-from oed_sysid.effects import Actuator, Effect, Force, Sensor
-from oed_sysid.parameters import Parameter
+from oed_sysid import physics as effects
+from oed_sysid.physics import Actuator, Effect, Force, Sensor
+from oed_sysid.physics.parameters import Parameter
 from oed_sysid.testing import check_effect
 
 DIVING = effects.diving_plane_effects()

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from vehicles import remus, ship
 
-from oed_sysid import effects
+from oed_sysid import physics as effects
 from oed_sysid.compiled.kernels import Kernel
-from oed_sysid.effects import Effect
 from oed_sysid.errors import ModelError
-from oed_sysid.language import expressions
-from oed_sysid.model import Model
-from oed_sysid.parameters import Parameter
+from oed_sysid.physics import Effect
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.text import expressions
 
 
 def evaluate(effect: Effect, key: str, **scope: float) -> float:

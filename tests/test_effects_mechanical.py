@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 
 from oed_sysid import Force, Input, Model, Output, Parameter, State
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.effects import (
+from oed_sysid.errors import DataError
+from oed_sysid.physics import (
     bouc_wen_hysteresis,
     coulomb_friction,
     dahl_friction,
@@ -19,7 +20,6 @@ from oed_sysid.effects import (
     steady_wind,
     table_from_csv,
 )
-from oed_sysid.errors import DataError
 from oed_sysid.testing import check_effect
 
 
@@ -132,7 +132,7 @@ def test_steady_wind_turns_with_the_heading() -> None:
     """Wind towards north pushes a ship that heads east to port, by the same force."""
     wind = steady_wind()
     assert set(wind.terms) == {"X", "Y", "N"}
-    from oed_sysid.language.expressions import to_numpy
+    from oed_sysid.text.expressions import to_numpy
 
     scope = {"E_wind_north": 3.0, "E_wind_east": 0.0, "arm_wind": 2.0, "psi": np.pi / 2}
     forces = [float(to_numpy(wind.terms[axis], scope)) for axis in ("X", "Y", "N")]

@@ -11,7 +11,7 @@ from test_information import ar1
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.estimators import MultipleShooting
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 
 TRUTH = np.array(list(TRUE.values()))
 

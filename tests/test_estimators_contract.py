@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from oed_sysid import Experiment, Force, Input, Model, Output, Parameter, State
-from oed_sysid.estimators import (
+from oed_sysid.baselines import (
     CovarianceMatrixAdaptation,
     DifferentialEvolution,
     DifferentialSwarm,
@@ -16,16 +16,16 @@ from oed_sysid.estimators import (
     GibbsRegression,
     JointKalmanFilter,
     LeastSquaresSVM,
-    MultipleShooting,
-    Multistart,
     OnlineRegression,
     OutputError,
     ParticleSwarm,
     SupportVectorRegression,
     TotalLeastSquares,
 )
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.manoeuvres import Multisine
+from oed_sysid.experiments.manoeuvres import Multisine
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.multistart import Multistart
 from oed_sysid.testing import check_estimator
 
 YAW = Model(

@@ -7,15 +7,15 @@ import pytest
 from scipy import stats
 
 from oed_sysid import Dataset, load_problem
-from oed_sysid.estimators import EquationError, GibbsRegression
-from oed_sysid.estimators.baselines.equations import exact_rates
-from oed_sysid.estimators.baselines.gibbs import (
+from oed_sysid.baselines import EquationError, GibbsRegression
+from oed_sysid.baselines.equations import exact_rates
+from oed_sysid.baselines.gibbs import (
     conjugate_posterior,
     effective_draws,
     sample_posterior,
     split_r_hat,
 )
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
 
 
 def correlated_problem() -> tuple[np.ndarray, np.ndarray]:

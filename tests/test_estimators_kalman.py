@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Model, Output, Parameter, State, load_problem
-from oed_sysid.benchmark import load_scenario
+from oed_sysid.baselines import JointKalmanFilter, OutputError
+from oed_sysid.baselines.benchmark import load_scenario
 from oed_sysid.data.record import Record
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators import JointKalmanFilter, OutputError
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
 
 # A ramp of unknown slope: linear in states and parameter together.
 RAMP = Model(
@@ -36,7 +36,7 @@ def test_linear_model_gives_regularised_least_squares(kind: str) -> None:
     data = ramp_data()
     record = data[0]
     fit = JointKalmanFilter(kind=kind, parameter_std={"slope": 5.0}).fit(RAMP, data)
-    from oed_sysid.fitting.start_guess import measured_states
+    from oed_sysid.likelihood.start_guess import measured_states
 
     start = measured_states(RAMP, record)[0][0]
     design = np.column_stack([np.ones(60), record.times]) / 0.3

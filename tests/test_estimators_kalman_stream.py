@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, load_problem
+from oed_sysid.baselines import JointKalmanFilter
+from oed_sysid.baselines.online import KalmanStream
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators import JointKalmanFilter
-from oed_sysid.estimators.online import KalmanStream
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
 
 PROBLEM = load_problem("nomoto_sparse_heading")
 RECORD = simulate(

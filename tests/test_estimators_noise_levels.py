@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Output, Record
-from oed_sysid.channels import Channels
-from oed_sysid.fitting.noise_levels import credible_levels, noise_floor, white_levels
+from oed_sysid.likelihood.noise_levels import credible_levels, noise_floor, white_levels
+from oed_sysid.physics.channels import Channels
 
 CHANNELS = Channels((), (Output("y", "m", "level"),))
 

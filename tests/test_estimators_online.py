@@ -9,16 +9,16 @@ import pytest
 
 from benchmarks.documents.published import paper
 from oed_sysid import Dataset, load_problem
-from oed_sysid.errors import ModelError, PrecisionWarning
-from oed_sysid.estimators import (
+from oed_sysid.baselines import (
     EquationStream,
     IncrementalLSSVM,
     OnlineRegression,
     RecursiveLeastSquares,
     RecursiveLSSVM,
 )
-from oed_sysid.estimators.baselines.support_vectors import GaussianKernel, train
-from oed_sysid.simulation import simulate
+from oed_sysid.baselines.support_vectors import GaussianKernel, train
+from oed_sysid.errors import ModelError, PrecisionWarning
+from oed_sysid.experiments.simulation import simulate
 
 SHIP = load_problem("online_ship")
 RECORD = simulate(SHIP.model, SHIP.experiment("zigzag_5_5"), noise=False)

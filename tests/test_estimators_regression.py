@@ -20,24 +20,24 @@ from oed_sysid import (
     State,
     load_problem,
 )
-from oed_sysid.effects import Actuator, Memory, Sensor
-from oed_sysid.errors import DataError, ModelError
-from oed_sysid.estimators import EquationError, LeastSquaresSVM, SupportVectorRegression
-from oed_sysid.estimators.baselines.equations import (
+from oed_sysid.baselines import EquationError, LeastSquaresSVM, SupportVectorRegression
+from oed_sysid.baselines.equations import (
     exact_rates,
     local_cubic,
     regression_form,
     rows_of,
 )
-from oed_sysid.estimators.baselines.least_squares import (
+from oed_sysid.baselines.least_squares import (
     TotalLeastSquares,
     generalised_tls,
     is_linear,
 )
-from oed_sysid.estimators.baselines.population import optional
-from oed_sysid.estimators.baselines.support_vectors import GaussianKernel, train
-from oed_sysid.manoeuvres import Doublet
-from oed_sysid.simulation import simulate
+from oed_sysid.baselines.population import optional
+from oed_sysid.baselines.support_vectors import GaussianKernel, train
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.experiments.manoeuvres import Doublet
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.physics import Actuator, Memory, Sensor
 from tests.simple_models import NOMOTO
 from tests.test_estimators_contract import TEST as MULTISINE
 from tests.test_estimators_contract import YAW as DAMPED_YAW

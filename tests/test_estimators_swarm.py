@@ -10,10 +10,10 @@ import pytest
 from scipy.optimize import minimize
 
 from oed_sysid import Dataset, Model, load_problem
+from oed_sysid.baselines import DifferentialSwarm, OutputError
+from oed_sysid.baselines.population import TrajectoryCost, redrawn
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators import DifferentialSwarm, OutputError
-from oed_sysid.estimators.baselines.population import TrajectoryCost, redrawn
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from tests.test_estimators_contract import TEST, YAW
 
 

@@ -11,9 +11,9 @@ from test_design import LIMITS, quick, ship
 from oed_sysid import Experiment, NoiseModel, load_problem
 from oed_sysid.design import accuracy_range
 from oed_sysid.errors import DesignError
-from oed_sysid.manoeuvres import Doublet
-from oed_sysid.model import Model
-from oed_sysid.sensitivity import information_of, information_of_each, sea_noise, sea_words
+from oed_sysid.experiments.manoeuvres import Doublet
+from oed_sysid.information import information_of, information_of_each, sea_noise, sea_words
+from oed_sysid.physics.model import Model
 
 TEST = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=8.0), duration=40.0, sample_time=0.5)
 
@@ -28,8 +28,8 @@ def sea(model: Model, level: float = 0.01, time: float = 3.0, colour: float = 0.
 
 def dense_information(model: Model, noise: NoiseModel) -> np.ndarray:
     """The same by one large Gaussian: outputs linear in the forces about the nominal run."""
-    from oed_sysid.sensitivity import plays, respond
-    from oed_sysid.simulation import simulate_inputs
+    from oed_sysid.experiments.simulation import simulate_inputs
+    from oed_sysid.information import plays, respond
 
     play = plays(model, TEST)[0]
     base = respond(model, play)

@@ -8,11 +8,18 @@ import math
 import numpy as np
 import pytest
 
-from oed_sysid.channels import Input, Output, State
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.manoeuvres import Constant, Doublet, Piecewise, RateLimited, TurningCircle, ZigZag
-from oed_sysid.model import Model
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.manoeuvres import (
+    Constant,
+    Doublet,
+    Piecewise,
+    RateLimited,
+    TurningCircle,
+    ZigZag,
+)
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
 
 SHIP = Model(
     "ship",

@@ -12,8 +12,8 @@ from oed_sysid import Fit, MultipleShooting, load_problem, read_csv, write_csv
 from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
-from oed_sysid.fitting.explained import unexplained
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.likelihood.explained import unexplained
 
 PROBLEM = load_problem("kvlcc2")
 

@@ -27,13 +27,13 @@ from oed_sysid import (
     load_problem,
 )
 from oed_sysid.cli import main
-from oed_sysid.effects import actuator_lag, rate_limit, sensor_delay, sensor_lag
 from oed_sysid.errors import ModelError
+from oed_sysid.experiments.simulation import equilibrium, linearise, simulate_inputs
 from oed_sysid.export import export, program_of
 from oed_sysid.export.c_code import self_test
 from oed_sysid.export.program import Example, example
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.simulation import equilibrium, linearise, simulate_inputs
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.physics import actuator_lag, rate_limit, sensor_delay, sensor_lag
 
 COMPILER = shutil.which("cc") or shutil.which("gcc")
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")

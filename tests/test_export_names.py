@@ -20,9 +20,9 @@ from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter
 from oed_sysid.errors import ModelError
 from oed_sysid.export import export, program_of
 from oed_sysid.export.program import identifier
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.language.typeset import safe, safe_unit
-from oed_sysid.language.units import dimension
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.text.typeset import safe, safe_unit
+from oed_sysid.text.units import dimension
 
 COMPILER = shutil.which("cc") or shutil.which("gcc")
 HOSTILE = (

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from oed_sysid.errors import ModelError
-from oed_sysid.language import expressions
-from oed_sysid.language.dimensions import dimension_of
-from oed_sysid.language.units import dimension
+from oed_sysid.text import expressions
+from oed_sysid.text.dimensions import dimension_of
+from oed_sysid.text.units import dimension
 
 SAMPLES = (
     "Z_absww*w*abs(w) - 3*sin(w)**2/q",

@@ -18,14 +18,14 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from oed_sysid import files
-from oed_sysid.batch.cell_store import CellStore
 from oed_sysid.cli.terminal import store
 from oed_sysid.data.dataset import write_csv
 from oed_sysid.errors import FileError, OedSysidError, ProblemError
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.problem import new_problem
-from oed_sysid.report import Page, save_figure
+from oed_sysid.experiments.problem import new_problem
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.results import Page, save_figure
+from oed_sysid.runtime import files
+from oed_sysid.runtime.cell_store import CellStore
 
 ROOT = Path(__file__).resolve().parent.parent
 FIT = Fit.load(ROOT / "tests" / "saved" / "fit_format_1.json")
@@ -151,7 +151,7 @@ def test_killed_writer_leaves_a_whole_file(tmp_path: Path, round_: int) -> None:
     """Kill -9 in the middle of writing leaves one of the versions, complete."""
     place = tmp_path / "result.txt"
     program = (
-        "import sys; from oed_sysid.files import write_text\n"
+        "import sys; from oed_sysid.runtime.files import write_text\n"
         "for n in range(10**6): write_text(sys.argv[1], f'{n % 10}' * 4_000_000)\n"
     )
     process = subprocess.Popen(
@@ -212,7 +212,7 @@ ANSWER = f"""
 from oed_sysid.compiled.compile import load_source
 print(load_source("answer", lambda: "{OURS}", what="a number").answer())
 """
-KEY = "from oed_sysid.files import secret_key; print(secret_key().hex())"
+KEY = "from oed_sysid.runtime.files import secret_key; print(secret_key().hex())"
 
 
 def plant(folder: Path) -> None:

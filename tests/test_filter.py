@@ -23,8 +23,8 @@ from oed_sysid.compiled.filtering import (
     FilterPass,
     filter_kernel,
 )
-from oed_sysid.fitting.filtered import active_components, disturbed_model
-from oed_sysid.model import Model
+from oed_sysid.likelihood.filtered import active_components, disturbed_model
+from oed_sysid.physics.model import Model
 
 SHIP_FORCES = ("disturbance_force_r", "disturbance_actuator_delta")
 AUV_FORCES = ("disturbance_force_Z", "disturbance_force_M", "disturbance_actuator_ds")

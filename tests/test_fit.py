@@ -13,9 +13,9 @@ from yaw_vehicle import NOISE, yaw_data, yaw_model
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
-from oed_sysid.estimators import MultipleShooting
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.parameters import Parameter
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.physics.parameters import Parameter
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State
-from oed_sysid.diagnosis.forecasts import forecasts
-from oed_sysid.effects import Effect, actuator_lag, backlash
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.evidence.forecasts import forecasts
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.physics import Effect, actuator_lag, backlash
 
 YAW = Model(
     "yaw",

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import lsq_linear
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
-from oed_sysid.fitting.gauss_newton import Progress, bounded_step, solve
-from oed_sysid.fitting.shooting import Shooting
+from oed_sysid.likelihood.gauss_newton import Progress, bounded_step, solve
+from oed_sysid.likelihood.shooting import Shooting
 
 FREE = np.full(4, np.inf)
 

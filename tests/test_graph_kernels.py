@@ -11,12 +11,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from vehicles import remus, roll_oscillator
 
-from oed_sysid import effects
-from oed_sysid.channels import Input, Output, State
+from oed_sysid import physics as effects
 from oed_sysid.compiled.kernels import Kernel, Run, kernel
 from oed_sysid.errors import ModelError
-from oed_sysid.model import Model
-from oed_sysid.parameters import Parameter
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 START = np.array([1.5, 0.02, 0.01, 0.05, 10.0])
 

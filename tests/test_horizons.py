@@ -7,8 +7,8 @@ import pytest
 
 from oed_sysid import Dataset, Model, MultipleShooting, Parameter
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.fitting.horizons import Horizons
-from oed_sysid.fitting.shooting import Shooting
+from oed_sysid.likelihood.horizons import Horizons
+from oed_sysid.likelihood.shooting import Shooting
 from tests.turning_ship import CUBIC, GAIN, SHIP, TIME, record
 
 

@@ -7,8 +7,8 @@ import pytest
 from turning_ship import CANDIDATES, CUBIC, NOISE, SHIP, dataset
 
 from oed_sysid import Dataset, Fit, Parameter, Record, compare, improve
-from oed_sysid.diagnosis.improvement import Improvement
-from oed_sysid.effects import Sensor, sensor_bias
+from oed_sysid.evidence.improvement import Improvement
+from oed_sysid.physics import Sensor, sensor_bias
 
 N3 = -15.0
 BIASES = (0.02, -0.015)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from oed_sysid.information import (
+from oed_sysid.likelihood.information import (
     Information,
     autocorrelation,
     coloured_score_covariance,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from oed_sysid.information import effective_sample_size, whiteness
+from oed_sysid.likelihood.information import effective_sample_size, whiteness
 
 
 @pytest.mark.parametrize("stride", [2, 4, 7])

@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 
 from benchmarks.killed import killed
-from oed_sysid.batch.journal import Journal, package_digest
 from oed_sysid.design.trial import opened as design_journal
-from oed_sysid.experiment import Limits
+from oed_sysid.experiments.experiment import Limits
+from oed_sysid.runtime.journal import Journal, package_digest
 
 # Three steps of random numbers; the number of calls of the work is written beside.
 THREE_STEPS = """
 import os, signal, sys
 from pathlib import Path
 import numpy as np
-from oed_sysid.batch.journal import Journal
+from oed_sysid.runtime.journal import Journal
 
 folder, last = Path(sys.argv[1]), int(sys.argv[2])
 journal = Journal(folder / "journal", tell=print)
@@ -217,8 +217,8 @@ def test_settings_without_equality_keep_nothing(tmp_path: Path) -> None:
 def test_refinement_resumes_in_the_middle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cut off between two linearisations, a refinement ends where the whole one ends."""
     from oed_sysid import load_problem
-    from oed_sysid.batch import journal as module
     from oed_sysid.design import design_experiment
+    from oed_sysid.runtime import journal as module
 
     monkeypatch.setattr(module, "EVERY", 0.0)
     problem = load_problem("auv_diving_plane")
@@ -251,7 +251,7 @@ def test_interrupted_command_says_what_is_kept(
 ) -> None:
     """Ctrl-C in the ranking leaves the nominal fit to the next call, which says so."""
     from oed_sysid.cli import main
-    from oed_sysid.diagnosis import improve as module
+    from oed_sysid.evidence import improve as module
 
     records = Path(__file__).parents[1] / "problems" / "remus_diving_plane" / "data"
     command = ["improve", "remus_diving_plane", "--train", str(records / "train_zigzag_5_5.csv")]

@@ -9,9 +9,9 @@ import pytest
 from vehicles import DIVING_START, SHIP_START, remus, ship
 
 from oed_sysid.data.dataset import Record
-from oed_sysid.fitting.start_guess import kinematic_states, measured_states, slope
-from oed_sysid.model import Model
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.likelihood.start_guess import kinematic_states, measured_states, slope
+from oed_sysid.physics.model import Model
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.1])

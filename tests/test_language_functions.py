@@ -20,10 +20,10 @@ from oed_sysid import (
 )
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.errors import ModelError
-from oed_sysid.fitting.archive import decode, encode
-from oed_sysid.language import expressions
-from oed_sysid.language.callables import interpolate
+from oed_sysid.likelihood.archive import decode, encode
 from oed_sysid.testing.effect_contract import check_effect
+from oed_sysid.text import expressions
+from oed_sysid.text.callables import interpolate
 
 GRID = (
     np.array([0.0, 1.0, 3.0]),

@@ -7,14 +7,14 @@ import pytest
 
 from oed_sysid import Input, Model, Output, Parameter, State
 from oed_sysid.errors import DesignError
-from oed_sysid.sensitivity import (
+from oed_sysid.experiments.simulation import equilibrium
+from oed_sysid.information import (
     bode,
     excitation_spectrum,
     nomoto,
     nomoto_of,
     straight_line_stability,
 )
-from oed_sysid.simulation import equilibrium
 
 # Esso 190 000 dwt in the bis system, linearised at 80 rpm from the coefficients of
 # van Berlekom & Goddard (1972).

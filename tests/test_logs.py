@@ -19,12 +19,20 @@ from log_writers import (
 
 from oed_sysid import Channels, Dataset, Input, Output, new_problem, read_csv
 from oed_sysid.cli import main
+from oed_sysid.data.cuts import CommandCuts, Cut
+from oed_sysid.data.derived import euler_angles, local_position
+from oed_sysid.data.log import assemble
+from oed_sysid.data.logs import (
+    LogMapping,
+    Source,
+    draft,
+    import_log,
+    log_of,
+    open_log,
+    read_mapping,
+)
+from oed_sysid.data.mapping import parse
 from oed_sysid.errors import DataError
-from oed_sysid.logs import LogMapping, Source, draft, import_log, log_of, open_log, read_mapping
-from oed_sysid.logs.cuts import CommandCuts, Cut
-from oed_sysid.logs.derived import euler_angles, local_position
-from oed_sysid.logs.log import assemble
-from oed_sysid.logs.mapping import parse
 
 VOYAGE = Voyage.short()
 CHANNELS = Channels(

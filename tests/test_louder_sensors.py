@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from oed_sysid import Dataset, Input, Record
-from oed_sysid.bodies import rigid_body
-from oed_sysid.diagnosis.study import Study
+from oed_sysid.evidence.study import Study
+from oed_sysid.physics.bodies import rigid_body
 
 TRUE = {
     "X_u": -20.0, "X_absuu": -90.0, "Z_w": -30.0, "Z_absww": -160.0, "N_r": -8.0, "N_absrr": -30.0,

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from oed_sysid import manoeuvres as m
 from oed_sysid.errors import ModelError
+from oed_sysid.experiments import manoeuvres as m
 
 EVERY_KIND = [
     m.Constant("thrust", 700.0),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from oed_sysid.manoeuvres import (
+from oed_sysid.experiments.manoeuvres import (
     PRBS,
     Chirp,
     Multisine,

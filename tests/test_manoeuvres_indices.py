@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oed_sysid.errors import DataError
-from oed_sysid.manoeuvres import ZigZag, turning_indices, zigzag_indices
+from oed_sysid.experiments.manoeuvres import ZigZag, turning_indices, zigzag_indices
 
 RADIUS, SPEED = 150.0, 5.0
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from oed_sysid.manoeuvres import (
+from oed_sysid.experiments.manoeuvres import (
     PRBS,
     Chirp,
     Doublet,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oed_sysid.errors import ModelError
-from oed_sysid.manoeuvres import (
+from oed_sysid.experiments.manoeuvres import (
     PRBS,
     Combined,
     Constant,

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from vehicles import remus
 
-from oed_sysid.channels import Input, Output, State
-from oed_sysid.effects import (
+from oed_sysid.errors import ModelError
+from oed_sysid.physics import (
     Actuator,
     Effect,
     ExtraState,
@@ -20,9 +20,9 @@ from oed_sysid.effects import (
     added_mass_error,
     quadratic_drag,
 )
-from oed_sysid.errors import ModelError
-from oed_sysid.model import Model
-from oed_sysid.parameters import Parameter
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 DRAG = quadratic_drag("drag", "Z", "w_r", value=-100.0)
 

@@ -13,11 +13,11 @@ from vehicles import remus
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_record
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.effects import Force
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators import MultipleShooting
-from oed_sysid.model import Model
-from oed_sysid.parameters import Parameter
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.physics import Force
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 START = {"K": 0.08, "T": 12.0, "alpha": 6.0}
 ESTIMATOR = MultipleShooting(noise=NOISE, coloured="never", disturbances="none")

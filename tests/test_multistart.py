@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Model, Output, Parameter, State
-from oed_sysid.batch.parallel import CellProgress
+from oed_sysid.baselines import OutputError
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators import MultipleShooting, Multistart, OutputError
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.multistart import Multistart
+from oed_sysid.runtime.parallel import CellProgress
 
 TRUTH = 1.3
 # The misfit of a long oscillation has a valley for every number of periods.
@@ -81,7 +83,7 @@ def test_starts_fill_the_bounds_or_the_span() -> None:
 
 def test_priors_count_among_starts(data: Dataset) -> None:
     """A result against the prior loses to one with it, whatever its likelihood alone."""
-    from oed_sysid.estimators.multistart import _goal
+    from oed_sysid.likelihood.multistart import _goal
 
     fit: Fit = MultipleShooting().fit(OSCILLATOR, data)
     parameter = replace(

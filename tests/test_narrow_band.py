@@ -12,10 +12,10 @@ from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import simulate, true_values
 from benchmarks.random_forces.trial import _model, believed, dataset
 from oed_sysid import MultipleShooting
-from oed_sysid.channels import Channels, Input, Output
 from oed_sysid.data.record import Record
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.fitting.narrow_band import clear_peaks, spectral_peak
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.narrow_band import clear_peaks, spectral_peak
+from oed_sysid.physics.channels import Channels, Input, Output
 
 
 def narrow(rng: np.random.Generator, n: int, period: float) -> np.ndarray:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from oed_sysid.noise import kalman as filters
-from oed_sysid.noise.kalman import Deviations, whiten
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.noise.restricted_likelihood import Grounds, restricted
+from oed_sysid.likelihood import kalman as filters
+from oed_sysid.likelihood.kalman import Deviations, whiten
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.restricted_likelihood import Grounds, restricted
 
 N_TIMES, N_STATES, N_FORCES, N_OUTPUTS = 9, 3, 2, 2
 WHITE, COLOUR, FORCE = np.array([0.2, 0.1]), np.array([0.15, 0.05]), np.array([0.5, 0.8])

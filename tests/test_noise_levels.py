@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid.noise.levels import Levels
-from oed_sysid.noise.model import NoiseModel
+from oed_sysid.likelihood.levels import Levels
+from oed_sysid.likelihood.noise_model import NoiseModel
 
 
 def _levels(*, own_times: bool) -> Levels:

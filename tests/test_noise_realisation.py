@@ -10,9 +10,9 @@ from test_design import ship
 
 from oed_sysid import Experiment, Limits, NoiseModel, load_problem
 from oed_sysid.design import assess_limits
-from oed_sysid.manoeuvres import Doublet
-from oed_sysid.noise.realisation import simulate_at_sea
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.manoeuvres import Doublet
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.likelihood.realisation import simulate_at_sea
 
 TEST = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=8.0), duration=40.0, sample_time=0.5)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid.noise.kalman import Deviations
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.noise.smoother import smooth, smooth_numpy
+from oed_sysid.likelihood.kalman import Deviations
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.smoother import smooth, smooth_numpy
 
 N_TIMES, N_STATES, N_FORCES, N_OUTPUTS = 30, 3, 2, 2
 

@@ -10,9 +10,9 @@ from yaw_vehicle import NOISE, yaw_data, yaw_model
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators import MultipleShooting
-from oed_sysid.fitting.gauss_newton import Progress
-from oed_sysid.parameters import Parameter
+from oed_sysid.likelihood.gauss_newton import Progress
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.physics.parameters import Parameter
 
 CONDENSED = MultipleShooting(noise=NOISE, coloured="never", disturbances="none")
 

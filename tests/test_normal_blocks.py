@@ -9,8 +9,8 @@ from yaw_vehicle import NOISE, yaw_data, yaw_model
 
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.compiled.normal_equations import eliminate, gather
-from oed_sysid.model import Model
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.physics.model import Model
 
 SIGMA = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
 

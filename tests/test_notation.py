@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from oed_sysid.errors import ModelError
-from oed_sysid.language import notation
-from oed_sysid.language.units import dimension
+from oed_sysid.text import notation
+from oed_sysid.text.units import dimension
 
 
 @pytest.mark.parametrize(

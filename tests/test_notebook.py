@@ -10,10 +10,10 @@ import pytest
 from bs4 import BeautifulSoup
 
 from oed_sysid import MultipleShooting, compare, improve, load_problem, new_problem
-from oed_sysid.compatibility import quick_check
 from oed_sysid.design import design_experiment
 from oed_sysid.errors import OedSysidError
-from oed_sysid.report.notebook import html
+from oed_sysid.evidence.log_check import quick_check
+from oed_sysid.results.notebook import html
 
 
 @pytest.fixture(name="story", scope="module")

@@ -146,7 +146,7 @@ def test_records_that_rest_are_different_records() -> None:
 
 def test_shipped_records_are_disjoint() -> None:
     """The records that come with the diving plane do not overlap; doubled ones do."""
-    from oed_sysid.problem import load_problem
+    from oed_sysid.experiments.problem import load_problem
 
     problem = load_problem("remus_diving_plane")
     folder = Path(__file__).parent.parent / "problems" / "remus_diving_plane" / "data"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Model, Record, load_problem, simulate
-from oed_sysid.diagnosis.lines import lines
-from oed_sysid.diagnosis.rank import Ranking, rank, threshold
-from oed_sysid.diagnosis.study import Study
-from oed_sysid.effects import wave_force
+from oed_sysid.evidence.lines import lines
+from oed_sysid.evidence.rank import Ranking, rank, threshold
+from oed_sysid.evidence.study import Study
+from oed_sysid.physics import wave_force
 
 AUV = load_problem("remus_diving_plane")
 SHIP = load_problem("kvlcc2", variant="mmg")

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Experiment, Input, Model, Output, Parameter, State
+from oed_sysid.baselines import EquationError
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.estimators import EquationError
-from oed_sysid.manoeuvres import Piecewise
-from oed_sysid.predictions.speed_polar import SailingNames, speed_polar
-from oed_sysid.report import plot_polar
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.manoeuvres import Piecewise
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.prediction.speed_polar import SailingNames, speed_polar
+from oed_sysid.results import plot_polar
 
 # Thrust ~ wind^2 sin(angle) with a quadratic optimum at 0.6 rad of sheet; drag ~ drag*u^2.
 CART = Model(
@@ -100,7 +100,7 @@ def test_missing_channels_are_named() -> None:
 
 def test_polar_needs_polar_axes() -> None:
     """Square axes are refused with words."""
-    from oed_sysid.report import new_figure
+    from oed_sysid.results import new_figure
 
     polar = speed_polar(CART, wind_speed=5.0, angles=ANGLES[:1], sheets=SHEETS)
     _, axes = new_figure(1, 1, size=(3, 3))

@@ -8,8 +8,8 @@ from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_reco
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
-from oed_sysid.estimators import MultipleShooting
-from oed_sysid.fitting.fit import Fit
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ import pytest
 from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 
 from oed_sysid import Dataset, Record
-from oed_sysid.diagnosis.improve import improve
-from oed_sysid.diagnosis.preparation import coarser, prepared
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.evidence.improve import improve
+from oed_sysid.evidence.preparation import coarser, prepared
+from oed_sysid.experiments.simulation import simulate_inputs
 
 
 def long_dive(n_samples: int, step: float, *, noise: float, period: float = 20.0) -> Record:

@@ -9,13 +9,14 @@ from pathlib import Path
 import pytest
 
 import oed_sysid
-from oed_sysid.channels import Input, Output, State
-from oed_sysid.effects import Force, Sensor
 from oed_sysid.errors import ProblemError
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.model import Model
-from oed_sysid.parameters import Parameter
-from oed_sysid.problem import Problem, catalogue, list_problems, load_problem, new_problem
+from oed_sysid.experiments import catalogue
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
+from oed_sysid.physics import Force, Sensor
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 MODEL = Model(
     "tug",

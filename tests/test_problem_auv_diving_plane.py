@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks.documents.published import paper
 from oed_sysid import Dataset, load_problem
-from oed_sysid.estimators import LeastSquaresSVM
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.baselines import LeastSquaresSVM
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
 
 PROBLEM = load_problem("auv_diving_plane")
 RECORD = simulate(PROBLEM.model, PROBLEM.experiment("zigzag_5_5"), noise=False)

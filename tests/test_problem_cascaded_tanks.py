@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Problem, load_problem
-from oed_sysid.diagnosis.compare import compare
-from oed_sysid.diagnosis.improve import improve
-from oed_sysid.language.expressions import to_numpy
+from oed_sysid.evidence.compare import compare
+from oed_sysid.evidence.improve import improve
+from oed_sysid.text.expressions import to_numpy
 
 pytestmark = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oed_sysid import MultipleShooting, improve, load_problem
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
 
 PROBLEM = load_problem("catamaran")
 

@@ -9,6 +9,7 @@ import pytest
 
 from benchmarks.documents.published import paper
 from oed_sysid import Dataset, Record, load_problem
+from oed_sysid.baselines import HeadingDifferences
 from oed_sysid.data.reconstruction import (
     METHODS,
     archimedes_spiral,
@@ -17,8 +18,7 @@ from oed_sysid.data.reconstruction import (
     reconstruct,
 )
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.estimators import HeadingDifferences
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
 
 PROBLEM = load_problem("nomoto_sparse_heading")
 # An independent program's mean of |dK| and |dT| relative to 0.1 s, per cent.

@@ -7,12 +7,8 @@ import pytest
 
 from benchmarks.documents.published import paper
 from oed_sysid import Dataset, load_problem
-from oed_sysid.estimators import (
-    EquationStream,
-    OnlineRegression,
-    RecursiveLSSVM,
-)
-from oed_sysid.simulation import simulate
+from oed_sysid.baselines import EquationStream, OnlineRegression, RecursiveLSSVM
+from oed_sysid.experiments.simulation import simulate
 
 PROBLEM = load_problem("online_ship")
 RECORD = simulate(PROBLEM.model, PROBLEM.experiment("zigzag_5_5"), noise=False)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from oed_sysid import MultipleShooting, improve, load_problem
-from oed_sysid.language import expressions
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.text import expressions
 
 PROBLEM = load_problem("remus_6dof")
 AXES = "XYZKMN"

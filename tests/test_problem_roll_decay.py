@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, MultipleShooting, Problem, load_problem
-from oed_sysid.diagnosis.improve import improve
+from oed_sysid.evidence.improve import improve
 
 pytestmark = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 

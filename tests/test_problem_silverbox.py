@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Fit, MultipleShooting, Problem, Record, load_problem
-from oed_sysid.diagnosis.rank import rank
-from oed_sysid.diagnosis.study import Study
+from oed_sysid.evidence.rank import rank
+from oed_sysid.evidence.study import Study
 
 pytestmark = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 

@@ -18,8 +18,8 @@ from oed_sysid import (
 )
 from oed_sysid.cli import DONE, main
 from oed_sysid.errors import ProblemError
-from oed_sysid.problem.starter import TEMPLATES
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.experiments.starter import TEMPLATES
 
 # One command of each to design, the others held, and a start.
 DESIGNED: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {
@@ -75,7 +75,11 @@ def test_template_fits_improves_and_designs(tmp_path: Path, template: str) -> No
 @pytest.mark.parametrize("template", VEHICLES)
 def test_templates_read_as_programs(template: str) -> None:
     """Every template compiles once its names are filled in, and names what it hides."""
-    text = files("oed_sysid.problem").joinpath("starter_files", f"{template}.txt").read_text()
+    text = (
+        files("oed_sysid.experiments.problem")
+        .joinpath("starter_files", f"{template}.txt")
+        .read_text()
+    )
     compile(text.replace("$name", "mine").replace("$title", "Mine"), template, "exec")
     assert f'"E_{TEMPLATES[template]["hidden"]}"' in text
 

@@ -8,8 +8,8 @@ import pytest
 from benchmarks.documents.published import paper
 from benchmarks.documents.published.torpedo import LEVEL, SEEDS
 from oed_sysid import load_problem
-from oed_sysid.estimators import DifferentialSwarm
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.baselines import DifferentialSwarm
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
 
 PROBLEM = load_problem("torpedo")
 EXPERIMENT = PROBLEM.experiment("pitching")

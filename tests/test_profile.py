@@ -7,13 +7,13 @@ import pytest
 from scipy.optimize import brentq
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
-from oed_sysid.channels import Output, State
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
-from oed_sysid.estimators import MultipleShooting
-from oed_sysid.estimators.profile import profile
-from oed_sysid.model import Model
-from oed_sysid.parameters import Parameter
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.profile import profile
+from oed_sysid.physics.channels import Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 CHI2 = 3.841458820694124
 

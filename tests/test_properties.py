@@ -16,20 +16,20 @@ from hypothesis import assume, given, settings
 from simple_models import NOMOTO
 
 from benchmarks import fuzz
-from oed_sysid import manoeuvres as m
-from oed_sysid.channels import Channels, Input, Output, State
 from oed_sysid.data.dataset import Record, read_csv, write_csv
-from oed_sysid.effects import Force
 from oed_sysid.errors import OedSysidError
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.fitting.archive import decode, encode
-from oed_sysid.fitting.fit import ARCHIVED
-from oed_sysid.language import expressions, grammar, notation, units
-from oed_sysid.language.dimensions import dimension_of
-from oed_sysid.language.unit_table import OFFSETS, UNITS
-from oed_sysid.model import Model
-from oed_sysid.parameters import Parameter
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments import manoeuvres as m
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.likelihood.archive import decode, encode
+from oed_sysid.likelihood.fit import ARCHIVED
+from oed_sysid.physics import Force
+from oed_sysid.physics.channels import Channels, Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.text import expressions, grammar, notation, units
+from oed_sysid.text.dimensions import dimension_of
+from oed_sysid.text.unit_table import OFFSETS, UNITS
 
 few = settings(max_examples=40, deadline=None, derandomize=True)
 # -- units -----------------------------------------------------------------------------

@@ -9,11 +9,11 @@ import pytest
 from turning_ship import GAIN, NOISE, SAMPLE, SHIP, TIME, dataset, record
 
 from oed_sysid import Dataset, Fit, MultipleShooting, Parameter, Record, Sensor
-from oed_sysid.channels import Output, State
-from oed_sysid.fitting.score_test import CLEAR, ScoreTest, score_test
-from oed_sysid.fitting.setting import Setting
-from oed_sysid.model import Model
-from oed_sysid.noise.disturbances import chosen_places
+from oed_sysid.likelihood.disturbances import chosen_places
+from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, score_test
+from oed_sysid.likelihood.setting import Setting
+from oed_sysid.physics.channels import Output, State
+from oed_sysid.physics.model import Model
 
 FORCE, FORCE_TIME = 0.02, 1.0
 WHITE = MultipleShooting(disturbances="none", coloured="never")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid.channels import Channels, Input, Output
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
+from oed_sysid.physics.channels import Channels, Input, Output
 
 CHANNELS = Channels((Input("fin", "rad"),), (Output("theta", "rad"), Output("q", "rad/s")))
 TIMES = 0.5 * np.arange(11)

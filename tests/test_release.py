@@ -16,7 +16,7 @@ import pytest
 
 import oed_sysid.testing
 from oed_sysid import __version__
-from oed_sysid.problem import list_problems
+from oed_sysid.experiments.problem import list_problems
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -99,7 +99,7 @@ def test_archives_hold_what_they_should(built: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     for problem in list_problems():
         assert f"oed_sysid/_problems/{problem}/problem.py" in names
-    for pattern in (r"compiled/.*\.c$", r"report/templates/.*\.j2$", r"starter_files/.*\.txt$"):
+    for pattern in (r"compiled/.*\.c$", r"results/templates/.*\.j2$", r"starter_files/.*\.txt$"):
         assert [name for name in names if re.search(pattern, name)], pattern
     assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "docs/"))]
     with tarfile.open(sources) as archive:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, improve
-from oed_sysid.diagnosis.remainder import RandomForceFound, Remains, remains
-from oed_sysid.diagnosis.study import Study
-from oed_sysid.effects import Force
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.evidence.remainder import RandomForceFound, Remains, remains
+from oed_sysid.evidence.study import Study
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.physics import Force
 
 CART = Model(
     "cart",

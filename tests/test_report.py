@@ -27,13 +27,15 @@ from oed_sysid import (
     Output,
     Parameter,
     State,
-    report,
+)
+from oed_sysid import (
+    results as report,
 )
 from oed_sysid.errors import DataError
-from oed_sysid.estimators.profile import profile
-from oed_sysid.manoeuvres import TurningCircle, ZigZag
-from oed_sysid.report.fit_page import fit_verdict
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.likelihood.profile import profile
+from oed_sysid.results.fit_page import fit_verdict
 
 SHIP = Model(
     "ferry",
@@ -325,7 +327,7 @@ def test_plain_import_does_not_load_matplotlib() -> None:
     """`import oed_sysid` alone does not load matplotlib; the report does."""
     code = (
         "import sys, oed_sysid; a = 'matplotlib' in sys.modules; "
-        "import oed_sysid.report; print(a, 'matplotlib' in sys.modules)"
+        "import oed_sysid.results; print(a, 'matplotlib' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "False True", done.stderr

@@ -11,9 +11,9 @@ from test_sensitivity import oscillator, roll_test
 
 from oed_sysid import Limits
 from oed_sysid.design import Levels, design_experiment
-from oed_sysid.report import figure_design, plot_accuracy, plot_bode, plot_sensitivity
-from oed_sysid.sensitivity import bode, excitation_spectrum, rank_parameters
-from oed_sysid.simulation import equilibrium
+from oed_sysid.experiments.simulation import equilibrium
+from oed_sysid.information import bode, excitation_spectrum, rank_parameters
+from oed_sysid.results import figure_design, plot_accuracy, plot_bode, plot_sensitivity
 
 
 def test_sensitivity_plot_has_a_row_for_each_parameter() -> None:

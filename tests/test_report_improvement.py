@@ -11,11 +11,12 @@ import pytest
 
 mpl.use("Agg")
 
-from oed_sysid import Dataset, MultipleShooting, load_problem, new_problem, report
-from oed_sysid.diagnosis.compare import Comparison, compare
-from oed_sysid.diagnosis.improve import improve
-from oed_sysid.diagnosis.improvement import Improvement
+from oed_sysid import Dataset, MultipleShooting, load_problem, new_problem
+from oed_sysid import results as report
 from oed_sysid.errors import DataError
+from oed_sysid.evidence.compare import Comparison, compare
+from oed_sysid.evidence.improve import improve
+from oed_sysid.evidence.improvement import Improvement
 
 HIDDEN = "yaw_quadratic_damping"
 

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from oed_sysid.errors import DataError
-from oed_sysid.report import LiveParameters, plot_history
+from oed_sysid.results import LiveParameters, plot_history
 
 
 class Clock:

@@ -6,8 +6,8 @@ import numpy as np
 
 from oed_sysid import information_of, load_problem, rank_parameters
 from oed_sysid.data.dataset import Record
-from oed_sysid.report import figure_record, ranking_page, style_sheet
-from oed_sysid.sensitivity import identifiable_subset
+from oed_sysid.information import identifiable_subset
+from oed_sysid.results import figure_record, ranking_page, style_sheet
 
 
 def test_record_is_drawn_in_degrees_without_what_was_not_measured() -> None:

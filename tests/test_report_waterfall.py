@@ -10,10 +10,10 @@ import pytest
 
 from oed_sysid import Dataset, Fit, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.errors import DataError
-from oed_sysid.estimators import Multistart
-from oed_sysid.report import plot_waterfall
-from oed_sysid.report.multistart_plots import plateaus
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.likelihood.multistart import Multistart
+from oed_sysid.results import plot_waterfall
+from oed_sysid.results.multistart_plots import plateaus
 
 OSCILLATOR = Model(
     "oscillator",

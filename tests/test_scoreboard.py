@@ -13,7 +13,7 @@ from benchmarks.scoreboard import __main__ as board
 from benchmarks.scoreboard import boehm, esso_osaka, roll_decay, silverbox, tanks, turns
 from oed_sysid import Record, load_problem
 from oed_sysid.data.third_party import data_folder
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
 
 MEASURED = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.scoreboard import roll_decay
 from oed_sysid.data.third_party import data_folder
 from oed_sysid.errors import DataError
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
 
 MEASURED = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 HEADER = "t_s,x_m,y_m,z_m,phi_rad,theta_rad,psi_rad"

@@ -23,7 +23,7 @@ from benchmarks.scoreboard.row import Row, attempted, read_table
 from oed_sysid import Dataset, MultipleShooting, load_problem
 from oed_sysid.data.third_party import data_folder
 from oed_sysid.errors import DataError
-from oed_sysid.predictions.structures import Structure
+from oed_sysid.prediction.structures import Structure
 from problems.esso_osaka.manoeuvring import MMG
 from problems.esso_osaka.missing import WIND
 from problems.esso_osaka.records import HEADER, load

@@ -10,10 +10,9 @@ from scipy.linalg import toeplitz
 
 from oed_sysid import Dataset, Experiment, Input, Model, Output, Parameter, State
 from oed_sysid.errors import DesignError
-from oed_sysid.estimators import MultipleShooting
-from oed_sysid.information import Information
-from oed_sysid.manoeuvres import Constant, Doublet, ZigZag
-from oed_sysid.sensitivity import (
+from oed_sysid.experiments.manoeuvres import Constant, Doublet, ZigZag
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information import (
     collinear_groups,
     collinearity_index,
     confirm_bound,
@@ -25,7 +24,8 @@ from oed_sysid.sensitivity import (
     reduce_model,
     structural_identifiability,
 )
-from oed_sysid.simulation import simulate
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 
 GAIN, TIME, RUDDER, NOISE = 0.1, 10.0, 0.2, 1e-3
 

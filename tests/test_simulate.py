@@ -8,17 +8,24 @@ import numpy as np
 import pytest
 from simple_models import AUV, NOMOTO, PENDULUM, K, T
 
-from oed_sysid.channels import Input, Output, State
 from oed_sysid.errors import DesignError, SimulationError
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.manoeuvres import Constant, Doublet, RateLimited, TurningCircle, ZigZag, ZigZagLike
-from oed_sysid.model import Model
-from oed_sysid.simulation import (
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.manoeuvres import (
+    Constant,
+    Doublet,
+    RateLimited,
+    TurningCircle,
+    ZigZag,
+    ZigZagLike,
+)
+from oed_sysid.experiments.simulation import (
     reference_trajectory,
     simulate,
     simulate_batch,
     simulate_inputs,
 )
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
 
 DIVE = Experiment(
     "dive",
@@ -103,10 +110,10 @@ def test_looking_ahead_changes_no_bit(
     changed = tuple(replace(one, interpolation=interpolation) for one in AUV.inputs)
     model, test = replace(AUV, inputs=changed), replace(DIVE, feedback=feedback)
     if held:  # only while a command stands still
-        monkeypatch.setattr("oed_sysid.simulation.closed_loop._foreseen", lambda *parts: None)
+        monkeypatch.setattr("oed_sysid.experiments.closed_loop._foreseen", lambda *parts: None)
     ahead = simulate(model, test, noise=False)
-    monkeypatch.setattr("oed_sysid.simulation.closed_loop._foreseen", lambda *parts: None)
-    monkeypatch.setattr("oed_sysid.simulation.closed_loop._MOST_HELD", 1)
+    monkeypatch.setattr("oed_sysid.experiments.closed_loop._foreseen", lambda *parts: None)
+    monkeypatch.setattr("oed_sysid.experiments.closed_loop._MOST_HELD", 1)
     stepwise = simulate(model, test, noise=False)
     assert len(np.unique(ahead.inputs)) > 10
     np.testing.assert_array_equal(ahead.inputs, stepwise.inputs)

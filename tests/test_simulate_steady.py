@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from simple_models import AUV, NOMOTO, K, T
 
-from oed_sysid.channels import Output, State
 from oed_sysid.errors import SimulationError
-from oed_sysid.experiment import Limits
-from oed_sysid.model import Model
-from oed_sysid.simulation import equilibrium, linearise, simulate_inputs
+from oed_sysid.experiments.experiment import Limits
+from oed_sysid.experiments.simulation import equilibrium, linearise, simulate_inputs
+from oed_sysid.physics.channels import Output, State
+from oed_sysid.physics.model import Model
 
 
 def test_equilibrium_of_a_dive() -> None:

@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
+from oed_sysid import (
+    Dataset,
+    Fit,
+    Input,
+    Model,
+    MultipleShooting,
+    Output,
+    Parameter,
+    Record,
+    State,
+)
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import DataError
 

@@ -10,11 +10,11 @@ from scipy.integrate import solve_ivp
 
 from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.compiled.kernels import Kernel
-from oed_sysid.effects import actuator_lag, sensor_lag
 from oed_sysid.errors import ModelError
-from oed_sysid.fitting.gauss_newton import solve
-from oed_sysid.fitting.shooting import Shooting
-from oed_sysid.fitting.step_error import with_step_advice
+from oed_sysid.likelihood.gauss_newton import solve
+from oed_sysid.likelihood.shooting import Shooting
+from oed_sysid.likelihood.step_error import with_step_advice
+from oed_sysid.physics import actuator_lag, sensor_lag
 
 # Robertson's kinetics: rates apart by nine decades.
 ROBERTSON = Model(

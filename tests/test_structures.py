@@ -9,8 +9,8 @@ import pytest
 
 from oed_sysid import Dataset, Force, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.errors import DataError, ModelError, SimulationError
-from oed_sysid.fitting.captive import CaptiveTests
-from oed_sysid.predictions.structures import Structure, average_structures, ladder, peak_input
+from oed_sysid.likelihood.captive import CaptiveTests
+from oed_sysid.prediction.structures import Structure, average_structures, ladder, peak_input
 from tests.turning_ship import record as turning_record
 
 SHOOTING = MultipleShooting(disturbances="none")

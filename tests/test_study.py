@@ -7,14 +7,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from turning_ship import CANDIDATES, CUBIC, NOISE, SAMPLE, SHIP, dataset, rates
 
-from oed_sysid.diagnosis.score import two_sided
-from oed_sysid.diagnosis.study import Study
-from oed_sysid.effects import sensor_bias
 from oed_sysid.errors import DataError
-from oed_sysid.fitting.filtered import Filtered
-from oed_sysid.noise.disturbances import disturbed_equations
-from oed_sysid.noise.linearisation import System
-from oed_sysid.noise.model import NoiseModel
+from oed_sysid.evidence.score import two_sided
+from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.disturbances import disturbed_equations
+from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.linearisation import System
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics import sensor_bias
 
 N3 = -15.0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import oed_sysid
-from oed_sysid.batch.threads import one_thread, single_threaded
+from oed_sysid.runtime.threads import one_thread, single_threaded
 
 
 def counts() -> set[int]:

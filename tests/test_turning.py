@@ -11,11 +11,11 @@ import pytest
 
 from oed_sysid import Experiment, Input, Model, MultipleShooting, Output, Parameter, State
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.effects import actuator_offset, sensor_bias
 from oed_sysid.errors import ModelError
-from oed_sysid.manoeuvres import ZigZag
-from oed_sysid.predictions.turning_circle import QUANTITIES, turning_circle
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.manoeuvres import ZigZag
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.physics import actuator_offset, sensor_bias
+from oed_sysid.prediction.turning_circle import QUANTITIES, turning_circle
 
 NOMOTO = Model(
     "Nomoto",

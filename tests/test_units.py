@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from oed_sysid.errors import DataError
-from oed_sysid.language.units import dimension, parse_header, same_dimension, to_si
+from oed_sysid.text.units import dimension, parse_header, same_dimension, to_si
 
 
 @pytest.mark.parametrize(

@@ -25,12 +25,12 @@ from oed_sysid import (
     simulate,
     usual_effects,
 )
-from oed_sysid.compatibility import check
-from oed_sysid.diagnosis.sizes import sizes_of
-from oed_sysid.diagnosis.usual import equipped, settled
 from oed_sysid.errors import OedSysidError
-from oed_sysid.language.expressions import to_numpy
+from oed_sysid.evidence.log_check import check
+from oed_sysid.evidence.sizes import sizes_of
+from oed_sysid.evidence.usual import equipped, settled
 from oed_sysid.testing import check_effect
+from oed_sysid.text.expressions import to_numpy
 
 
 def records(name: str, *, hidden=None, copies: int = 1, seed: int = 0) -> Dataset:  # type: ignore[no-untyped-def]
@@ -180,7 +180,7 @@ def test_what_only_thinned_records_show_is_no_claim(monkeypatch: pytest.MonkeyPa
     rng, run = np.random.default_rng(103), problem.experiment("pitching")
     model = problem.true_model() + hidden
     runs = [simulate(model, run, rng=rng, name=f"run {k}") for k in range(3)]
-    monkeypatch.setattr("oed_sysid.diagnosis.preparation._strides", lambda *_: [3, 3, 3])
+    monkeypatch.setattr("oed_sysid.evidence.preparation._strides", lambda *_: [3, 3, 3])
     few = [made[name] for name in ("delta_rate_limit", "delta_lag")]
     train, test = Dataset((runs[0], runs[1])), Dataset((runs[2],))
     found = improve(problem.model, train, test, candidates=few)

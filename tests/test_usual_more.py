@@ -18,7 +18,7 @@ from oed_sysid import (
     improve,
     usual_effects,
 )
-from oed_sysid.bodies import rigid_body
+from oed_sysid.physics.bodies import rigid_body
 
 ROLLING = Model(
     "rolling",

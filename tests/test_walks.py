@@ -12,9 +12,9 @@ from walk_logs import WRITERS, Trial
 
 from oed_sysid import load_problem, new_problem, read_csv
 from oed_sysid.cli import DONE, main
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.logs.mapping import parse
-from oed_sysid.problem.starter import TEMPLATES
+from oed_sysid.data.mapping import parse
+from oed_sysid.experiments.starter import TEMPLATES
+from oed_sysid.likelihood.fit import Fit
 
 WALKS = Path(__file__).resolve().parent.parent / "docs" / "walks"
 PAGES = sorted(path.stem for path in WALKS.glob("*.md"))

@@ -6,7 +6,7 @@ import numpy as np
 
 from oed_sysid import Force, Input, Model, Output, Parameter, State
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.effects import Effect, actuator_lag, actuator_offset, sensor_bias
+from oed_sysid.physics import Effect, actuator_lag, actuator_offset, sensor_bias
 
 NOISE = np.array([0.01, 0.004])
 SAMPLE = 0.2

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from oed_sysid.channels import Input, Output, State
-from oed_sysid.effects import Force, hull_derivatives, linear_damping, metacentric_moment
-from oed_sysid.model import Model
-from oed_sysid.parameters import Parameter
+from oed_sysid.physics import Force, hull_derivatives, linear_damping, metacentric_moment
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 DIVING_START = {"u": 1.5, "z": 10.0}
 DIVING_INPUTS = {"fin_command": (-0.2, 0.2), "thrust": (7.0, 11.0)}

@@ -9,9 +9,9 @@ from typing import Any
 
 from benchmarks.documents.page import ROOT, Numbers, Page
 from oed_sysid import MultipleShooting, load_problem
-from oed_sysid.diagnosis.improve import improve
-from oed_sysid.diagnosis.improvement import Improvement, Step
-from oed_sysid.fitting.noise_levels import white_levels
+from oed_sysid.evidence.improve import improve
+from oed_sysid.evidence.improvement import Improvement, Step
+from oed_sysid.likelihood.noise_levels import white_levels
 
 
 def ran(example: str) -> dict[str, Any]:

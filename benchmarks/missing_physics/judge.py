@@ -14,12 +14,12 @@ import numpy as np
 from benchmarks.missing_physics.cases import Draw
 from benchmarks.missing_physics.simulator import TEST, TRAIN, Case, Records
 from oed_sysid import Dataset, Force, Parameter, Problem, Record, load_problem
-from oed_sysid.diagnosis.improve import improve, relative
-from oed_sysid.diagnosis.improvement import Improvement
-from oed_sysid.diagnosis.rank import threshold
-from oed_sysid.diagnosis.study import Study
-from oed_sysid.effects import Effect
-from oed_sysid.fitting.gauss_newton import FilteredSolution
+from oed_sysid.evidence.improve import improve, relative
+from oed_sysid.evidence.improvement import Improvement
+from oed_sysid.evidence.rank import threshold
+from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.physics import Effect
 
 # The hidden terms that no vocabulary holds, as a user would write them.
 UNKNOWN_TERMS = {

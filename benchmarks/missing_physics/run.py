@@ -18,7 +18,7 @@ from benchmarks.harness import Row, Store, run_cases
 from benchmarks.missing_physics.cases import Draw, draws, simulate_draws
 from benchmarks.missing_physics.judge import judge
 from benchmarks.missing_physics.measures import as_markdown, measures
-from oed_sysid.files import write_text
+from oed_sysid.runtime.files import write_text
 
 RESULTS = FOLDER / "missing_physics.jsonl"
 PLAN = (
@@ -31,7 +31,7 @@ BY_HAND = "<!-- by hand -->\n"
 PAGE = """# How often missing physics is found
 
 Simulated records of a small AUV in the diving plane hide one effect, two, none, or one that
-is in no vocabulary; `oed_sysid.diagnosis.improve` gets the nominal model, 40 candidate effects,
+is in no vocabulary; `oed_sysid.evidence.improve` gets the nominal model, 40 candidate effects,
 three training records and two validation ones. The simulator (`benchmarks/missing_physics/`)
 shares no code with the package: Runge-Kutta at 0.01 s in plain NumPy, commands from a relay on
 the pitch angle or from steps, true derivatives 9 % about the believed ones, amplitudes from a

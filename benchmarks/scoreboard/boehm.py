@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.scoreboard.row import Row, missing, place
 from oed_sysid import Dataset, Model, MultipleShooting, Output, Parameter, Record, State
-from oed_sysid.language.expressions import to_numpy
+from oed_sysid.text.expressions import to_numpy
 
 FILES = {
     "measurements": "measurementData_Boehm_JProteomeRes2014.tsv",

@@ -8,7 +8,7 @@ from pathlib import Path
 from benchmarks.scoreboard.row import Row, Table, missing, place, plain, read_table, refused
 from oed_sysid import load_problem
 from oed_sysid.errors import DataError
-from oed_sysid.predictions.structures import StructureAverage, average_structures, peak_input
+from oed_sysid.prediction.structures import StructureAverage, average_structures, peak_input
 from problems.kvlcc2.captive import captive_tests
 from problems.kvlcc2.structures import CIRCLES, HORIZON, SCORED, SIDES, candidates, circles
 

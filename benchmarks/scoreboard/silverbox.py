@@ -24,8 +24,8 @@ from benchmarks.scoreboard.row import (
 )
 from oed_sysid import Dataset, Model, MultipleShooting, Record, improve, load_problem
 from oed_sysid.errors import DataError
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.likelihood.fit import Fit
 from problems.silverbox.problem import FINER, PADDING, SAMPLING, band_limited
 
 WHOLE, ORIGINAL = "silverbox/SNLS80mV.csv", "silverbox/SNLS80mV.mat"

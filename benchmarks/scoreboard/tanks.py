@@ -27,8 +27,8 @@ from benchmarks.scoreboard.row import (
 from oed_sysid import Channels, Dataset, Model, MultipleShooting, Record, load_problem, read_csv
 from oed_sysid.data.third_party import fetch
 from oed_sysid.errors import DataError
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.likelihood.fit import Fit
 
 VALIDATION = "cascaded_tanks/validation.csv"
 

@@ -20,15 +20,15 @@ from benchmarks.scoreboard.esso_osaka import further, pieces
 from benchmarks.scoreboard.row import Row, attempted, refused
 from oed_sysid import Channels, Dataset, Fit, Model, MultipleShooting, Record, load_problem
 from oed_sysid.errors import DataError, OedSysidError, SimulationError
-from oed_sysid.manoeuvres.indices import turning_indices
-from oed_sysid.predictions.jackknife import Estimator
-from oed_sysid.predictions.structures import (
+from oed_sysid.experiments.indices import turning_indices
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.prediction.jackknife import Estimator
+from oed_sysid.prediction.structures import (
     Structure,
     StructureAverage,
     average_structures,
     peak_input,
 )
-from oed_sysid.simulation import simulate_inputs
 from problems.esso_osaka.manoeuvring import MMG
 from problems.esso_osaka.mavmm import MAVMM
 from problems.esso_osaka.missing import WIND

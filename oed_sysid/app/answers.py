@@ -6,11 +6,11 @@ import streamlit as st
 
 from oed_sysid.app import visit
 from oed_sysid.app.commands import factor, shown
-from oed_sysid.channels import Input, Output
+from oed_sysid.data.cuts import CommandCuts, Cut
+from oed_sysid.data.logs import LogMapping, Source
 from oed_sysid.errors import DataError
-from oed_sysid.logs import LogMapping, Source
-from oed_sysid.logs.cuts import CommandCuts, Cut
-from oed_sysid.problem import Problem
+from oed_sysid.experiments.problem import Problem
+from oed_sysid.physics.channels import Input, Output
 
 NOT_LOGGED = "not logged"
 WHOLE, BY_TIME, BY_COMMANDS = "Whole file", "From … to", "Where a command leaves its rest"

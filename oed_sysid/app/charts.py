@@ -13,13 +13,13 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from oed_sysid.app.commands import factor, shown
-from oed_sysid.channels import Input, Output, State
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.diagnosis.compare import Comparison
-from oed_sysid.diagnosis.locate import CLEAR, Located
-from oed_sysid.information import effective_sample_size
-from oed_sysid.report.force_plots import slice_means
-from oed_sysid.report.style import TWO_SIDED_95, model_style
+from oed_sysid.evidence.compare import Comparison
+from oed_sysid.evidence.locate import CLEAR, Located
+from oed_sysid.likelihood.information import effective_sample_size
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.results.force_plots import slice_means
+from oed_sysid.results.style import TWO_SIDED_95, model_style
 
 MEASURED = "#8a929a"
 COMMANDED = "#6b737b"

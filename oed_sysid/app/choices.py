@@ -14,10 +14,10 @@ from oed_sysid.app.study import Study
 from oed_sysid.app.trust import check_trusted, check_uploads, consent
 from oed_sysid.app.visit import chosen, kept, preset
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.logs import LogMapping
 from oed_sysid.errors import DataError
-from oed_sysid.logs import LogMapping
-from oed_sysid.problem import Problem, list_problems, load_problem
-from oed_sysid.problem.catalogue import catalogue_folder
+from oed_sysid.experiments.catalogue import catalogue_folder
+from oed_sysid.experiments.problem import Problem, list_problems, load_problem
 
 _FIRST = "remus_diving_plane"
 DEFAULT_MODEL = "default"

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from oed_sysid.app.trust import SECRET
 from oed_sysid.errors import OedSysidError
-from oed_sysid.problem import load_problem
+from oed_sysid.experiments.problem import load_problem
 
 _SCRIPT = Path(__file__).with_name("flow.py")
 _LARGEST_UPLOAD = 200  # MB

@@ -1,6 +1,6 @@
 """From files with other names, units and signs to records: what the page Problem asks for it.
 
-The answers become a :class:`~oed_sysid.logs.mapping.LogMapping`, the same that ``oed-sysid import``
+The answers become a :class:`~oed_sysid.data.mapping.LogMapping`, the same that ``oed-sysid import``
 reads; files of one layout are read with one mapping, whatever they are called.
 """
 
@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from oed_sysid.app.records import plain_name
-from oed_sysid.channels import Channels
 from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.logs import Log, LogMapping, Source, import_log, open_log
+from oed_sysid.data.logs import draft as guess
 from oed_sysid.errors import DataError
-from oed_sysid.language.units import parse_header
-from oed_sysid.logs import Log, LogMapping, Source, import_log, open_log
-from oed_sysid.logs import draft as guess
+from oed_sysid.physics.channels import Channels
+from oed_sysid.text.units import parse_header
 
 # Endings of the logs that are read.
 ENDINGS = (

@@ -13,11 +13,11 @@ from oed_sysid.app.panels import command, html_download, work
 from oed_sysid.app.panels import show as show_page
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
-from oed_sysid.diagnosis.preparation import prepared
+from oed_sysid.evidence.preparation import prepared
 
 if TYPE_CHECKING:
-    from oed_sysid.diagnosis.compare import Comparison
-    from oed_sysid.diagnosis.improvement import Improvement
+    from oed_sysid.evidence.compare import Comparison
+    from oed_sysid.evidence.improvement import Improvement
 
 
 def show(study: Study) -> None:

@@ -14,9 +14,9 @@ from oed_sysid.app.panels import command, download, html_download, message, work
 from oed_sysid.app.panels import show as show_page
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
-from oed_sysid.channels import Input, Output, State
 from oed_sysid.errors import DesignError, ProblemError
-from oed_sysid.experiment import Experiment
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.physics.channels import Input, Output, State
 
 _CRITERIA = {
     "D": "all parameters together (D)",

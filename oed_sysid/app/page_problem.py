@@ -15,14 +15,14 @@ from oed_sysid.app.mapping import headers
 from oed_sysid.app.panels import command, message, part
 from oed_sysid.app.records import plain_name
 from oed_sysid.app.trust import NotTrustedError, check_trusted, code_of
-from oed_sysid.channels import Input, Output
 from oed_sysid.data.csv_columns import TIME_NAMES
 from oed_sysid.errors import OedSysidError, ProblemError
-from oed_sysid.language.units import parse_header
-from oed_sysid.problem import Problem, list_problems, load_problem, new_problem
-from oed_sysid.problem.starter import TEMPLATES
-from oed_sysid.report import Section, Table
-from oed_sysid.report.style import TWO_SIDED_95
+from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
+from oed_sysid.experiments.starter import TEMPLATES
+from oed_sysid.physics.channels import Input, Output
+from oed_sysid.results import Section, Table
+from oed_sysid.results.style import TWO_SIDED_95
+from oed_sysid.text.units import parse_header
 
 
 def show() -> None:

@@ -13,7 +13,7 @@ from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study, digest
 from oed_sysid.app.tasks import Outcome
 from oed_sysid.errors import OedSysidError
-from oed_sysid.fitting.fit import Fit
+from oed_sysid.likelihood.fit import Fit
 
 # Reports in the order of the work.
 _FILES = ("check", "fit", "compare", "diagnose", "improve", "kept", "rank", "design", "programme")

@@ -23,12 +23,12 @@ from oed_sysid.app.answers import (
 )
 from oed_sysid.app.commands import factor, shown
 from oed_sysid.app.panels import download, message
-from oed_sysid.channels import Input
+from oed_sysid.data.logs import Log
+from oed_sysid.data.mapping import parse
 from oed_sysid.errors import OedSysidError
-from oed_sysid.language.units import to_si
-from oed_sysid.logs import Log
-from oed_sysid.logs.mapping import parse
-from oed_sysid.problem import Problem
+from oed_sysid.experiments.problem import Problem
+from oed_sysid.physics.channels import Input
+from oed_sysid.text.units import to_si
 
 
 def show(problem: Problem, source: str) -> None:

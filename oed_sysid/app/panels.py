@@ -15,7 +15,7 @@ from oed_sysid.app.jobs import Job
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study, digest
 from oed_sysid.app.work import Request
-from oed_sysid.report import Page, Section, style_sheet
+from oed_sysid.results import Page, Section, style_sheet
 
 _POLL = 0.5  # s between looks at a running job
 

@@ -16,12 +16,12 @@ from oed_sysid.app.jobs import Tell
 from oed_sysid.app.study import Study
 from oed_sysid.app.tasks import DRAWING, Outcome, fitted
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Limits
+from oed_sysid.experiments.experiment import Limits
 
 if TYPE_CHECKING:
     from oed_sysid.design import Design
     from oed_sysid.design.result import Programme
-    from oed_sysid.problem import Problem
+    from oed_sysid.experiments.problem import Problem
 
 # Starts that are refined, rough manoeuvres tried, and steps of refinement.
 EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
@@ -74,8 +74,8 @@ class DesignWish:
 
 def rank(study: Study, experiments: tuple[str, ...], tell: Tell) -> Outcome:
     """Rank parameters by what experiments, or without any the training records, tell."""
-    from oed_sysid.report import ranking_page
-    from oed_sysid.sensitivity import identifiable_subset, information_of, rank_parameters
+    from oed_sysid.information import identifiable_subset, information_of, rank_parameters
+    from oed_sysid.results import ranking_page
 
     problem = study.problem
     runs = [problem.experiment(name) for name in experiments] or study.training()
@@ -91,7 +91,7 @@ def rank(study: Study, experiments: tuple[str, ...], tell: Tell) -> Outcome:
 def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
     """Design the manoeuvre that tells most, within the limits."""
     from oed_sysid.design import Caution, Discriminate, assess_limits, design_experiment
-    from oed_sysid.report import design_page
+    from oed_sysid.results import design_page
 
     problem = study.problem
     pattern = problem.experiment(wish.like)
@@ -160,7 +160,7 @@ class ProgrammeWish:
 def programme(study: Study, wish: ProgrammeWish, tell: Tell) -> Outcome:
     """Plan several runs together: which, how often and in which order."""
     from oed_sysid.design import design_programme
-    from oed_sysid.report import programme_page
+    from oed_sysid.results import programme_page
 
     problem = study.problem
     found = design_programme(

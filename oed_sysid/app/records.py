@@ -15,8 +15,8 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.data.third_party import data_folder, registered
 from oed_sysid.errors import DataError
-from oed_sysid.problem import Problem
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.problem import Problem
+from oed_sysid.experiments.simulation import simulate
 
 
 def read_uploads(

@@ -26,7 +26,7 @@ from plotly.subplots import make_subplots
 
 from oed_sysid.app.charts import DASHES, MEASURED, laid_out, name_of
 from oed_sysid.data.dataset import Record
-from oed_sysid.report.style import model_style
+from oed_sysid.results.style import model_style
 
 # A track: outputs on the upward and on the rightward axis, the first pair that is measured.
 TRACKS = (("x", "y"), ("north", "east"), ("x0", "y0"), ("z", "x"))

@@ -179,7 +179,7 @@ def whole(study: Study, parts: Iterable[str]) -> str:
     if study.is_equipped:
         head += (
             "# The problem names no candidate effects: usual ones, with sizes from the records.\n"
-            "from oed_sysid.diagnosis.usual import equipped\n\n"
+            "from oed_sysid.evidence.usual import equipped\n\n"
             "problem = equipped(problem, train)\n"
         )
     return "\n".join([head, *dict.fromkeys(parts)])

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from oed_sysid.errors import OedSysidError
-from oed_sysid.files import make_private, private, write_bytes, write_text
+from oed_sysid.runtime.files import make_private, private, write_bytes, write_text
 
 _ID = re.compile(r"[0-9a-f]{16}")
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.overlap import together
-from oed_sysid.diagnosis.usual import equipped
 from oed_sysid.errors import DataError
-from oed_sysid.problem import Problem
+from oed_sysid.evidence.usual import equipped
+from oed_sysid.experiments.problem import Problem
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,10 +15,10 @@ from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
 from oed_sysid.app.tasks import Outcome
 from oed_sysid.design import Design
+from oed_sysid.experiments.catalogue import catalogue_folder
+from oed_sysid.experiments.problem import list_problems
 from oed_sysid.export import export
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.problem import list_problems
-from oed_sysid.problem.catalogue import catalogue_folder
+from oed_sysid.likelihood.fit import Fit
 
 # Kinds of oed_sysid.export, in words.
 KINDS = {

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 from oed_sysid.app.jobs import Tell
 from oed_sysid.app.records import archive
 from oed_sysid.app.study import Study
-from oed_sysid.compatibility import LogCheck, corrected_copies, quick_check
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.overlap import together
-from oed_sysid.estimators import MultipleShooting
+from oed_sysid.evidence.log_check import LogCheck, corrected_copies, quick_check
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 
 if TYPE_CHECKING:
-    from oed_sysid.diagnosis.compare import Comparison
-    from oed_sysid.fitting.fit import Fit
-    from oed_sysid.model import Model
-    from oed_sysid.report import Page
+    from oed_sysid.evidence.compare import Comparison
+    from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.physics.model import Model
+    from oed_sysid.results import Page
 
 NOMINAL = "nominal"
 DRAWING = "drawing"
@@ -48,8 +48,8 @@ class Outcome:
 
 def check(study: Study, tell: Tell) -> Outcome:
     """Say whether the records agree with themselves."""
-    from oed_sysid.compatibility import check as look
-    from oed_sysid.report import check_page
+    from oed_sysid.evidence.log_check import check as look
+    from oed_sysid.results import check_page
 
     records = study.records()
     tell("checking the records")
@@ -69,7 +69,7 @@ def corrected(study: Study, found: LogCheck) -> bytes:
 
 def fit(study: Study, tell: Tell) -> Outcome:
     """Estimate the parameters of the nominal model."""
-    from oed_sysid.report import fit_page
+    from oed_sysid.results import fit_page
 
     log = quick_check(study.training(), study.problem.model)
     result = fitted(study, study.problem.model, tell)
@@ -79,8 +79,8 @@ def fit(study: Study, tell: Tell) -> Outcome:
 
 def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outcome:
     """Fit the nominal model, and with each group of effects added; judge on validation records."""
-    from oed_sysid.diagnosis.compare import compare as compare_models
-    from oed_sysid.report import comparison_page
+    from oed_sysid.evidence.compare import compare as compare_models
+    from oed_sysid.results import comparison_page
 
     validation = study.validation()
     models = {NOMINAL: study.problem.model}
@@ -99,8 +99,8 @@ def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outc
 
 def diagnose(study: Study, tell: Tell) -> Outcome:
     """Say where the nominal model fails and what may be missing."""
-    from oed_sysid.diagnosis.diagnose import diagnose as look
-    from oed_sysid.report import diagnosis_page
+    from oed_sysid.evidence.diagnose import diagnose as look
+    from oed_sysid.results import diagnosis_page
 
     problem, train = study.problem, study.training()
     tell("looking where the model fails, and scoring all candidates")
@@ -111,10 +111,10 @@ def diagnose(study: Study, tell: Tell) -> Outcome:
 
 def improve(study: Study, max_effects: int, tell: Tell) -> Outcome:
     """Find the effects that the nominal model lacks."""
-    from oed_sysid.diagnosis.compare import compare as compare_models
-    from oed_sysid.diagnosis.improve import improve as search
-    from oed_sysid.diagnosis.preparation import prepared
-    from oed_sysid.report import improvement_page
+    from oed_sysid.evidence.compare import compare as compare_models
+    from oed_sysid.evidence.improve import improve as search
+    from oed_sysid.evidence.preparation import prepared
+    from oed_sysid.results import improvement_page
 
     problem, train = study.problem, study.training()
     result = search(

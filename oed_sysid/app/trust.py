@@ -17,8 +17,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from oed_sysid.errors import OedSysidError
-from oed_sysid.files import private
-from oed_sysid.problem import list_problems
+from oed_sysid.experiments.problem import list_problems
+from oed_sysid.runtime.files import private
 
 # The secret of this run, from who starts the server to the script that it executes.
 SECRET = "OED_SYSID_APP_SECRET"

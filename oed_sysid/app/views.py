@@ -10,11 +10,11 @@ import streamlit as st
 
 from oed_sysid.app import charts, choices, replay
 from oed_sysid.app.commands import factor
-from oed_sysid.channels import Input, Output, State
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.diagnosis.compare import Comparison
-from oed_sysid.diagnosis.locate import CLEAR, Located
-from oed_sysid.fitting.fit import Fit
+from oed_sysid.evidence.compare import Comparison
+from oed_sysid.evidence.locate import CLEAR, Located
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.physics.channels import Input, Output, State
 
 Tabs = dict[str, Callable[[], None]]
 _SETTINGS = {"displaylogo": False, "scrollZoom": False}

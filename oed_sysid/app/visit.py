@@ -9,7 +9,7 @@ import streamlit as st
 
 from oed_sysid.app.jobs import Desk
 from oed_sysid.app.shelf import Asked, Left, Shelf, is_id, new_id
-from oed_sysid.files import private_cache
+from oed_sysid.runtime.files import private_cache
 
 KEEP, SEEN, FILES = "keep:", "seen:", "files:"
 _ADDRESS = "study"

@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from oed_sysid.benchmark import Benchmark
+    from oed_sysid.baselines.benchmark import Benchmark
     from oed_sysid.design.decision import Decision
     from oed_sysid.design.result import Design, Programme
-    from oed_sysid.diagnosis.compare import Comparison
-    from oed_sysid.diagnosis.diagnose import Diagnosis
-    from oed_sysid.diagnosis.improvement import Improvement
-    from oed_sysid.fitting.fit import Fit
-    from oed_sysid.sensitivity import SensitivityRanking, Subset
+    from oed_sysid.evidence.compare import Comparison
+    from oed_sysid.evidence.diagnose import Diagnosis
+    from oed_sysid.evidence.improvement import Improvement
+    from oed_sysid.information import SensitivityRanking, Subset
+    from oed_sysid.likelihood.fit import Fit
 
 # Multiple of the noise up to which residuals say no more than noise would.
 NOISE = 1.2

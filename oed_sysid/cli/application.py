@@ -40,7 +40,7 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from oed_sysid.version import __version__
+        from oed_sysid.runtime.version import __version__
 
         typer.echo(f"oed_sysid {__version__}")
         raise typer.Exit

@@ -186,7 +186,7 @@ def _limits(args: Sequence[str], taken: Container[str]) -> tuple[list[Any], dict
     if named is None:
         return [], {}
     from oed_sysid.cli.limit_words import limit_words
-    from oed_sysid.problem import load_problem
+    from oed_sysid.experiments.problem import load_problem
 
     try:
         problem = load_problem(named, variant=_value_of("--model", args))

@@ -17,7 +17,7 @@ from oed_sysid.cli.terminal import answer, draw, note, progress, store, write
 from oed_sysid.errors import OedSysidError
 
 if TYPE_CHECKING:
-    from oed_sysid.batch.parallel import CellProgress
+    from oed_sysid.runtime.parallel import CellProgress
 
 app = typer.Typer(
     name="benchmark",
@@ -86,8 +86,8 @@ def estimators(
 
     [bold]Example[/bold]: oed-sysid benchmark estimators --problems online_ship --noise 0.5 1
     """
-    from oed_sysid.benchmark import CONTESTANTS, PROBLEMS, QUICK, benchmark
-    from oed_sysid.report.benchmark_plots import figure_benchmark
+    from oed_sysid.baselines.benchmark import CONTESTANTS, PROBLEMS, QUICK, benchmark
+    from oed_sysid.results.benchmark_plots import figure_benchmark
 
     chosen = list(CONTESTANTS) if names == ["all"] else names or list(QUICK)
     with progress("Running") as show:

@@ -21,7 +21,7 @@ from oed_sysid.cli.options import (
 from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.terminal import answer, draw, note, progress, store
 from oed_sysid.errors import DataError
-from oed_sysid.files import make_folder
+from oed_sysid.runtime.files import make_folder
 
 
 def check(
@@ -49,11 +49,11 @@ def check(
 
     [bold]Example[/bold]: oed-sysid check remus_diving_plane dive_*.csv --html check.html
     """
-    from oed_sysid.compatibility import check as look
-    from oed_sysid.compatibility import corrected_copies, why_not_more
     from oed_sysid.data.dataset import write_csv
     from oed_sysid.data.overlap import together
-    from oed_sysid.problem import load_problem
+    from oed_sysid.evidence.log_check import check as look
+    from oed_sysid.evidence.log_check import corrected_copies, why_not_more
+    from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     records = read_records(files, chosen)
@@ -64,11 +64,11 @@ def check(
     answer(result.verdict, result.report())
     store(result.to_dict(), json_file)
     if html_file is not None:
-        from oed_sysid.report import check_page
+        from oed_sysid.results import check_page
 
         note(f"Written: {check_page(result, records, title=chosen.title).write(html_file)}")
     if picture is not None:
-        from oed_sysid.report import figure_check
+        from oed_sysid.results import figure_check
 
         draw(partial(figure_check, result), picture)
     if fix is not None:

@@ -12,11 +12,11 @@ import typer
 from oed_sysid.cli.options import JsonFile, PictureFile, ProblemName, Variant
 from oed_sysid.cli.terminal import answer, draw, note, progress, quiet, say, store, table
 from oed_sysid.errors import DataError, OedSysidError, ProblemError
-from oed_sysid.files import check_place
+from oed_sysid.runtime.files import check_place
 
 if TYPE_CHECKING:
-    from oed_sysid.experiment import Experiment
-    from oed_sysid.problem import Problem
+    from oed_sysid.experiments.experiment import Experiment
+    from oed_sysid.experiments.problem import Problem
 
 
 def problems(
@@ -35,7 +35,7 @@ def problems(
 
     [bold]Example[/bold]: oed-sysid problems remus_diving_plane
     """
-    from oed_sysid.problem import list_problems, load_problem
+    from oed_sysid.experiments.problem import list_problems, load_problem
 
     if problem is not None:
         chosen = load_problem(problem, variant=model)
@@ -97,7 +97,7 @@ def new(
 
     [bold]Example[/bold]: oed-sysid new my_auv --template auv
     """
-    from oed_sysid.problem import new_problem
+    from oed_sysid.experiments.problem import new_problem
 
     made = new_problem(folder, template=template, log=log, inputs=tuple(inputs or ()))
     answer(f"Written: {made}")
@@ -140,8 +140,8 @@ def simulate(
     import numpy as np
 
     from oed_sysid.data.dataset import write_csv
-    from oed_sysid.problem import load_problem
-    from oed_sysid.simulation import simulate as run
+    from oed_sysid.experiments.problem import load_problem
+    from oed_sysid.experiments.simulation import simulate as run
 
     chosen = load_problem(problem, variant=model)
     simulated = chosen.true_model() if truth else chosen.model
@@ -160,7 +160,7 @@ def simulate(
     for one, file in zip(wanted, files, strict=True):
         answer(str(file)) if quiet() else say(f"{file}: {one.describe()}")
     if picture is not None:
-        from oed_sysid.report import figure_record
+        from oed_sysid.results import figure_record
 
         draw(partial(figure_record, records[0]), picture)
         if len(records) > 1:

@@ -48,7 +48,7 @@ def export(
     [bold]Example[/bold]: oed-sysid export better.json --as c --out my_auv_c
     """
     from oed_sysid.export import export as write
-    from oed_sysid.fitting.fit import Fit
+    from oed_sysid.likelihood.fit import Fit
 
     trim = {}
     for text in at or ():

@@ -42,13 +42,13 @@ from oed_sysid.cli.terminal import (
 from oed_sysid.errors import DataError
 
 if TYPE_CHECKING:
-    from oed_sysid.batch.journal import Journal
     from oed_sysid.cli.terminal import Shown
     from oed_sysid.data.dataset import Dataset
-    from oed_sysid.diagnosis.compare import Comparison
-    from oed_sysid.fitting.fit import Fit
-    from oed_sysid.model import Model
-    from oed_sysid.problem import Problem
+    from oed_sysid.evidence.compare import Comparison
+    from oed_sysid.experiments.problem import Problem
+    from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.physics.model import Model
+    from oed_sysid.runtime.journal import Journal
 
 
 def fit(
@@ -80,10 +80,10 @@ def fit(
     [bold]Example[/bold]: oed-sysid fit remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv --save fit.json
     """
-    from oed_sysid.compatibility import quick_check
     from oed_sysid.data.overlap import check_disjoint
-    from oed_sysid.diagnosis.compare import compare as compare_models
-    from oed_sysid.problem import load_problem
+    from oed_sysid.evidence.compare import compare as compare_models
+    from oed_sysid.evidence.log_check import quick_check
+    from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     dataset = read_records(files, chosen)
@@ -111,7 +111,7 @@ def fit(
             result.save(save, command=command, settings=settings)
             note(f"Written: {save}")
         if html_file is not None:
-            from oed_sysid.report import fit_page
+            from oed_sysid.results import fit_page
 
             note(f"Written: {fit_page(result, comparison, log=log).write(html_file)}")
         draw(partial(_figure, result, comparison), picture)
@@ -146,11 +146,11 @@ def compare(
     [bold]Example[/bold]: oed-sysid compare remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv
     """
-    from oed_sysid.compatibility import quick_check
     from oed_sysid.data.overlap import check_disjoint, together
-    from oed_sysid.diagnosis.compare import compare as compare_models
-    from oed_sysid.diagnosis.usual import equipped
-    from oed_sysid.problem import load_problem
+    from oed_sysid.evidence.compare import compare as compare_models
+    from oed_sysid.evidence.log_check import quick_check
+    from oed_sysid.evidence.usual import equipped
+    from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     training, validation = (read_records(given, chosen) for given in (files, validate))
@@ -174,12 +174,12 @@ def compare(
         content = {**result.to_dict(), "log": log.to_dict()}
         store(content, json_file, records=[training, validation])
         if html_file is not None:
-            from oed_sysid.report import comparison_page
+            from oed_sysid.results import comparison_page
 
             page = comparison_page(result, title=chosen.title, log=log)
             note(f"Written: {page.write(html_file)}")
         if picture is not None:
-            from oed_sysid.report import figure_predictions
+            from oed_sysid.results import figure_predictions
 
             labels = [part.label for part in result.models]
             predictions = [part.prediction for part in result.models]
@@ -195,8 +195,8 @@ def _fits(
     show: Shown,
 ) -> dict[str, Fit]:
     """One fit of each model; those that an interrupted call has finished are read."""
-    from oed_sysid.estimators import MultipleShooting
-    from oed_sysid.fitting.archive import encode
+    from oed_sysid.likelihood.archive import encode
+    from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 
     estimator = MultipleShooting(**settings, progress=show.iteration)
     content = {
@@ -256,10 +256,10 @@ def report(
 
     [bold]Example[/bold]: oed-sysid report fit.json --validate dive_3.csv --out fit.html
     """
-    from oed_sysid.diagnosis.compare import compare as compare_models
-    from oed_sysid.fitting.fit import Fit
-    from oed_sysid.fitting.saved import is_numbers_of_fit, read_json, read_result
-    from oed_sysid.report import fit_page, numbers_page
+    from oed_sysid.evidence.compare import compare as compare_models
+    from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.likelihood.saved import is_numbers_of_fit, read_json, read_result
+    from oed_sysid.results import fit_page, numbers_page
 
     content = read_json(saved)
     if is_numbers_of_fit(content):
@@ -288,7 +288,7 @@ def report(
 
 def _figure(fit: Fit, comparison: Comparison | None) -> Any:
     """Predictions of the validation records, or the fit where there are none."""
-    from oed_sysid.report import figure_fit, figure_predictions
+    from oed_sysid.results import figure_fit, figure_predictions
 
     if comparison is None:
         return figure_fit(fit)
@@ -297,7 +297,7 @@ def _figure(fit: Fit, comparison: Comparison | None) -> Any:
 
 def _models(problem: Problem, added: list[str]) -> tuple[dict[str, Model], dict[str, Fit]]:
     """The nominal model and one for each group of candidates added to it; and saved fits."""
-    from oed_sysid.fitting.fit import Fit
+    from oed_sysid.likelihood.fit import Fit
 
     models, kept = {"nominal": problem.model}, {}
     known = {effect.name for effect in problem.effects}

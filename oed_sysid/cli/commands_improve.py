@@ -53,9 +53,9 @@ def diagnose(
 
     [bold]Example[/bold]: oed-sysid diagnose remus_diving_plane dive_1.csv dive_2.csv
     """
-    from oed_sysid.compatibility import quick_check
-    from oed_sysid.diagnosis.diagnose import diagnose as look
-    from oed_sysid.problem import load_problem
+    from oed_sysid.evidence.diagnose import diagnose as look
+    from oed_sysid.evidence.log_check import quick_check
+    from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     records = read_records(files, chosen)
@@ -72,11 +72,11 @@ def diagnose(
     answer(of_diagnosis(result), result.report())
     store(result.to_dict(), json_file, records=[records])
     if picture is not None:
-        from oed_sysid.report import figure_diagnosis
+        from oed_sysid.results import figure_diagnosis
 
         draw(partial(figure_diagnosis, result.location, result.ranking), picture)
     if html_file is not None:
-        from oed_sysid.report import diagnosis_page
+        from oed_sysid.results import diagnosis_page
 
         note(f"Written: {diagnosis_page(result, records, title=chosen.title).write(html_file)}")
 
@@ -112,10 +112,10 @@ def improve(
     [bold]Example[/bold]: oed-sysid improve remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv --save better.json
     """
-    from oed_sysid.diagnosis.compare import compare
-    from oed_sysid.diagnosis.improve import improve
-    from oed_sysid.diagnosis.preparation import prepared
-    from oed_sysid.problem import load_problem
+    from oed_sysid.evidence.compare import compare
+    from oed_sysid.evidence.improve import improve
+    from oed_sysid.evidence.preparation import prepared
+    from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
     training = read_records(files, chosen)
@@ -140,7 +140,7 @@ def improve(
             result.fit.save(save, command=command, settings=settings)
             note(f"Written: {save}")
         if html_file is not None:
-            from oed_sysid.report import improvement_page
+            from oed_sysid.results import improvement_page
 
             fits = {"nominal": result.base_fit} | ({"improved": result.fit} if result.steps else {})
             ready = prepared(training, validation)
@@ -149,7 +149,7 @@ def improve(
             page = improvement_page(result, comparison, train=ready.train, title=chosen.title)
             note(f"Written: {page.write(html_file)}")
         if picture is not None:
-            from oed_sysid.report import plot_error_fall
+            from oed_sysid.results import plot_error_fall
 
             draw(partial(plot_error_fall, result), picture)
         if result.remains.kind == "log suspect":

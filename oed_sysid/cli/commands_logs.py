@@ -11,11 +11,11 @@ import typer
 from oed_sysid.cli.options import JsonFile, PictureFile, Variant, file_place, folder_place
 from oed_sysid.cli.terminal import answer, draw, note, progress, say, store
 from oed_sysid.errors import DataError
-from oed_sysid.files import make_folder
+from oed_sysid.runtime.files import make_folder
 
 if TYPE_CHECKING:
-    from oed_sysid.logs import Imported, Log, LogMapping
-    from oed_sysid.problem import Problem
+    from oed_sysid.data.logs import Imported, Log, LogMapping
+    from oed_sysid.experiments.problem import Problem
 
 
 def import_(
@@ -80,10 +80,10 @@ def import_(
 
     [bold]Example[/bold]: oed-sysid import trial.ulg --map ship.toml --out my_ship/sea
     """
-    from oed_sysid.logs import draft as guess
-    from oed_sysid.logs import open_log
-    from oed_sysid.logs.mapping import read_mapping
-    from oed_sysid.problem import load_problem
+    from oed_sysid.data.logs import draft as guess
+    from oed_sysid.data.logs import open_log
+    from oed_sysid.data.mapping import read_mapping
+    from oed_sysid.experiments.problem import load_problem
 
     chosen = read_mapping(mapping) if mapping is not None else None
     with progress(f"Reading {log.name}"):
@@ -114,7 +114,7 @@ def import_(
     result, files = _written(found, chosen, target, out)
     for line in result.notes:
         note(line)
-    from oed_sysid.compatibility import quick_check, signal_check
+    from oed_sysid.evidence.log_check import quick_check, signal_check
 
     dataset = result.dataset
     checked = signal_check(dataset) if target is None else quick_check(dataset, target.model)
@@ -125,7 +125,7 @@ def import_(
         say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
     say(checked.report())
     if picture is not None:
-        from oed_sysid.report import figure_record
+        from oed_sysid.results import figure_record
 
         draw(partial(figure_record, dataset.records[0]), picture)
     store(
@@ -151,7 +151,7 @@ def _written(
 ) -> tuple[Imported, list[Path]]:
     """Write a CSV file for every record."""
     from oed_sysid.data.dataset import write_csv
-    from oed_sysid.logs import import_log
+    from oed_sysid.data.logs import import_log
 
     channels = problem.channels if problem is not None else None
     result = import_log(log, mapping, channels)

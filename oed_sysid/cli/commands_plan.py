@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from oed_sysid.data.dataset import Dataset
     from oed_sysid.design import Design, Servo, Tracks
     from oed_sysid.design.search import Progress as SearchProgress
-    from oed_sysid.experiment import Experiment, Limits
-    from oed_sysid.problem import Problem
+    from oed_sysid.experiments.experiment import Experiment, Limits
+    from oed_sysid.experiments.problem import Problem
 
 # Starts that are refined, rough manoeuvres tried, and steps of refinement.
 N_FINISHES = 3
@@ -81,8 +81,8 @@ def rank(
 
     [bold]Example[/bold]: oed-sysid rank remus_diving_plane --experiment zigzag_5_5 steps
     """
-    from oed_sysid.problem import load_problem
-    from oed_sysid.sensitivity import identifiable_subset, information_of, rank_parameters
+    from oed_sysid.experiments.problem import load_problem
+    from oed_sysid.information import identifiable_subset, information_of, rank_parameters
 
     chosen = load_problem(problem, variant=model)
     runs = _runs(chosen, experiment or [], files or [])
@@ -94,11 +94,11 @@ def rank(
     answer(of_ranking(ranking, subset), f"{ranking.report()}\n\n{subset.report()}")
     store({"ranking": ranking.to_dict(), "subset": subset.to_dict()}, json_file)
     if picture is not None:
-        from oed_sysid.report import plot_sensitivity
+        from oed_sysid.results import plot_sensitivity
 
         draw(partial(plot_sensitivity, ranking), picture)
     if html_file is not None:
-        from oed_sysid.report import ranking_page
+        from oed_sysid.results import ranking_page
 
         page = ranking_page(ranking, subset, title=chosen.title)
         note(f"Written: {page.write(html_file)}")
@@ -257,8 +257,8 @@ def design(
         write_bag,
         write_overrides,
     )
-    from oed_sysid.fitting.fit import Fit
-    from oed_sysid.problem import load_problem
+    from oed_sysid.experiments.problem import load_problem
+    from oed_sysid.likelihood.fit import Fit
 
     chosen = load_problem(problem, variant=model)
     pattern = _pattern(chosen, like)
@@ -331,11 +331,11 @@ def design(
             note(f"Written: {write_bag(bag, found.model, *played)}")
         store(found.to_dict(), json_file)
         if html_file is not None:
-            from oed_sysid.report import design_page
+            from oed_sysid.results import design_page
 
             note(f"Written: {design_page(found, title=chosen.title).write(html_file)}")
         if picture is not None:
-            from oed_sysid.report import figure_design
+            from oed_sysid.results import figure_design
 
             draw(partial(figure_design, found), picture)
 
@@ -350,7 +350,7 @@ def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None
 
 def _card(design: Design, tracks: Tracks | None, path: Path, title: str) -> None:
     """Write the card as a page or as one sheet of A4."""
-    from oed_sysid.report import card_page, figure_card, save_figure
+    from oed_sysid.results import card_page, figure_card, save_figure
 
     if path.suffix.lower() == ".html":
         card_page(design, tracks, title=title).write(path)
@@ -390,8 +390,8 @@ def _noise(problem: Problem, nominal: Any, sea: str | None) -> Any:
     """Noise of a sea in words; None leaves it to the fit, or to the declared levels."""
     if sea is None:
         return None
-    from oed_sysid.fitting.fit import Fit
-    from oed_sysid.sensitivity import sea_noise, sea_words
+    from oed_sysid.information import sea_noise, sea_words
+    from oed_sysid.likelihood.fit import Fit
 
     model = nominal.model if isinstance(nominal, Fit) else nominal
     found = sea_noise(model, sea, problem.experiments.values())
@@ -401,7 +401,7 @@ def _noise(problem: Problem, nominal: Any, sea: str | None) -> Any:
 
 def _criterion(problem: Problem, name: str, rivals: list[str], hidden: list[str]) -> Any:
     from oed_sysid.design import AOptimal, Discriminate, DOptimal, EOptimal, Reveal
-    from oed_sysid.diagnosis.usual import equipped
+    from oed_sysid.evidence.usual import equipped
 
     if rivals and hidden:
         raise DesignError("Give --discriminate or --reveal: one run has one aim.")

@@ -23,8 +23,8 @@ from oed_sysid.cli.terminal import answer, note, progress, store
 from oed_sysid.errors import DesignError
 
 if TYPE_CHECKING:
-    from oed_sysid.experiment import Experiment, Limits
-    from oed_sysid.problem import Problem
+    from oed_sysid.experiments.experiment import Experiment, Limits
+    from oed_sysid.experiments.problem import Problem
 
 Patterns = Annotated[
     list[str] | None,
@@ -136,8 +136,8 @@ def programme(
 
     from oed_sysid.cli.commands_plan import _criterion, _noise
     from oed_sysid.design import design_programme
-    from oed_sysid.fitting.fit import Fit
-    from oed_sysid.problem import load_problem
+    from oed_sysid.experiments.problem import load_problem
+    from oed_sysid.likelihood.fit import Fit
 
     chosen = load_problem(problem, variant=model)
     nominal = Fit.load(after) if after else chosen.model
@@ -165,11 +165,11 @@ def programme(
             note(f"Written: {path}")
     store(found.to_dict(), json_file)
     if html_file is not None:
-        from oed_sysid.report import programme_page
+        from oed_sysid.results import programme_page
 
         note(f"Written: {programme_page(found, title=chosen.title).write(html_file)}")
     if picture is not None:
-        from oed_sysid.report import figure_programme, save_figure
+        from oed_sysid.results import figure_programme, save_figure
 
         save_figure(figure_programme(found), picture, dpi=150, bbox_inches="tight")
         note(f"Written: {picture}")
@@ -238,7 +238,7 @@ def campaign(
     from oed_sysid.design import candidate_runs
     from oed_sysid.design.logbook import Logbook
     from oed_sysid.design.vehicles import draw_models
-    from oed_sysid.problem import load_problem
+    from oed_sysid.experiments.problem import load_problem
 
     if Logbook.exists(folder):
         if problem is not None or goal:

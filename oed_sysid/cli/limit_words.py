@@ -10,10 +10,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import degrees, inf, isfinite, radians
 
-from oed_sysid.channels import Input, Output, State
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Limits
-from oed_sysid.model import Model
+from oed_sysid.experiments.experiment import Limits
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
 
 # Words for one channel each, whatever its name in the model.
 SIGNALS = {

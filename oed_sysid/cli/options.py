@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from oed_sysid.errors import FileError
-from oed_sysid.files import check_place
+from oed_sysid.runtime.files import check_place
 
 # Formats of --picture.
 PICTURES = (".png", ".pdf", ".svg")
@@ -43,7 +43,7 @@ def ending_of(value: Any, endings: tuple[str, ...], what: str) -> Any:
 
 def _problems(incomplete: str) -> list[str]:
     """Shipped problems whose names begin so; folders are completed by the shell itself."""
-    from oed_sysid.problem import list_problems
+    from oed_sysid.experiments.problem import list_problems
 
     return [name for name in list_problems() if name.startswith(incomplete)]
 

@@ -11,9 +11,9 @@ from oed_sysid.errors import DataError
 
 if TYPE_CHECKING:
     from oed_sysid.data.dataset import Dataset
-    from oed_sysid.fitting.fit import Fit
-    from oed_sysid.model import Model
-    from oed_sysid.problem import Problem
+    from oed_sysid.experiments.problem import Problem
+    from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.physics.model import Model
 
 # Milliseconds under [s] make a log a thousand times as long. A record is taken for such a log if
 # its interval is so many seconds, and so many times the usual one: a heading that is logged every

@@ -20,13 +20,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from oed_sysid.cli.arguments import QUIET
-from oed_sysid.files import write_text
+from oed_sysid.runtime.files import write_text
 
 if TYPE_CHECKING:
-    from oed_sysid.batch.journal import Journal
-    from oed_sysid.compatibility import LogCheck
     from oed_sysid.data.dataset import Dataset
-    from oed_sysid.fitting.gauss_newton import Progress
+    from oed_sysid.evidence.log_check import LogCheck
+    from oed_sysid.likelihood.gauss_newton import Progress
+    from oed_sysid.runtime.journal import Journal
 
 # Exit code of a command that Ctrl-C ended.
 INTERRUPTED = 130
@@ -263,7 +263,7 @@ def journal(folder: Path | None, fresh: bool) -> Iterator[Journal]:
     """
     import typer
 
-    from oed_sysid.batch.journal import Journal, unfinished_folder
+    from oed_sysid.runtime.journal import Journal, unfinished_folder
 
     try:
         place = folder or unfinished_folder()
@@ -309,7 +309,7 @@ def store(
     """
     if path is None:
         return
-    from oed_sysid.fitting.saved import made_by
+    from oed_sysid.likelihood.saved import made_by
 
     command, settings = invocation()
     present = [dataset for dataset in records if dataset is not None]
@@ -350,7 +350,7 @@ def draw(make: Callable[[], Any], path: Path | None) -> None:
     """
     if path is None:
         return
-    from oed_sysid.report import save_figure
+    from oed_sysid.results import save_figure
 
     made = make()
     figure = getattr(made, "figure", made)

@@ -3,7 +3,7 @@
 Safe against processes that compile the same model at the same time, and
 against torn files: a library is loaded only when its digest is right. Libraries
 run with the user's rights, so they are loaded only from a folder and from files
-that nobody else can write to (:func:`oed_sysid.files.private`).
+that nobody else can write to (:func:`oed_sysid.runtime.files.private`).
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ import numpy as np
 from oed_sysid.compiled.generate import source
 from oed_sysid.compiled.graph import build
 from oed_sysid.errors import FileError
-from oed_sysid.files import cache_folder, private, private_cache
-from oed_sysid.model import Model
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.files import cache_folder, private, private_cache
 
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w")
 
@@ -47,10 +47,10 @@ def _compiler() -> str | None:
 # What the code of a model is generated from.
 _GENERATOR = (
     "compiled/graph.py",
-    "language/expressions.py",
-    "language/grammar.py",
-    "language/callables.py",
-    "model/validation.py",
+    "text/expressions.py",
+    "text/grammar.py",
+    "text/callables.py",
+    "physics/validation.py",
     "compiled/generate.py",
     "compiled/trajectory.c",
     "compiled/filter.c",

@@ -24,7 +24,7 @@ import numpy as np
 from oed_sysid.compiled.compile import load
 from oed_sysid.compiled.interpreter import interpreted
 from oed_sysid.compiled.kernels import Kernel
-from oed_sysid.model import Model
+from oed_sysid.physics.model import Model
 
 FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME = range(5)
 LEVEL_KINDS = (FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME)

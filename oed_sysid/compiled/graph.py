@@ -41,11 +41,11 @@ from functools import cached_property
 
 import casadi as ca
 
-from oed_sysid.effects import Effect
 from oed_sysid.errors import ModelError
-from oed_sysid.language.expressions import names, to_casadi
-from oed_sysid.model import Model
-from oed_sysid.model.validation import is_sampled
+from oed_sysid.physics import Effect
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.validation import is_sampled
+from oed_sysid.text.expressions import names, to_casadi
 
 Scope = dict[str, ca.SX]
 

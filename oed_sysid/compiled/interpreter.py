@@ -18,7 +18,7 @@ from oed_sysid.compiled.graph import (
     Graph,
     build,
 )
-from oed_sysid.model import Model
+from oed_sysid.physics.model import Model
 
 
 class Interpreted:

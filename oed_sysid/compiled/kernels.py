@@ -20,7 +20,7 @@ import numpy as np
 from oed_sysid.compiled.compile import load
 from oed_sysid.compiled.interpreter import interpreted
 from oed_sysid.errors import ModelError
-from oed_sysid.model import Model
+from oed_sysid.physics.model import Model
 
 
 @dataclass(frozen=True, eq=False)

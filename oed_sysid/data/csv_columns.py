@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from oed_sysid.channels import Channels, Input, Output
 from oed_sysid.data.angles import TURN, clear_wraps
-from oed_sysid.data.csv_table import Table
 from oed_sysid.data.csv_times import time_complaint
 from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError, UnitWarning
-from oed_sysid.language.units import dimension, parse_header, to_si
+from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.text.csv_table import Table
+from oed_sysid.text.units import dimension, parse_header, to_si
 
 TIME_NAMES = ("t", "time", "times", "timestamp")
 # Seconds since 1970 of the years 2000 to 2100: a time there counts from 1970.

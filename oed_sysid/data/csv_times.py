@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed_sysid.data.csv_cells import time_stamp
-from oed_sysid.data.csv_table import Table
 from oed_sysid.data.record import TIME_ADVICE, time_fault
+from oed_sysid.text.csv_cells import time_stamp
+from oed_sysid.text.csv_table import Table
 
 DAY = 86_400.0
 

@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.channels import Channels, Input, Output
 from oed_sysid.data.csv_columns import Columns
-from oed_sysid.data.csv_table import read_table, write_table
 from oed_sysid.data.frames import RECORD, frame, tables_of
 from oed_sysid.data.record import Record, closest
-from oed_sysid.display import as_html
 from oed_sysid.errors import DataError
-from oed_sysid.language.units import parse_header
+from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.runtime.display import as_html
+from oed_sysid.text.csv_table import read_table, write_table
+from oed_sysid.text.units import parse_header
 
 __all__ = ["Dataset", "Record", "read_csv", "write_csv"]
 
@@ -39,7 +39,7 @@ class Dataset:
 
     Examples
     --------
-    >>> from oed_sysid.channels import Channels, Output
+    >>> from oed_sysid.physics.channels import Channels, Output
     >>> channels = Channels((), (Output("phi", "rad"),))
     >>> t = np.arange(8.0)
     >>> a = Record("roll_1", t, [], np.cos(t), channels)
@@ -187,7 +187,7 @@ class Dataset:
         Examples
         --------
         >>> import pandas
-        >>> from oed_sysid.channels import Channels, Output
+        >>> from oed_sysid.physics.channels import Channels, Output
         >>> channels = Channels((), (Output("r", "rad/s"),))
         >>> frame = pandas.DataFrame({"t [s]": np.arange(6.0), "r [deg/s]": np.full(6, 90.0)})
         >>> dataset = Dataset.from_dataframe(frame, channels, name="turn")

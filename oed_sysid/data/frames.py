@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.csv_columns import TIME_NAMES
-from oed_sysid.data.csv_table import Table
 from oed_sysid.errors import DataError
-from oed_sysid.language.units import parse_header
+from oed_sysid.text.csv_table import Table
+from oed_sysid.text.units import parse_header
 
 RECORD = "record"
 

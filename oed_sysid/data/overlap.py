@@ -75,7 +75,7 @@ def check_disjoint(train: Iterable[Record], validation: Iterable[Record]) -> Non
 
     Examples
     --------
-    >>> from oed_sysid.channels import Channels, Output
+    >>> from oed_sysid.physics.channels import Channels, Output
     >>> channels = Channels((), (Output("r", "rad/s"),))
     >>> rng = np.random.default_rng(0)
     >>> t = np.arange(50.0)

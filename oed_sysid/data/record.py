@@ -16,10 +16,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from oed_sysid.channels import Channels
 from oed_sysid.data.angles import TURN, clear_wraps, on_circle, unwrapped
-from oed_sysid.display import as_html
 from oed_sysid.errors import DataError
+from oed_sysid.physics.channels import Channels
+from oed_sysid.runtime.display import as_html
 
 MINIMUM_SAMPLES = 5
 # Sampling counts as uniform within this share of the median step.
@@ -68,7 +68,7 @@ class Record:
 
     Examples
     --------
-    >>> from oed_sysid.channels import Channels, Input, Output
+    >>> from oed_sysid.physics.channels import Channels, Input, Output
     >>> channels = Channels((Input("fin", "rad"),), (Output("q", "rad/s"),))
     >>> t = np.arange(6) * 0.5
     >>> record = Record("step", t, np.ones((6, 1)), 0.1 * t[:, None], channels)
@@ -119,7 +119,7 @@ class Record:
 
         Examples
         --------
-        >>> from oed_sysid.channels import Channels, Input, Output
+        >>> from oed_sysid.physics.channels import Channels, Input, Output
         >>> channels = Channels((Input("rudder", "rad"),), (Output("psi", "rad", wrap=True),))
         >>> north = Record("north", np.arange(5.0), np.zeros(5), np.zeros(5), channels)
         >>> print(np.degrees(north.residuals(np.radians([[359.0]]))).round(6).ravel())

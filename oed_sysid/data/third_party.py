@@ -24,7 +24,7 @@ from oed_sysid.data.originals import (
 )
 from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError
-from oed_sysid.files import write_bytes
+from oed_sysid.runtime.files import write_bytes
 
 Convert = Callable[[bytes], bytes]
 

@@ -52,17 +52,17 @@ from scipy.special import betaincinv
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.limits import Corridor, percent
 from oed_sysid.design.vehicles import Guards, draw_models, draw_structures
-from oed_sysid.display import as_dict
 from oed_sysid.errors import DesignError, OedSysidError
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.information import Information
-from oed_sysid.model import Model
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.noise.realisation import at_sea
-from oed_sysid.sensitivity.bound import information_of
-from oed_sysid.sensitivity.noise import Levels, sea_words
-from oed_sysid.simulation import Trajectory, simulate, simulate_inputs
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
+from oed_sysid.information.bound import information_of
+from oed_sysid.information.noise import Levels, sea_words
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.realisation import at_sea
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict
 
 _CONFIDENCE = 0.95
 # Below this probability of keeping the limits a run is not safe, if none was asked for.
@@ -585,7 +585,7 @@ def accuracy_range(
     rng : numpy.random.Generator
         Source of the vehicles.
     noise : optional
-        See :func:`~oed_sysid.sensitivity.information_of`.
+        See :func:`~oed_sysid.information.information_of`.
     spread : float or None
         Relative half-width of uniform draws around the values; None draws from what is
         known (prior standard deviations, or ``prior``).

@@ -44,10 +44,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Experiment
-from oed_sysid.model import Model
-from oed_sysid.sensitivity import plays, respond
-from oed_sysid.sensitivity.noise import Noise
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.information import plays, respond
+from oed_sysid.information.noise import Noise
+from oed_sysid.physics.model import Model
 
 # Information that counts as none, in units of (relative error)**-2: a prior of 1e5 times the value.
 NOTHING = 1e-10

@@ -19,7 +19,7 @@ Errors are those of a model that is right, and a model that lacks a term does no
 run: coefficients stand for it, random forces take the rest. So two more things are asked before
 everything is called known. Another run must have had the chance to contradict the first; where none
 has, the one that tells most is the next. And what was known before and every record must agree
-(:mod:`oed_sysid.fitting.agreement`), apart from differences of a tenth of the goals. Where they
+(:mod:`oed_sysid.likelihood.agreement`), apart from differences of a tenth of the goals. Where they
 do not, no stated error holds, and no number of further runs mends it.
 """
 
@@ -39,17 +39,17 @@ from oed_sysid.design.library import Candidate, kept_on
 from oed_sysid.design.limits import Corridor, percent, quantity, units_of
 from oed_sysid.design.trial import knowledge, nominal_noise
 from oed_sysid.design.vehicles import draw_models
-from oed_sysid.display import as_dict
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.fitting.between_records import CHANCE
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.information import Information
-from oed_sysid.model import Model
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.bound import information_of_each
-from oed_sysid.sensitivity.noise import Levels
-from oed_sysid.sensitivity.response import plays, respond
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.information.bound import information_of_each
+from oed_sysid.information.noise import Levels
+from oed_sysid.information.response import plays, respond
+from oed_sysid.likelihood.between_records import CHANCE
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict
 
 # A run that lowers what is missing by less than this per goal is not worth its fuel.
 WORTH = 0.01

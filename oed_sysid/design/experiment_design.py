@@ -37,8 +37,6 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.batch.journal import Journal
-from oed_sysid.batch.threads import single_threaded
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.design.criteria import Criterion, DOptimal
 from oed_sysid.design.library import Reference, zigzags
@@ -51,15 +49,17 @@ from oed_sysid.design.trial import Plan, opened, plan_of
 from oed_sysid.design.vehicles import Caution, Robust
 from oed_sysid.design.waveforms import Grid, Levels, Parametrisation
 from oed_sysid.errors import DesignError, OedSysidError
-from oed_sysid.estimators import MultipleShooting
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.information import Information
-from oed_sysid.model import Model
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.noise import Colour
-from oed_sysid.sensitivity.noise import Levels as NoiseLevels
-from oed_sysid.simulation import simulate_inputs
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.information.noise import Colour
+from oed_sysid.information.noise import Levels as NoiseLevels
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.journal import Journal
+from oed_sysid.runtime.threads import single_threaded
 
 # Rounds with more and stricter vehicles, until fresh ones confirm the probability asked for.
 _N_STRICTER = 3
@@ -130,9 +130,9 @@ def design_experiment(
         What is known before: of a fit its information, of a model the
         parameters' ``prior_std``; None ignores both.
     start : {"unknown", "known"} or mapping of str to float
-        See :func:`~oed_sysid.sensitivity.information_of`.
+        See :func:`~oed_sysid.information.information_of`.
     noise, coloured
-        See :func:`~oed_sysid.sensitivity.information_of`; a fit's noise, random
+        See :func:`~oed_sysid.information.information_of`; a fit's noise, random
         forces included, by default. With random forces the search sees white noise
         (measured to cost 3 to 6 %); the choice among what it found, and the
         accuracy that is stated, see the forces.
@@ -455,7 +455,7 @@ def campaign(
         The nominal vehicle at first.
     measure : callable
         Takes the designed experiment and returns the record: at sea the crew
-        and a file, in a study :func:`oed_sysid.simulation.simulate`.
+        and a file, in a study :func:`oed_sysid.experiments.simulation.simulate`.
     n_runs : int
         How many.
     data : Dataset, optional

@@ -35,12 +35,12 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.limits import Corridor
 from oed_sysid.design.waveforms import Grid, neutral_within
 from oed_sysid.errors import DesignError, OedSysidError
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.information import Information
-from oed_sysid.manoeuvres import Piecewise, ZigZag, schroeder_phases
-from oed_sysid.model import Model
-from oed_sysid.simulation import simulate, simulate_inputs
-from oed_sysid.simulation.trajectory import state_names
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.manoeuvres import Piecewise, ZigZag, schroeder_phases
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.trajectory import state_names
+from oed_sysid.likelihood.information import Information
+from oed_sysid.physics.model import Model
 
 # Attitudes on which a zigzag reverses, in order of preference.
 ATTITUDES = ("psi", "theta", "phi")

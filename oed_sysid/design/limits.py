@@ -20,9 +20,9 @@ from math import degrees
 import numpy as np
 
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Limits
-from oed_sysid.model import Model
-from oed_sysid.simulation.trajectory import state_names
+from oed_sysid.experiments.experiment import Limits
+from oed_sysid.experiments.trajectory import state_names
+from oed_sysid.physics.model import Model
 
 
 def units_of(model: Model) -> dict[str, str]:

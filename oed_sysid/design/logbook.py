@@ -14,18 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.csv_table import write_table
 from oed_sysid.data.dataset import Dataset, read_csv
 from oed_sysid.design.decision import Decision, decide, goals_of
 from oed_sysid.design.library import Candidate
 from oed_sysid.errors import DesignError, FileError
-from oed_sysid.estimators import MultipleShooting
-from oed_sysid.experiment import Experiment
-from oed_sysid.files import write_bytes, write_text
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.model import Model
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.files import write_bytes, write_text
+from oed_sysid.text.csv_table import write_table
 
 NAME = "journal.json"
 _FIT = "fit.json"

@@ -3,9 +3,9 @@ r"""Experiments that make rival explanations fail: T-optimality, linearised.
 Experiments that would show what is missing, if it is: the power of a search, before the trial.
 
 A search for missing physics tests every effect of a vocabulary
-(:mod:`oed_sysid.diagnosis.score`). Its statistic is a noncentral chi-squared variable; with the
+(:mod:`oed_sysid.evidence.score`). Its statistic is a noncentral chi-squared variable; with the
 Gram matrix :math:`G` of what the parameters cannot imitate
-(:mod:`oed_sysid.sensitivity.shifts`), records in hand included, effect ``i`` of amplitudes
+(:mod:`oed_sysid.information.shifts`), records in hand included, effect ``i`` of amplitudes
 :math:`a_i`, its plausible size, shows with probability
 
 .. math::
@@ -31,11 +31,11 @@ from scipy.optimize import brentq
 from scipy.special import chdtri, chndtr, ndtr
 
 from oed_sysid.design.criteria import Measure, eliminate
-from oed_sysid.display import as_dict
-from oed_sysid.effects import Effect
 from oed_sysid.errors import DesignError
-from oed_sysid.model import Model
-from oed_sysid.sensitivity.shifts import Group, Shifts
+from oed_sysid.information.shifts import Group, Shifts
+from oed_sysid.physics import Effect
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict
 
 _SMALLEST = 1e-9
 # Width of the soft minimum over pairs or effects, in units of log misfit or log power.
@@ -71,7 +71,7 @@ class Discriminate:
     amplitudes :math:`a_i`). The part of it that the free parameters and start states could imitate
     is projected out, and, against another rival, the part that this rival could imitate at any
     amplitude: with the Gram matrix :math:`G` of what is left
-    (:mod:`oed_sysid.sensitivity.shifts`)
+    (:mod:`oed_sysid.information.shifts`)
 
     .. math:: T_{i|j} = a_i' \left(G_{ii} - G_{ij} G_{jj}^{-1} G_{ji}\right) a_i
 

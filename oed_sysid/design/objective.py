@@ -17,10 +17,10 @@ from oed_sysid.design.criteria import Measure, eliminate
 from oed_sysid.design.limits import Corridor
 from oed_sysid.design.vehicles import GuardRun, Guards
 from oed_sysid.design.waveforms import Shape
-from oed_sysid.model import Model
-from oed_sysid.sensitivity.bound import start_weights
-from oed_sysid.sensitivity.noise import Noise
-from oed_sysid.sensitivity.shifts import Shifts
+from oed_sysid.information.bound import start_weights
+from oed_sysid.information.noise import Noise
+from oed_sysid.information.shifts import Shifts
+from oed_sysid.physics.model import Model
 
 # Relative sensitivities beyond this, in noise units, belong to a trajectory that runs away.
 _DIVERGED = 1e9
@@ -69,7 +69,7 @@ class Scene:
     noise : Noise
         Of the outputs.
     start : str or mapping
-        See :func:`~oed_sysid.sensitivity.bound.information_of`.
+        See :func:`~oed_sysid.information.bound.information_of`.
     shifts : Shifts, optional
         What absent effects and rival models would do.
     """

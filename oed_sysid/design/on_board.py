@@ -30,19 +30,19 @@ from typing import Protocol
 
 import numpy as np
 
-from oed_sysid.data.csv_table import write_table
+from oed_sysid.data.libraries import library
 from oed_sysid.design.assurance import TRUSTED, Assurance
 from oed_sysid.design.library import Reference
 from oed_sysid.design.limits import quantity, span, units_of
 from oed_sysid.design.missing_effects import Chance, missing_physics
 from oed_sysid.errors import DesignError, FileError
-from oed_sysid.experiment import Experiment
-from oed_sysid.files import make_folder
-from oed_sysid.logs.libraries import library
-from oed_sysid.model import Model
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.noise import sea_words
-from oed_sysid.simulation import Trajectory
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.simulation import Trajectory
+from oed_sysid.information.noise import sea_words
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.files import make_folder
+from oed_sysid.text.csv_table import write_table
 
 _MOST_ORDERS = 40
 _WIDTH = 92

@@ -27,7 +27,6 @@ from itertools import combinations
 
 import numpy as np
 
-from oed_sysid.batch.threads import single_threaded
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.allocation import Library, Selection, Weights, order, select, weights
 from oed_sysid.design.assurance import AccuracyRange, Assurance, assess_limits
@@ -41,16 +40,17 @@ from oed_sysid.design.trial import joint_knowledge, knowledge, nominal_noise
 from oed_sysid.design.vehicles import draw_models
 from oed_sysid.design.waveforms import Levels
 from oed_sysid.errors import DesignError, OedSysidError
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.information import Information
-from oed_sysid.manoeuvres import Manoeuvre, Piecewise, ZigZag
-from oed_sysid.model import Model
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.bound import information_of, information_of_each
-from oed_sysid.sensitivity.noise import Levels as NoiseLevels
-from oed_sysid.sensitivity.noise import noise_of
-from oed_sysid.sensitivity.shifts import Shifts, joint_information
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.manoeuvres import Manoeuvre, Piecewise, ZigZag
+from oed_sysid.information.bound import information_of, information_of_each
+from oed_sysid.information.noise import Levels as NoiseLevels
+from oed_sysid.information.noise import noise_of
+from oed_sysid.information.shifts import Shifts, joint_information
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.threads import single_threaded
 
 # Shares of the corridor within which commands are refined: room for vehicles that differ.
 _ROOM = (0.75, 0.5)
@@ -104,7 +104,7 @@ def design_programme(
         brings its records.
     noise : optional
         Levels, a noise model with random forces, or a fit; see
-        :func:`~oed_sysid.sensitivity.information_of`.
+        :func:`~oed_sysid.information.information_of`.
     spread : float or None
         Relative half-width of uniform draws of possible vehicles; None draws from what
         is known (prior standard deviations, or the fit).

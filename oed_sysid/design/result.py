@@ -12,20 +12,20 @@ from textwrap import wrap
 
 import numpy as np
 
-from oed_sysid.data.csv_table import write_table
 from oed_sysid.design.assurance import AccuracyRange, Assurance, stated
 from oed_sysid.design.library import Candidate, Reference
 from oed_sysid.design.limits import percent
 from oed_sysid.design.missing_effects import Chance, missing_physics
 from oed_sysid.design.on_board import sea_trial_card
-from oed_sysid.display import as_dict, as_html
-from oed_sysid.experiment import Experiment
-from oed_sysid.files import make_folder
-from oed_sysid.information import Information
-from oed_sysid.model import Model
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.noise import sea_words
-from oed_sysid.simulation import Trajectory, simulate
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.simulation import Trajectory, simulate
+from oed_sysid.information.noise import sea_words
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict, as_html
+from oed_sysid.runtime.files import make_folder
+from oed_sysid.text.csv_table import write_table
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,15 +29,15 @@ from itertools import product
 import numpy as np
 from scipy.optimize import linprog
 
-from oed_sysid.batch.journal import Journal
 from oed_sysid.design.objective import Objective, Score, Slope
 from oed_sysid.design.vehicles import Guards
 from oed_sysid.design.waveforms import Grid
 from oed_sysid.errors import DesignError, OedSysidError
-from oed_sysid.experiment import Experiment
-from oed_sysid.manoeuvres import ZigZagLike
-from oed_sysid.model import Model
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.manoeuvres import ZigZagLike
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.journal import Journal
 
 # Amplitudes tried, as shares of the actuator range, until the limits are kept.
 _SHARES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.1, 0.05, 0.02)

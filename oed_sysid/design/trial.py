@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.batch.journal import Journal
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.assurance import Assurance, assess_limits
 from oed_sysid.design.criteria import Criterion, Setting, log_determinant
@@ -29,18 +28,19 @@ from oed_sysid.design.vehicles import (
 )
 from oed_sysid.design.waveforms import Grid, Levels, Shape, neutral_within
 from oed_sysid.errors import DataError, DesignError
-from oed_sysid.experiment import Experiment, Limits
-from oed_sysid.fitting.archive import encode
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.information import Information
-from oed_sysid.model import Model
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.sensitivity.bound import disturbed_noise, information_of, prior_factor, triangle
-from oed_sysid.sensitivity.noise import Colour, Noise, noise_of
-from oed_sysid.sensitivity.noise import Levels as NoiseLevels
-from oed_sysid.sensitivity.response import checked_noise
-from oed_sysid.sensitivity.shifts import Shifts, joint_information, joint_prior
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information.bound import disturbed_noise, information_of, prior_factor, triangle
+from oed_sysid.information.noise import Colour, Noise, noise_of
+from oed_sysid.information.noise import Levels as NoiseLevels
+from oed_sysid.information.response import checked_noise
+from oed_sysid.information.shifts import Shifts, joint_information, joint_prior
+from oed_sysid.likelihood.archive import encode
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.journal import Journal
 
 # Failures allowed in the next round, beside what proportion says.
 _STRICTER = 0.7

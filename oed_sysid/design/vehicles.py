@@ -26,11 +26,11 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.criteria import Criterion
 from oed_sysid.design.limits import Corridor
 from oed_sysid.errors import DesignError
-from oed_sysid.experiment import Experiment
-from oed_sysid.information import Information
-from oed_sysid.model import Model
-from oed_sysid.noise.model import NoiseModel
-from oed_sysid.noise.realisation import at_sea
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.realisation import at_sea
+from oed_sysid.physics.model import Model
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from oed_sysid.export.matlab_code import write_matlab
 from oed_sysid.export.program import Program, program_of
 from oed_sysid.export.python_code import write_python
 from oed_sysid.export.symbolic import write_sympy
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.model import Model
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.physics.model import Model
 
 __all__ = ["KINDS", "Program", "export", "program_of"]
 

@@ -12,7 +12,7 @@ import numpy as np
 from oed_sysid.compiled.graph import GAMMA, STAGES
 from oed_sysid.export.dialects import IN_C
 from oed_sysid.export.program import Example, Program, Routine, example
-from oed_sysid.files import write_text
+from oed_sysid.runtime.files import write_text
 
 # A self-test fails beyond this, relative to the largest value of each output.
 TOLERANCE = 1e-9

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from oed_sysid.compiled.graph import build
 from oed_sysid.export.program import Program
-from oed_sysid.files import whole_file, write_text
+from oed_sysid.runtime.files import whole_file, write_text
 
 
 def write_casadi(program: Program, folder: Path) -> tuple[Path, ...]:

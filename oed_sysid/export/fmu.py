@@ -24,9 +24,9 @@ from xml.etree import ElementTree
 from oed_sysid.errors import FileError
 from oed_sysid.export.c_code import header, source, template
 from oed_sysid.export.program import Program
-from oed_sysid.files import whole_file
-from oed_sysid.language.typeset import safe
-from oed_sysid.version import __version__
+from oed_sysid.runtime.files import whole_file
+from oed_sysid.runtime.version import __version__
+from oed_sysid.text.typeset import safe
 
 _PLATFORMS = {
     ("linux", "x86_64"): ("linux64", ".so"),

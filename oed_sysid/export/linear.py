@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.errors import ModelError, SimulationError
+from oed_sysid.experiments.steady import equilibrium, linearise
 from oed_sysid.export.program import Program
-from oed_sysid.files import write_text
-from oed_sysid.language.typeset import safe
-from oed_sysid.model import Model
-from oed_sysid.simulation.steady import equilibrium, linearise
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.files import write_text
+from oed_sysid.text.typeset import safe
 
 _TEXT = Template('''"""$origin.
 

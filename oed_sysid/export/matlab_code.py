@@ -11,7 +11,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.export.c_code import template
 from oed_sysid.export.dialects import IN_MATLAB
 from oed_sysid.export.program import Program, Routine, identifier
-from oed_sysid.files import write_text
+from oed_sysid.runtime.files import write_text
 
 
 def write_matlab(program: Program, path: Path) -> tuple[Path, ...]:

@@ -30,12 +30,12 @@ import numpy as np
 
 from oed_sysid.compiled.graph import build
 from oed_sysid.errors import ModelError
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.language.callables import OPERATION_WORDS
-from oed_sysid.language.typeset import safe, safe_unit
-from oed_sysid.model import Model
-from oed_sysid.simulation.trajectory import simulate_inputs
-from oed_sysid.version import __version__
+from oed_sysid.experiments.trajectory import simulate_inputs
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.version import __version__
+from oed_sysid.text.callables import OPERATION_WORDS
+from oed_sysid.text.typeset import safe, safe_unit
 
 # Samples of the trajectory that a self-test repeats.
 MOST_TESTED = 400
@@ -97,7 +97,7 @@ class Names:
     states, inputs, outputs, parameters, free, signals : tuple of str
         In the order of the program; ``free`` are the estimated parameters.
     input_units, output_units, parameter_units : tuple of str
-        As they are read back by :func:`oed_sysid.language.units.dimension`.
+        As they are read back by :func:`oed_sysid.text.units.dimension`.
     """
 
     states: tuple[str, ...]

@@ -8,8 +8,8 @@ from oed_sysid.compiled.graph import GAMMA, STAGES
 from oed_sysid.export.c_code import template
 from oed_sysid.export.dialects import IN_PYTHON
 from oed_sysid.export.program import Program, Routine
-from oed_sysid.files import write_text
-from oed_sysid.language.typeset import safe
+from oed_sysid.runtime.files import write_text
+from oed_sysid.text.typeset import safe
 
 
 def write_python(program: Program, path: Path) -> tuple[Path, ...]:

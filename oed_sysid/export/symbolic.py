@@ -11,10 +11,10 @@ import numpy as np
 
 from oed_sysid.export.dialects import IN_SYMPY
 from oed_sysid.export.program import Program, Routine
-from oed_sysid.files import write_text
-from oed_sysid.language import notation
-from oed_sysid.language.expressions import to_latex
-from oed_sysid.language.typeset import safe, safe_unit
+from oed_sysid.runtime.files import write_text
+from oed_sysid.text import notation
+from oed_sysid.text.expressions import to_latex
+from oed_sysid.text.typeset import safe, safe_unit
 
 _MODULE = Template('''"""$origin.
 

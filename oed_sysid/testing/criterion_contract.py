@@ -9,10 +9,10 @@ better. With :math:`S` a change of units and :math:`v v'` one more measurement,
 
 the first for all that measure size, the second for those that are invariant.
 
->>> from oed_sysid.channels import Input, Output, State
+>>> from oed_sysid.physics.channels import Input, Output, State
 >>> from oed_sysid.design import DOptimal
->>> from oed_sysid.model import Model
->>> from oed_sysid.parameters import Parameter
+>>> from oed_sysid.physics.model import Model
+>>> from oed_sysid.physics.parameters import Parameter
 >>> nomoto = Model(
 ...     "Nomoto",
 ...     (State("psi", "rad"), State("r", "rad/s")),
@@ -33,8 +33,8 @@ import numpy as np
 
 from oed_sysid.design.criteria import Criterion, Setting
 from oed_sysid.errors import OedSysidError
-from oed_sysid.model import Model
-from oed_sysid.sensitivity.noise import noise_of
+from oed_sysid.information.noise import noise_of
+from oed_sysid.physics.model import Model
 
 # Of finite differences, relative to the information; and what they leave.
 _STEP, _GRADIENT = 1e-5, 1e-5

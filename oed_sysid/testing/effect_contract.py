@@ -1,9 +1,9 @@
 """The contract of an effect, to be run on every effect that is added.
 
->>> from oed_sysid.channels import Input, Output, State
->>> from oed_sysid.effects import quadratic_drag
->>> from oed_sysid.model import Model
->>> from oed_sysid.parameters import Parameter
+>>> from oed_sysid.physics.channels import Input, Output, State
+>>> from oed_sysid.physics import quadratic_drag
+>>> from oed_sysid.physics.model import Model
+>>> from oed_sysid.physics.parameters import Parameter
 >>> roll = Model(
 ...     "roll",
 ...     states=(State("phi", "rad"), State("p", "rad/s")),
@@ -26,9 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel
-from oed_sysid.effects import Effect
-from oed_sysid.model import Model
-from oed_sysid.problem.soundness import effect_faults
+from oed_sysid.experiments.soundness import effect_faults
+from oed_sysid.physics import Effect
+from oed_sysid.physics.model import Model
 
 _ABSENT = 1e-12  # relative to the outputs
 _MIRROR = 1e-9

@@ -1,12 +1,12 @@
 """The contract of an estimator, to be run on every estimator that is added.
 
 >>> from math import radians
->>> from oed_sysid.channels import Input, Output, State
->>> from oed_sysid.estimators import MultipleShooting
->>> from oed_sysid.experiment import Experiment
->>> from oed_sysid.manoeuvres import Doublet
->>> from oed_sysid.model import Model
->>> from oed_sysid.parameters import Parameter
+>>> from oed_sysid.physics.channels import Input, Output, State
+>>> from oed_sysid.baselines import MultipleShooting
+>>> from oed_sysid.experiments.experiment import Experiment
+>>> from oed_sysid.experiments.manoeuvres import Doublet
+>>> from oed_sysid.physics.model import Model
+>>> from oed_sysid.physics.parameters import Parameter
 >>> nomoto = Model(
 ...     "Nomoto", (State("psi", "rad"), State("r", "rad/s")), (Input("delta", "rad"),),
 ...     (Output("psi", "rad", noise_std=0.01),), {"psi": "r", "r": "(K*delta - r)/T"},
@@ -29,11 +29,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.estimators.base import Estimator
-from oed_sysid.experiment import Experiment
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.model import Model
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.likelihood.base import Estimator
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.physics.model import Model
 
 LEVEL = 0.95
 

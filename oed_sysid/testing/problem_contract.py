@@ -2,7 +2,7 @@
 
 >>> import tempfile
 >>> from pathlib import Path
->>> from oed_sysid.problem import new_problem
+>>> from oed_sysid.experiments.problem import new_problem
 >>> with tempfile.TemporaryDirectory() as place:
 ...     check_problem(new_problem(Path(place) / "my_ship"), rng=np.random.default_rng(1))
 """
@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.effects import Effect
 from oed_sysid.errors import OedSysidError
-from oed_sysid.experiment import Experiment
-from oed_sysid.problem import Problem, load_problem
-from oed_sysid.problem.catalogue import catalogue_folder
-from oed_sysid.sensitivity import information_of
-from oed_sysid.simulation import simulate
+from oed_sysid.experiments.catalogue import catalogue_folder
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.problem import Problem, load_problem
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information import information_of
+from oed_sysid.physics import Effect
 from oed_sysid.testing.effect_contract import check_effect
 
 # What a README speaks of, and words that show it does.

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from oed_sysid import Dataset, Experiment, MultipleShooting, Record, load_problem, rank_parameters
+from oed_sysid.baselines import LeastSquaresSVM, SupportVectorRegression
+from oed_sysid.baselines.equations import exact_rates
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.estimators import LeastSquaresSVM, SupportVectorRegression
-from oed_sysid.estimators.baselines.equations import exact_rates
-from oed_sysid.experiment import Limits
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.manoeuvres import Piecewise, ZigZagLike
-from oed_sysid.report import new_figure
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.experiment import Limits
+from oed_sysid.experiments.manoeuvres import Piecewise, ZigZagLike
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.results import new_figure
 
 problem = load_problem("auv_diving_plane")
 TRUTH = problem.truth

@@ -25,7 +25,7 @@ from oed_sysid import (
     read_csv,
 )
 from oed_sysid.data.third_party import fetch
-from oed_sysid.effects import actuator_lag, sensor_lag
+from oed_sysid.physics import actuator_lag, sensor_lag
 
 FULL = 10.0  # V, reading of a full tank, and end of the sensor's range
 LEVELS = (

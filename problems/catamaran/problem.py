@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from oed_sysid import Experiment, Input, Limits, Parameter, Problem, read_csv
-from oed_sysid.bodies import catamaran_effects, rigid_body
-from oed_sysid.manoeuvres import PRBS, Doublet, ThreeTwoOneOne
+from oed_sysid.experiments.manoeuvres import PRBS, Doublet, ThreeTwoOneOne
+from oed_sysid.physics.bodies import catamaran_effects, rigid_body
 
 FOLDER = Path(__file__).parent
 CRUISE = 70.0  # rad/s of both propellers

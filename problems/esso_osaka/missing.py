@@ -17,7 +17,7 @@ of one on the area that the wind meets, is :math:`C_X = C_{Y1} = 1` and nothing 
 from __future__ import annotations
 
 from oed_sysid import Actuator, Force, Parameter
-from oed_sysid.effects import (
+from oed_sysid.physics import (
     Effect,
     actuator_lag,
     added_mass_coupling,

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from oed_sysid import Experiment, Limits, Problem
-from oed_sysid.manoeuvres import TurningCircle, ZigZag
+from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
 
 from .manoeuvring import MMG
 from .missing import WIND, effects

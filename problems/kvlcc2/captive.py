@@ -13,7 +13,7 @@ import csv
 import numpy as np
 
 from oed_sysid.data.third_party import fetch
-from oed_sysid.fitting.captive import CaptiveTests
+from oed_sysid.likelihood.captive import CaptiveTests
 
 from .particulars import LENGTH, PROPELLER
 

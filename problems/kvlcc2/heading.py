@@ -7,7 +7,7 @@ so that K is negative.
 from __future__ import annotations
 
 from oed_sysid import ExtraState, Force, Input, Model, Output, Parameter, State
-from oed_sysid.effects import (
+from oed_sysid.physics import (
     Effect,
     actuator_lag,
     amplitude,

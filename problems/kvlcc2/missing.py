@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from oed_sysid import Environment, Force, Parameter
-from oed_sysid.effects import (
+from oed_sysid.physics import (
     Effect,
     actuator_lag,
     added_mass_coupling,

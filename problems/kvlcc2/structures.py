@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from oed_sysid import Dataset, Fit, Model, MultipleShooting
-from oed_sysid.estimators import EquationError
-from oed_sysid.predictions.structures import Structure
-from oed_sysid.predictions.turning_circle import turning_circle
+from oed_sysid.baselines import EquationError
+from oed_sysid.prediction.structures import Structure
+from oed_sysid.prediction.turning_circle import turning_circle
 
 from .manoeuvring import MMG
 from .mavmm import MAVMM, wake

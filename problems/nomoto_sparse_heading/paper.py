@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from oed_sysid import Dataset, MultipleShooting, Record, load_problem
+from oed_sysid.baselines import HeadingDifferences
 from oed_sysid.data.reconstruction import reconstruct
-from oed_sysid.estimators import HeadingDifferences
-from oed_sysid.report import new_figure
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.results import new_figure
 
 problem = load_problem("nomoto_sparse_heading")
 CASES = {

@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from oed_sysid import Dataset, load_problem
+from oed_sysid.baselines import LeastSquaresSVM
+from oed_sysid.baselines.equations import regression_form, rows_of
+from oed_sysid.baselines.online import EquationStream, IncrementalLSSVM, RecursiveLSSVM
+from oed_sysid.baselines.support_vectors import train
 from oed_sysid.errors import DataError, PrecisionWarning
-from oed_sysid.estimators import LeastSquaresSVM
-from oed_sysid.estimators.baselines.equations import regression_form, rows_of
-from oed_sysid.estimators.baselines.support_vectors import train
-from oed_sysid.estimators.online import EquationStream, IncrementalLSSVM, RecursiveLSSVM
-from oed_sysid.report import new_figure
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.results import new_figure
 
 WEIGHT = 3e5  # as published
 STEP, SAMPLES = 1.5, 100  # s, and number: the measured example as published

@@ -9,8 +9,8 @@ import math
 from pathlib import Path
 
 from oed_sysid import Experiment, Input, Limits, Parameter, Problem, read_csv
-from oed_sysid.bodies import rigid_body, underwater_vehicle_effects
-from oed_sysid.manoeuvres import ZigZag, ZigZagLike
+from oed_sysid.experiments.manoeuvres import ZigZag, ZigZagLike
+from oed_sysid.physics.bodies import rigid_body, underwater_vehicle_effects
 
 FOLDER = Path(__file__).parent
 PRIOR = 0.1  # relative: semi-empirical numbers, some of them adjusted by factors of ten

@@ -24,7 +24,7 @@ from oed_sysid import (
     ZigZagLike,
     read_csv,
 )
-from oed_sysid.effects import diving_plane_effects
+from oed_sysid.physics import diving_plane_effects
 
 RELATIVE_PRIOR = 0.08  # the derivatives are believed to about eight per cent
 

@@ -22,7 +22,7 @@ from oed_sysid import (
     read_csv,
 )
 from oed_sysid.data.third_party import fetch
-from oed_sysid.effects import derivative, fluid_memory, roll_effects, sensor_drift
+from oed_sysid.physics import derivative, fluid_memory, roll_effects, sensor_drift
 
 # Particulars of the full-scale ship (model_test_parameters.csv), by Froude to the model.
 SCALE = 68.0

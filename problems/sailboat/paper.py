@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from oed_sysid import Dataset, MultipleShooting, load_problem, speed_polar
+from oed_sysid.baselines import EquationError, GibbsRegression
+from oed_sysid.baselines.equations import exact_rates
 from oed_sysid.errors import SimulationError
-from oed_sysid.estimators import EquationError, GibbsRegression
-from oed_sysid.estimators.baselines.equations import exact_rates
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.model import Model
-from oed_sysid.predictions.speed_polar import SpeedPolar
-from oed_sysid.report import new_figure, plot_polar
-from oed_sysid.simulation import equilibrium, simulate
+from oed_sysid.experiments.simulation import equilibrium, simulate
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.physics.model import Model
+from oed_sysid.prediction.speed_polar import SpeedPolar
+from oed_sysid.results import new_figure, plot_polar
 
 NOISE = 0.1  # of the standard deviation of each acceleration
 problem = load_problem("sailboat")

@@ -22,7 +22,7 @@ from oed_sysid import (
     State,
     ZigZag,
 )
-from oed_sysid.effects import hull_derivatives
+from oed_sysid.physics import hull_derivatives
 
 GRAVITY = 9.81  # m/s2
 

@@ -23,7 +23,7 @@ from oed_sysid import (
     read_csv,
 )
 from oed_sysid.data.third_party import fetch
-from oed_sysid.effects import actuator_lag, sensor_bias
+from oed_sysid.physics import actuator_lag, sensor_bias
 
 SAMPLING = 1e7 / 2**14  # Hz; the file's times are rounded to microseconds
 FINER = 4  # input values per sample; twice as many change the errors by one per cent

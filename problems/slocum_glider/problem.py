@@ -29,7 +29,7 @@ from oed_sysid import (
     State,
 )
 from oed_sysid.data.third_party import fetch
-from oed_sysid.effects import actuator_gain_error, actuator_offset, sensor_bias, sensor_scale
+from oed_sysid.physics import actuator_gain_error, actuator_offset, sensor_bias, sensor_scale
 
 # The file holds the pitch as corrected by its authors; what the glider logged is undone here.
 PITCH_SCALE, PITCH_OFFSET = 0.86, -0.004  # 1, rad

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from oed_sysid import Dataset, Model, MultipleShooting, Record, information_of, load_problem
+from oed_sysid.baselines import DifferentialSwarm
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.estimators import DifferentialSwarm
-from oed_sysid.fitting.fit import Fit
-from oed_sysid.report import new_figure
-from oed_sysid.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.results import new_figure
 
 N_PARTICLES, N_GENERATIONS = 60, 300
 RUNS = ((0.0, 0), (1.0, 0), (3.0, 0), (3.0, 1), (3.0, 2))  # per cent of noise, seed

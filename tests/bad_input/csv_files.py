@@ -12,7 +12,7 @@ import math
 import zipfile
 from collections.abc import Callable
 
-from oed_sysid.channels import Channels, Input, Output
+from oed_sysid.physics.channels import Channels, Input, Output
 
 CHANNELS = Channels(
     (Input("rudder", "rad"),), (Output("psi", "rad", "heading"), Output("r", "rad/s", "yaw rate"))

@@ -9,7 +9,7 @@ from __future__ import annotations
 SOUND = """\
 from oed_sysid import Actuator, Experiment, Force, Input, Limits, Model, Output, Parameter
 from oed_sysid import Problem, Sensor, State
-from oed_sysid.manoeuvres import ZigZag
+from oed_sysid.experiments.manoeuvres import ZigZag
 
 model = Model(
     name="ferry",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from benchmarks.documents.page import Numbers
 from benchmarks.documents.published.papers import paper
 from oed_sysid import Dataset
-from oed_sysid.estimators import EquationError
-from oed_sysid.estimators.baselines.equations import exact_rates
+from oed_sysid.baselines import EquationError
+from oed_sysid.baselines.equations import exact_rates
 
 WEIGHT = 3e4  # C as published
 RULES = ("simpson", "trapezoid")  # which the page compares over runs

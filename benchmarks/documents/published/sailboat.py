@@ -8,8 +8,8 @@ import numpy as np
 
 from benchmarks.documents.page import Numbers
 from benchmarks.documents.published.papers import paper
-from oed_sysid.estimators import EquationError, GibbsRegression
-from oed_sysid.fitting.fit import Fit
+from oed_sysid.baselines import EquationError, GibbsRegression
+from oed_sysid.likelihood.fit import Fit
 
 SEEDS = 20  # realisations for the coverage
 FEWER = 8  # and for the speeds and the weak terms

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.documents.page import Numbers
 from benchmarks.documents.published.papers import paper
-from oed_sysid.fitting.fit import Fit
+from oed_sysid.likelihood.fit import Fit
 
 LEVEL = 3.0  # per cent of noise, as published
 SEEDS = 6  # at 500 samples per second

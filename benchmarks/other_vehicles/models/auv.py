@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks.other_vehicles.models.base import Nominal
 from oed_sysid import Actuator, Environment, Force, Input, Model, Output, Parameter, State
-from oed_sysid.effects import (
+from oed_sysid.physics import (
     Effect,
     Sensor,
     actuator_lag,

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from oed_sysid import Model
-from oed_sysid.effects import Effect
+from oed_sysid.physics import Effect
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import math
 
 from benchmarks.other_vehicles.models.base import Nominal
 from oed_sysid import Actuator, Force, Input, Model, Output, Parameter, State
-from oed_sysid.effects import (
+from oed_sysid.physics import (
     actuator_lag,
     added_mass_error,
     amplitude,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks.other_vehicles.models.base import Nominal
 from oed_sysid import Actuator, Force, Input, Model, Output, Parameter, State
-from oed_sysid.effects import (
+from oed_sysid.physics import (
     actuator_gain_error,
     actuator_lag,
     actuator_offset,

@@ -1,0 +1,541 @@
+"""One run of one estimator: which, on what, told what, and what came of it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+import warnings
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from typing import Any, cast
+
+import numpy as np
+
+from oed_sysid.baselines import (
+    CovarianceMatrixAdaptation,
+    DifferentialEvolution,
+    DifferentialSwarm,
+    EquationError,
+    GibbsRegression,
+    HeadingDifferences,
+    JointKalmanFilter,
+    LeastSquaresSVM,
+    OnlineRegression,
+    OutputError,
+    ParticleSwarm,
+    SupportVectorRegression,
+    TotalLeastSquares,
+)
+from oed_sysid.baselines.world import IDEAL, world_by_name
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import closest
+from oed_sysid.errors import ModelError, ProblemError, SimulationError
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.manoeuvres import ZigZag, ZigZagLike
+from oed_sysid.experiments.problem import Problem, load_problem
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.information import information_of
+from oed_sysid.likelihood.base import Estimator
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
+
+# Noise that estimators assume where the data has none, as a share of the peak.
+ASSUMED_SHARE = 1e-3
+
+
+UNITS = {"peak": "% of peak", "declared": "x declared noise"}
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One problem as it is benchmarked.
+
+    Attributes
+    ----------
+    name : str
+        The problem's name, or the folder it came from.
+    model : Model
+        At the true values, without priors: what is measured is what the data say.
+    train : tuple of Experiment
+        Runs to learn from.
+    test : Experiment
+        A run that no estimator sees.
+    peaks : ndarray (n_outputs,)
+        Largest excursion of each output from its start, over the training runs.
+    """
+
+    name: str
+    model: Model
+    train: tuple[Experiment, ...]
+    test: Experiment
+    peaks: np.ndarray
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """True value of each free parameter."""
+        return {name: self.model.values[name] for name in self.model.free_names}
+
+    @property
+    def digest(self) -> str:
+        """Changes with the model, its true values and the runs."""
+        content = f"({self.model.content}, {self.train!r}, {self.test!r})"
+        return hashlib.sha256(content.encode()).hexdigest()[:16]
+
+    @property
+    def start(self) -> dict[str, float] | None:
+        """True start state, where there is one training run; None where there are several."""
+        if len(self.train) > 1:
+            return None
+        return {name: self.train[0].initial.get(name, 0.0) for name in self.model.state_names}
+
+    def noise(self, level: float, unit: str = "peak") -> np.ndarray:
+        """Standard deviations of the outputs, shape ``(n_outputs,)``, at a noise level.
+
+        Parameters
+        ----------
+        level : float
+            Per cent of the peak, or multiples of the declared noise.
+        unit : str
+            ``"peak"`` or ``"declared"``.
+        """
+        if unit not in UNITS:
+            raise ProblemError(f"The unit of noise is {unit!r}. Choose one of {', '.join(UNITS)}.")
+        if level < 0:
+            raise ProblemError(f"Noise level {level} is negative. Give 0 or more.")
+        if unit == "peak":
+            return level / 100.0 * self.peaks
+        declared = [output.noise_std for output in self.model.outputs]
+        if any(std is None for std in declared):
+            raise ProblemError(
+                f"Problem {self.name!r} does not declare the noise of all outputs. Give noise as a "
+                "share of the peak."
+            )
+        return level * np.array(declared, dtype=float)
+
+    def with_noise(self, sigma: np.ndarray) -> Model:
+        """Return the true model with outputs that declare this noise, or a small one for none."""
+        stated = np.where(sigma > 0, sigma, ASSUMED_SHARE * self.peaks)
+        outputs = tuple(
+            replace(output, noise_std=float(std))
+            for output, std in zip(self.model.outputs, stated, strict=True)
+        )
+        return replace(self.model, outputs=outputs)
+
+
+@lru_cache(maxsize=16)
+def load_scenario(problem: str) -> Scenario:
+    """Prepare a shipped problem by name, or one of your own by folder.
+
+    All experiments but the last are learned from, and the last judges. Shipped
+    problems whose source has a single manoeuvre are judged by another one that
+    is given here.
+
+    Raises
+    ------
+    ProblemError
+        If the problem has fewer than two experiments, or a true value is zero.
+    """
+    loaded = load_problem(problem)
+    model = _without_priors(loaded.true_model() if loaded.truth else loaded.model)
+    train, test = _SPLITS.get(problem, _default)(loaded)
+    if zero := [name for name in model.free_names if model.values[name] == 0.0]:
+        raise ProblemError(
+            f"The true value of {zero[0]!r} in problem {problem!r} is zero, so that no error can "
+            "be relative to it. Fix the parameter or give it a value."
+        )
+    outputs = [simulate(model, experiment, noise=False).outputs for experiment in train]
+    peaks = np.max([np.abs(one - one[0]).max(axis=0) for one in outputs], axis=0)
+    return Scenario(problem, model, train, test, peaks)
+
+
+def _default(problem: Problem) -> tuple[tuple[Experiment, ...], Experiment]:
+    *train, test = problem.experiments.values() or (None,)
+    if not train or test is None:
+        raise ProblemError(
+            f"Problem {problem.name!r} has {len(problem.experiments)} experiments; the benchmark "
+            "learns from all but the last and judges by that. Add experiments to its problem.py."
+        )
+    return tuple(train), test
+
+
+def _without_priors(model: Model) -> Model:
+    """Start values say nothing about the truth, so priors would be wrong or a gift."""
+
+    def bare(parameter: Parameter) -> Parameter:
+        return replace(parameter, prior_mean=None, prior_std=None)
+
+    effects = tuple(
+        replace(effect, parameters=tuple(bare(p) for p in effect.parameters))
+        for effect in model.effects
+    )
+    return replace(model, effects=effects, parameters=tuple(bare(p) for p in model.parameters))
+
+
+def _auv(problem: Problem) -> tuple[tuple[Experiment, ...], Experiment]:
+    train = problem.experiment("zigzag_5_5")
+    weaker = ZigZagLike("delta_s", math.radians(3.5), math.radians(2.5), rate=math.radians(2.5))
+    return (train,), replace(train, name="zigzag_3.5_2.5", manoeuvre=weaker)
+
+
+def _nomoto(problem: Problem) -> tuple[tuple[Experiment, ...], Experiment]:
+    # The published fine sampling; a factor of five gives the published coarse one.
+    train = replace(problem.experiment("zigzag_15_15"), sample_time=0.1)
+    angle = math.radians(10.0)
+    other = ZigZag("delta", angle, angle, rate=problem.limits.rates["delta"])
+    return (train,), replace(train, name="zigzag_10_10", manoeuvre=other)
+
+
+def _torpedo(problem: Problem) -> tuple[tuple[Experiment, ...], Experiment]:
+    train = problem.experiment("pitching")
+    other = ZigZagLike(
+        "delta",
+        tuple(math.radians(a) for a in (18.0, 10.0, 22.0, 15.0)),
+        tuple(math.radians(a) for a in (20.0, 30.0, 10.0)),
+    )
+    return (train,), replace(train, name="pitching_gently", manoeuvre=other)
+
+
+_SPLITS: Mapping[str, Callable[[Problem], tuple[tuple[Experiment, ...], Experiment]]] = {
+    "auv_diving_plane": _auv,
+    "nomoto_sparse_heading": _nomoto,
+    "torpedo": _torpedo,
+}
+
+
+OURS = "multiple_shooting"
+
+
+OURS_DISTURBED = "multiple_shooting_disturbed"
+
+
+OURS_BELIEVING = "multiple_shooting_prior"
+
+
+OURS_DISTURBED_BELIEVING = "multiple_shooting_disturbed_prior"
+
+
+# Take start values as a prior by their nature.
+BELIEVERS = ("ekf", "ukf")
+
+
+# What a Kalman filter takes a start value's uncertainty to be, if it is not told.
+RELATIVE_PRIOR = 0.5
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """An estimator and what it is told besides the data and the start values.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        With its settings.
+    believes : bool
+        Take start values as a prior of relative width 0.5. A Kalman filter
+        does by its nature; for others it is a choice, and a fair comparison
+        with the filter makes it.
+    knows_start : bool
+        Be told the true start state where there is one training run, as in the
+        source of the differential swarm. An advantage over all others, which
+        estimate or measure it.
+    """
+
+    estimator: Estimator
+    believes: bool = False
+    knows_start: bool = False
+
+    def prepared(
+        self, model: Model, start: Mapping[str, float] | None, seed: int
+    ) -> tuple[Estimator, Model]:
+        """Return the estimator with a seed, and the model with what is believed of it."""
+        changes: dict[str, Any] = {"seed": seed} if hasattr(self.estimator, "seed") else {}
+        if self.knows_start and start is not None:
+            changes["initial"] = dict(start)
+        estimator = self.estimator
+        if changes:
+            estimator = cast(Estimator, replace(cast(Any, estimator), **changes))
+        return estimator, with_beliefs(model) if self.believes else model
+
+
+# Defaults, but for what a benchmark needs: the published online weight, one process for a
+# swarm that runs beside others, and Gibbs draws enough for a mean and an interval.
+CONTESTANTS: Mapping[str, Contestant] = {
+    OURS: Contestant(MultipleShooting(disturbances="none")),
+    OURS_DISTURBED: Contestant(MultipleShooting(disturbances="auto", loss="auto")),
+    OURS_BELIEVING: Contestant(MultipleShooting(disturbances="none"), believes=True),
+    OURS_DISTURBED_BELIEVING: Contestant(
+        MultipleShooting(disturbances="auto", loss="auto"), believes=True
+    ),
+    "output_error": Contestant(OutputError()),
+    "equation_error": Contestant(EquationError()),
+    "equation_error_simpson": Contestant(EquationError(rule="simpson")),
+    "total_least_squares": Contestant(TotalLeastSquares()),
+    "ls_svm": Contestant(LeastSquaresSVM()),
+    "online_ls_svm": Contestant(OnlineRegression(C=3e5)),
+    "svr": Contestant(SupportVectorRegression()),
+    "gibbs": Contestant(GibbsRegression(n_draws=500, burn_in=200)),
+    "ekf": Contestant(JointKalmanFilter()),
+    "ukf": Contestant(JointKalmanFilter(kind="unscented")),
+    "heading_differences": Contestant(HeadingDifferences()),
+    "heading_differences_central": Contestant(HeadingDifferences("central")),
+    "differential_swarm": Contestant(DifferentialSwarm(n_workers=1), knows_start=True),
+    "differential_evolution": Contestant(DifferentialEvolution(n_workers=1), knows_start=True),
+    "cma_es": Contestant(CovarianceMatrixAdaptation(n_workers=1), knows_start=True),
+    "particle_swarm": Contestant(ParticleSwarm(n_workers=1), knows_start=True),
+}
+
+
+# Searches by whole populations of trajectories: minutes where others take fractions of a second.
+POPULATIONS = tuple(name for name, one in CONTESTANTS.items() if one.knows_start)
+
+
+QUICK = tuple(name for name in CONTESTANTS if name not in POPULATIONS)
+
+
+def contestant_by_name(name: str) -> Contestant:
+    """Return one estimator of the comparison.
+
+    Examples
+    --------
+    >>> contestant_by_name("output_error").estimator.name
+    'output error (single shooting)'
+    """
+    if name not in CONTESTANTS:
+        raise ModelError(
+            f"There is no estimator {name!r} in the benchmark. It has {', '.join(CONTESTANTS)}."
+            + closest(name, CONTESTANTS)
+        )
+    return CONTESTANTS[name]
+
+
+def with_beliefs(model: Model) -> Model:
+    """Return the model whose free parameters have their values as prior means."""
+    beliefs = {
+        p.name: replace(p, prior_mean=p.value, prior_std=RELATIVE_PRIOR * p.magnitude)
+        for p in model.free_parameters
+    }
+    effects = tuple(
+        replace(effect, parameters=tuple(beliefs.get(p.name, p) for p in effect.parameters))
+        for effect in model.effects
+    )
+    return replace(
+        model,
+        effects=effects,
+        parameters=tuple(beliefs.get(p.name, p) for p in model.parameters),
+    )
+
+
+# Raised whenever the same cell would give another result.
+FORMAT, WORLD_FORMAT = 1, 3
+
+
+# What numerical methods end with on hard data; everything else is a fault of a program, which
+# has no place in a table of methods.
+GAVE_UP = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What determines one run.
+
+    Parameters
+    ----------
+    problem, estimator : str
+        Names.
+    noise : float
+        Level, in the unit ``noise_unit``.
+    noise_unit : str
+        ``"peak"`` (per cent) or ``"declared"`` (multiples).
+    sampling : int
+        Times the problem's sample time.
+    seed : int
+        Of noise, start values and random searches.
+    spread : float
+        Start values are off by up to this share, uniformly.
+    world : str
+        What the records hold that no model says; see :mod:`oed_sysid.baselines.world`.
+    """
+
+    problem: str
+    estimator: str
+    noise: float
+    noise_unit: str = "peak"
+    sampling: int = 1
+    seed: int = 0
+    spread: float = 0.3
+    world: str = IDEAL
+
+    @property
+    def key(self) -> str:
+        """Name in a store: everything that shapes the result but the code of the estimators."""
+        settings = contestant_by_name(self.estimator)
+        fields = asdict(self)
+        if self.world == IDEAL:  # as runs were named before there were worlds
+            del fields["world"]
+        else:
+            fields["world"] = (world_by_name(self.world), WORLD_FORMAT)
+        content = f"{FORMAT} {fields} {load_scenario(self.problem).digest} {settings!r}"
+        digest = hashlib.sha256(content.encode()).hexdigest()[:12]
+        world = "" if self.world == IDEAL else f"{self.world} "
+        return (
+            f"{self.problem} {self.estimator} {world}noise {self.noise:g} seed {self.seed} "
+            f"sampling {self.sampling} {digest}"
+        )
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        """Random numbers that all estimators and noise levels share."""
+        word = f"{self.problem} {purpose} {self.sampling}"
+        return np.random.default_rng([zlib.crc32(word.encode()), self.seed])
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one run.
+
+    Attributes
+    ----------
+    cell : Cell
+    status : str
+        That of the fit; ``refused`` if the estimator cannot treat the problem,
+        ``error`` if it gave up.
+    message : str
+        In words, where it is not ``converged``.
+    errors : mapping of str to float
+        Estimate over truth, minus one; empty where there is no estimate.
+    covered : mapping of str to bool
+        Whether the stated 95 % interval holds the truth; empty without noise.
+    bounds : mapping of str to float
+        Least relative standard error that these data allow (Cramér-Rao), start
+        states unknown, random forces and colour of the world counted as noise;
+        infinite where they say nothing.
+    prediction : float
+        Root mean square error of the model on the validation run, from the true
+        start state and against the truth, in units of the noise (of 0.1 % of
+        the peak where there is none); infinite where it diverges.
+    iterations : int
+    seconds : float
+        Of the fit alone, compilation of the model included if it is the first.
+    """
+
+    cell: Cell
+    status: str
+    message: str
+    errors: Mapping[str, float]
+    covered: Mapping[str, bool]
+    bounds: Mapping[str, float]
+    prediction: float
+    iterations: int
+    seconds: float
+
+    @property
+    def failed(self) -> bool:
+        """Whether a user would be left without values to rely on."""
+        return self.status != "converged"
+
+
+def run_cell(cell: Cell) -> Outcome:
+    """Simulate, fit and judge; a failure of the estimator is a result, not an error."""
+    scenario, world = load_scenario(cell.problem), world_by_name(cell.world)
+    sigma = scenario.noise(cell.noise, cell.noise_unit)
+    model = scenario.with_noise(sigma)
+    runs = tuple(_at(experiment, cell.sampling) for experiment in scenario.train)
+    rng, noisy = cell.rng("noise"), bool(sigma.any())
+    if cell.world == IDEAL:
+        dataset = Dataset(tuple(simulate(model, run, rng=rng, noise=noisy) for run in runs))
+    else:
+        dataset = Dataset(tuple(world.record(model, run, rng=rng, noise=noisy) for run in runs))
+    noise = [world.noise(model, run) for run in runs]
+    bounds = dict(zip(model.free_names, _bounds(model, dataset, noise), strict=True))
+    contestant = contestant_by_name(cell.estimator)
+    handed = world.believed(_away(model, cell, world.start), cell.rng("known"))
+    estimator, start = contestant.prepared(handed, scenario.start, cell.seed)
+    began = time.perf_counter()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the status says it
+            fit = estimator.fit(start, dataset)
+    except GAVE_UP as error:
+        status = "refused" if isinstance(error, ModelError) else "error"
+        seconds = time.perf_counter() - began
+        return Outcome(cell, status, _brief(error), {}, {}, bounds, np.inf, 0, seconds)
+    return Outcome(
+        cell,
+        fit.status.code if np.isfinite(fit.estimates).all() else "diverged",
+        fit.status.advice,
+        _errors(fit, scenario.truth),
+        _covered(fit, scenario.truth) if noisy else {},
+        bounds,
+        _prediction(fit, scenario, model),
+        fit.iterations,
+        fit.seconds,
+    )
+
+
+def _at(experiment: Experiment, sampling: int) -> Experiment:
+    """Sampled more rarely, commands too, so that every estimator knows the inputs exactly."""
+    return replace(experiment, sample_time=sampling * experiment.sample_time)
+
+
+def _away(model: Model, cell: Cell, factor: float = 1.0) -> Model:
+    """Start values away from the truth, within bounds."""
+    rng = cell.rng("start")
+    values = {}
+    for parameter in model.free_parameters:
+        off = rng.uniform(-1.0, 1.0)
+        moved = parameter.value * (factor**off if factor > 1 else 1.0 + cell.spread * off)
+        values[parameter.name] = float(np.clip(moved, parameter.lower, parameter.upper))
+    return model.with_values(values)
+
+
+def _bounds(model: Model, dataset: Dataset, noise: Sequence[NoiseModel]) -> list[float]:
+    """Relative standard errors that nobody can undercut who is told all that is random."""
+    truth = np.array([abs(model.values[name]) for name in model.free_names])
+    known: Information | None = None
+    for record, levels in zip(dataset, noise, strict=True):
+        known = information_of(model, record, noise=levels, priors=known)
+    assert known is not None
+    return [float(x) for x in known.std_errors / truth]
+
+
+def _errors(fit: Fit, truth: Mapping[str, float]) -> dict[str, float]:
+    finite = np.isfinite(fit.estimates).all()
+    # Without a covariance a diverged fit only hands its start values back; a regression
+    # has values of its own even where the model that they make runs away.
+    if not finite or (fit.status.code == "diverged" and not np.isfinite(fit.covariance).all()):
+        return {}
+    return {name: value / truth[name] - 1.0 for name, value in fit.values.items()}
+
+
+def _covered(fit: Fit, truth: Mapping[str, float]) -> dict[str, bool]:
+    intervals = {name: fit.interval(name) for name in fit.names}
+    return {
+        name: bool(low <= truth[name] <= high) if np.isfinite([low, high]).all() else False
+        for name, (low, high) in intervals.items()
+    }
+
+
+def _prediction(fit: Fit, scenario: Scenario, model: Model) -> float:
+    test = simulate(model, scenario.test, noise=False)
+    try:
+        run = simulate_inputs(
+            fit.model, test.times, inputs=test.inputs, initial=scenario.test.initial
+        )
+    except SimulationError:
+        return float(np.inf)
+    sigma = np.array([output.noise_std for output in model.outputs], dtype=float)
+    error = float(np.sqrt(np.mean(((run.outputs - test.outputs) / sigma) ** 2)))
+    return error if np.isfinite(error) else float(np.inf)
+
+
+def _brief(error: Exception) -> str:
+    """First sentence of an error, short enough for a table."""
+    text = str(error).partition(". ")[0].strip().rstrip(".")
+    words = text if len(text) <= 150 else text[:147].rsplit(" ", 1)[0] + " ..."
+    return words if isinstance(error, ValueError) else f"{type(error).__name__}: {words}"

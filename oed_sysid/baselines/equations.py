@@ -1,0 +1,487 @@
+r"""Regression on equations of motion: which equations are linear, and their rows from records.
+
+The equations of motion, inertia times rates minus forces, are differentiated by the free
+parameters. Where the derivatives do not depend on the parameters, the equations are
+
+.. math:: y_k = \Phi_k\,\theta + e_k, \qquad
+          y = M_0\dot x - f_0(x, d), \quad \Phi = -\frac{\partial}{\partial\theta}
+          \left(M\dot x - f(x, d)\right),
+
+with what is left at :math:`\theta = 0` as the target, and least squares applies. Rates are not
+measured; they come from a rule:
+
+=============  ==================================================================
+``euler``      :math:`(x_{k+1} - x_k)/h`, forces at the first of the two samples
+``trapezoid``  the same difference, forces averaged over both samples
+``simpson``    :math:`(x_{k+2} - x_k)/2h`, forces averaged with 1:4:1
+``local``      value and slope of a cubic fitted to the samples around
+``exact``      rates that are given
+=============  ==================================================================
+
+In all but the first the same average is taken on both sides of the equation, so that the rows
+are unbiased for smooth motion and noise-free states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from oed_sysid.compiled.graph import Graph, build
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.experiments.trajectory import input_array
+from oed_sysid.likelihood.start_guess import check_channels
+from oed_sysid.physics.model import Model
+
+INSTEAD = "fix it with model.fix(...), or use MultipleShooting, which needs no linearity"
+
+
+@dataclass(frozen=True, eq=False)
+class RegressionForm:
+    """Targets and regressors of a model as functions of states, rates and signals.
+
+    Attributes
+    ----------
+    model : Model
+        The model.
+    names : tuple of str
+        Free parameters, in order.
+    equations : tuple of str
+        Equations that hold at least one of them, by the state whose rate they give.
+    needed : tuple of str
+        States that these equations contain and that have to be measured.
+    graph : Graph
+        The model's CasADi functions.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics.channels import Input, Output, State
+    >>> from oed_sysid.physics import Force
+    >>> from oed_sysid.physics.parameters import Parameter
+    >>> yaw = Model(
+    ...     "yaw", (State("r", "rad/s"),), (Input("delta", "rad"),), (Output("r", "rad/s"),),
+    ...     axes={"N": "r"}, inertia={("N", "r"): "T"},
+    ...     effects=(Force("turn", {"N": "K*delta - r"}, (Parameter("K", 0.1, "1/s"),)),),
+    ...     parameters=(Parameter("T", 10.0, "s"),),
+    ... )
+    >>> form = regression_form(yaw)
+    >>> form.names, form.equations, form.needed
+    (('T', 'K'), ('r',), ('r',))
+    """
+
+    model: Model
+    names: tuple[str, ...]
+    equations: tuple[str, ...]
+    needed: tuple[str, ...]
+    graph: Graph
+    _function: ca.Function
+
+    def evaluate(
+        self, states: np.ndarray, rates: np.ndarray, signals: np.ndarray, times: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Targets and regressors at some moments.
+
+        Parameters
+        ----------
+        states, rates : ndarray (n_rows, n_states)
+            States, and their rates or the differences that stand for them.
+        signals : ndarray (n_rows, n_signals)
+            Actuator signals.
+        times : ndarray (n_rows,)
+            Times, s.
+
+        Returns
+        -------
+        targets : ndarray (n_rows, n_equations)
+        regressors : ndarray (n_rows, n_equations, n_free)
+        """
+        n, shape = len(times), (len(self.equations), len(self.names))
+        if n == 0:
+            return np.empty((0, shape[0])), np.empty((0, *shape))
+        values = ca.DM(self.model.value_vector)
+        target, flat = self._function(states.T, rates.T, signals.T, values, times[None, :])
+        # CasADi stacks columns: regressors come as (n_equations * n_free, n_rows).
+        shaped = np.array(flat).reshape(*shape[::-1], n)
+        return np.array(target).T, shaped.transpose(2, 1, 0)
+
+
+def regression_form(model: Model) -> RegressionForm:
+    """Derive targets and regressors of a model.
+
+    Raises
+    ------
+    ModelError
+        If the equations are not linear in the free parameters; the message
+        names the parameters and the equations.
+    """
+    free = model.free_parameters
+    if not free:
+        raise ModelError(f"Model {model.name!r} has no free parameter. Free some with model.free.")
+    local = [p.name for p in free if p.per_record]
+    if local:
+        raise ModelError(
+            f"{', '.join(local)} differ from record to record, which regressions do not know: "
+            f"{INSTEAD}."
+        )
+    graph = build(model)
+    x, rate, d, p, t = (graph.balance.sx_in(i) for i in range(5))
+    p_free = p[list(graph.free_indices), 0]
+    residual = graph.balance(x, rate, d, p, t)
+    slope = ca.jacobian(residual, p_free)
+    _check_linear(model, graph, slope, p_free)
+    holds = np.array(ca.DM(slope.sparsity(), 1.0)) != 0
+    rows = np.flatnonzero(holds.any(axis=1))
+    names = model.free_names
+    regressors = -slope[rows.tolist(), :]
+    # The target is what is left when every free parameter is zero.
+    target = ca.substitute(residual[rows.tolist(), 0], p_free, ca.DM.zeros(len(names)))
+    both = ca.vertcat(target, ca.vec(regressors))
+    needed = tuple(
+        name
+        for i, name in enumerate(graph.state_names)
+        if ca.depends_on(both, ca.vertcat(x[i], rate[i]))
+    )
+    function = ca.Function(
+        "regression",
+        [x, rate, d, p, t],
+        [ca.densify(target), ca.densify(ca.vec(ca.densify(regressors)))],
+        {"cse": True},
+    )
+    _check_measured(model, needed)
+    return RegressionForm(
+        model=model,
+        names=names,
+        equations=tuple(graph.state_names[i] for i in rows),
+        needed=needed,
+        graph=graph,
+        _function=function,
+    )
+
+
+def _check_linear(model: Model, graph: Graph, slope: ca.SX, p_free: ca.SX) -> None:
+    """Raise where a parameter acts elsewhere than linearly in the equations of motion."""
+    names, free = model.free_names, list(graph.free_indices)
+    in_motion = (np.array(ca.DM(slope.sparsity(), 1.0)) != 0).any(axis=0)
+    in_actuators = np.zeros(len(names), dtype=bool)
+    if graph.actuate.size1_out(0):
+        for output in range(2):
+            pattern = np.array(ca.DM(graph.actuate.jac_sparsity(output, 2), 1.0))
+            in_actuators |= (pattern[:, free] != 0).any(axis=0)
+    for index, name in enumerate(names):
+        if in_actuators[index]:
+            raise ModelError(
+                f"{name} of model {model.name!r} acts on an actuator signal, ahead of the forces, "
+                f"so that no regression can estimate it: {INSTEAD}."
+            )
+        if not in_motion[index]:
+            raise ModelError(
+                f"{name} of model {model.name!r} does not appear in the equations of motion (it "
+                f"belongs to a sensor, a start value or nothing): {INSTEAD}."
+            )
+    wrong = [name for i, name in enumerate(names) if ca.depends_on(slope, p_free[i])]
+    if wrong:
+        states = [
+            state
+            for row, state in enumerate(graph.state_names)
+            if ca.depends_on(slope[row, :], p_free)
+        ]
+        raise ModelError(
+            f"Model {model.name!r} is not linear in {', '.join(wrong)}, in the equation of "
+            f"{', '.join(states)}. Where one parameter divides another, write it as an inertia "
+            "(axes={'N': 'r'}, inertia={('N', 'r'): 'T'}); otherwise fix all but one of them with "
+            "model.fix(...), or use MultipleShooting, which needs no linearity."
+        )
+
+
+def _check_measured(model: Model, needed: tuple[str, ...]) -> None:
+    """Raise where a state of the equations is not measured as it is."""
+    measured = {output.source: output.name for output in model.outputs}
+    missing = [name for name in needed if name not in measured]
+    if missing:
+        raise ModelError(
+            f"The regressions of model {model.name!r} contain {', '.join(missing)}, which no "
+            f"output measures. Measured are {', '.join(model.output_names)}. Add an output, or use "
+            "MultipleShooting, which estimates states that are not measured."
+        )
+    for effect in model.effects:
+        if effect.stage != "sensor" or not any(p.value for p in effect.parameters):
+            continue
+        touched = [name for name in needed if measured[name] in effect.terms]
+        if touched:
+            raise ModelError(
+                f"The measurement of {', '.join(touched)} passes the sensor effect "
+                f"{effect.name!r}, which regressions cannot undo. Use model.without"
+                f"({effect.name!r}) and correct the record, or use MultipleShooting."
+            )
+
+
+# Weight and sample of each force that a difference is explained by, and whether its actuator
+# signals are those just before the sample: actuators may jump there.
+AFTER, BEFORE = 0, 1
+STENCILS: Mapping[str, tuple[tuple[float, int, int], ...]] = {
+    "euler": ((1.0, 0, AFTER),),
+    "trapezoid": ((0.5, 0, AFTER), (0.5, 1, BEFORE)),
+    "simpson": ((1 / 6, 0, AFTER), (1 / 3, 1, BEFORE), (1 / 3, 1, AFTER), (1 / 6, 2, BEFORE)),
+    "local": ((0.5, 0, AFTER), (0.5, 0, BEFORE)),
+}
+# Samples that a difference reaches over.
+SPANS = {"euler": 1, "trapezoid": 1, "simpson": 2}
+RULES = (*STENCILS, "exact")
+
+Rates = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows ``target = regressors @ parameters + error`` of all records.
+
+    Attributes
+    ----------
+    form : RegressionForm
+        Equations and names.
+    targets : tuple of ndarray (n_rows, n_equations)
+        One array per record; NaN where a measurement is missing.
+    regressors : tuple of ndarray (n_rows, n_equations, n_free)
+        NaN in the same rows.
+    """
+
+    form: RegressionForm
+    targets: tuple[np.ndarray, ...]
+    regressors: tuple[np.ndarray, ...]
+
+    def equation(self, index: int) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+        """Complete rows of one equation, over all records.
+
+        Returns
+        -------
+        regressors : ndarray (n_rows, n_parameters)
+        target : ndarray (n_rows,)
+        names : tuple of str
+            Parameters of this equation.
+        """
+        target = np.concatenate([t[:, index] for t in self.targets])
+        regressors = np.vstack([r[:, index] for r in self.regressors])
+        rows = np.isfinite(target) & np.isfinite(regressors).all(axis=1)
+        used = np.flatnonzero(np.nan_to_num(regressors).any(axis=0))
+        names = tuple(self.form.names[i] for i in used)
+        return regressors[rows][:, used], target[rows], names
+
+    def check_separate(self) -> None:
+        """Raise :class:`ModelError` where two equations share a parameter."""
+        owner: dict[str, str] = {}
+        for index, equation in enumerate(self.form.equations):
+            for name in self.equation(index)[2]:
+                if name in owner:
+                    raise ModelError(
+                        f"{name} appears in the equations of {owner[name]} and of {equation}; "
+                        "this estimator solves each equation alone. Use EquationError, which "
+                        "solves them together."
+                    )
+                owner[name] = equation
+
+
+def rows_of(
+    form: RegressionForm,
+    dataset: Dataset,
+    *,
+    rule: str = "local",
+    window: int = 9,
+    rates: Rates | None = None,
+) -> Rows:
+    """Build the rows of all records.
+
+    Parameters
+    ----------
+    form : RegressionForm
+        The model's equations.
+    dataset : Dataset
+        Records with the model's channels.
+    rule : str
+        One of :data:`RULES`.
+    window : int
+        Samples of a local cubic, odd.
+    rates : mapping of str to ndarray (n_times, n_states), optional
+        For ``"exact"``: rates of all states, by record.
+    """
+    check_rule(rule, window)
+    check_channels(form.model, dataset)
+    targets, regressors = [], []
+    for record in dataset:
+        states = states_of(form, record.outputs)
+        given = None
+        if rule == "exact":
+            given = (rates or {}).get(record.name)
+            if given is None or np.shape(given) != states.shape:
+                raise DataError(
+                    f"Exact rates of record {record.name!r} are missing or not of shape "
+                    f"{states.shape}, one column for each of {', '.join(form.graph.state_names)}."
+                )
+        pair = rows_from(form, record.times, states, record.inputs, rule, window, given)
+        targets.append(pair[0])
+        regressors.append(pair[1])
+    return Rows(form, tuple(targets), tuple(regressors))
+
+
+def rows_from(
+    form: RegressionForm,
+    times: np.ndarray,
+    states: np.ndarray,
+    inputs: np.ndarray,
+    rule: str,
+    window: int = 9,
+    rates: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Targets and regressors of one run, see :func:`rows_of`."""
+    signals = actuator_signals(form, times, inputs)
+    if rates is not None:
+        return form.evaluate(states, np.asarray(rates, float), signals[AFTER], times)
+    span = SPANS.get(rule, 0)
+    n = max(len(times) - span, 0)
+    if span:
+        slopes = (states[span:] - states[:-span]) / (times[span:] - times[:-span])[:, None]
+        if rule == "simpson":  # its weights hold for equal steps only
+            steps = np.diff(times)
+            slopes[np.abs(steps[1:] - steps[:-1]) >= 1e-3 * steps[1:]] = np.nan
+    else:
+        states, slopes = local_cubic(times, states, window)
+    parts = []
+    for weight, sample, side in STENCILS[rule]:
+        part = slice(sample, sample + n)
+        found = form.evaluate(states[part], slopes, signals[side][part], times[part])
+        parts.append((weight * found[0], weight * found[1]))
+    targets, regressors = zip(*parts, strict=True)
+    return np.sum(targets, axis=0), np.sum(regressors, axis=0)
+
+
+def check_rule(rule: str, window: int) -> None:
+    """Raise :class:`ModelError` for an unknown rule or an impossible window."""
+    if rule not in RULES:
+        raise ModelError(f"rule is {rule!r}. Choose one of {', '.join(RULES)}.")
+    if window < 5 or window % 2 == 0:
+        raise ModelError(f"window is {window}. Give an odd number of samples, 5 or more.")
+
+
+def exact_rates(model: Model, dataset: Dataset) -> dict[str, np.ndarray]:
+    """Rates of a model at the measured states, for tests on simulated records.
+
+    Every state has to be measured. The rates are those just after each sample.
+
+    Returns
+    -------
+    dict of str to ndarray (n_times, n_states)
+    """
+    form = regression_form(model)
+    found = {}
+    for record in dataset:
+        states = states_of(form, record.outputs)
+        signals, _ = actuator_signals(form, record.times, record.inputs)
+        rates = form.graph.rates(states.T, signals.T, model.value_vector, record.times[None, :])
+        found[record.name] = np.array(rates).T
+    return found
+
+
+def states_of(form: RegressionForm, outputs: np.ndarray) -> np.ndarray:
+    """Measured states ``(n_times, n_states)``; zero where an equation needs none."""
+    sources = {output.source: column for column, output in enumerate(form.model.outputs)}
+    states = np.zeros((len(outputs), len(form.graph.state_names)))
+    for index, name in enumerate(form.graph.state_names):
+        if name in sources:
+            series = outputs[:, sources[name]]
+            unused = name not in form.needed and not np.isfinite(series).all()
+            states[:, index] = 0.0 if unused else series
+    return states
+
+
+def actuator_signals(
+    form: RegressionForm, times: np.ndarray, inputs: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Actuator signals just after and just before the samples.
+
+    Returns
+    -------
+    after : ndarray (n_times, n_signals)
+        At the beginning of the step that follows each sample.
+    before : ndarray (n_times, n_signals)
+        At the end of the step that led to it; of the first sample, ``after``.
+    """
+    graph, model = form.graph, form.model
+    inputs = input_array(model, len(times), inputs)
+    values = model.value_vector
+    linear = np.array(graph.linear_inputs, dtype=bool)
+    size = graph.actuate.size1_out(0)
+    after, before = np.empty((len(times), size)), np.empty((len(times), size))
+    if not size:
+        return after, before
+    if graph.n_actuator_memory == 0:
+        steps = np.diff(times, append=2 * times[-1] - times[-2])
+        empty = np.empty((0, len(times)))
+        h = np.minimum(steps, model.step)
+
+        def signals(commands: np.ndarray) -> np.ndarray:
+            found = graph.actuate(empty, commands.T, values, times[None, :], h[None, :])[0]
+            return np.array(found).T
+
+        after[:] = signals(inputs)
+        ends = np.where(linear, inputs[1:], inputs[:-1]) if inputs.shape[1] else inputs[:-1]
+        before[:] = after
+        before[1:] = signals(np.vstack([ends, inputs[-1:]]))[:-1]
+        return after, before
+    z = np.array(graph.start(np.zeros(graph.n_own), inputs[0], values, times[0])).ravel()
+    memory = z[graph.n_states : graph.n_states + graph.n_actuator_memory]
+
+    def actuate(command: np.ndarray, time: float, h: float) -> list[np.ndarray]:
+        found = graph.actuate(memory, command, values, time, h)
+        return [np.array(part).ravel() for part in found]
+
+    following = np.vstack([inputs[1:], inputs[-1:]])
+    intervals = np.diff(times, append=2 * times[-1] - times[-2])
+    for k, time in enumerate(times):
+        n_steps = max(1, int(np.ceil(intervals[k] / model.step - 1e-9)))
+        h = intervals[k] / n_steps
+        slope = np.where(linear, (following[k] - inputs[k]) / n_steps, 0.0)
+        after[k] = actuate(inputs[k], time, h)[0]
+        for i in range(n_steps):
+            begin, end, now = inputs[k] + i * slope, inputs[k] + (i + 1) * slope, time + i * h
+            if i + 1 == n_steps and k + 1 < len(times):
+                before[k + 1] = actuate(end, now, h)[0]
+            memory = actuate((begin + end) / 2, now, h)[1]
+    before[0] = after[0]
+    return after, before
+
+
+def local_cubic(times: np.ndarray, series: np.ndarray, window: int) -> tuple[np.ndarray, ...]:
+    """Value and slope of cubics fitted to ``window`` samples around each time.
+
+    Parameters
+    ----------
+    times : ndarray (n_times,)
+        Any increasing times.
+    series : ndarray (n_times, n_signals)
+        A missing sample makes the values that need it NaN.
+    window : int
+        Odd number of samples; at the ends the cubic is one-sided.
+
+    Returns
+    -------
+    values, slopes : ndarray (n_times, n_signals)
+
+    References
+    ----------
+    Savitzky & Golay (1964), Smoothing and differentiation of data by
+    simplified least squares procedures, Analytical Chemistry 36.
+    """
+    n = len(times)
+    width = min(window, n)
+    first = np.clip(np.arange(n) - width // 2, 0, n - width)
+    index = first[:, None] + np.arange(width)
+    offset = times[index] - times[:, None]
+    scale = np.abs(offset).max(axis=1)
+    basis = (offset / scale[:, None])[:, :, None] ** np.arange(min(4, width))
+    weights = np.linalg.pinv(basis)  # (n, order, width)
+    values = np.einsum("nw,nws->ns", weights[:, 0], series[index])
+    slopes = np.einsum("nw,nws->ns", weights[:, 1], series[index]) / scale[:, None]
+    return values, slopes

@@ -1,0 +1,408 @@
+"""Bayesian linear regression by Gibbs sampling, with its closed form and its diagnostics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.baselines.equations import Rates, Rows, check_rule
+from oed_sysid.baselines.regression import CONVERGED, Regression, regress
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.likelihood.information import autocorrelation
+from oed_sysid.physics.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """Draws of several chains.
+
+    Attributes
+    ----------
+    coefficients : ndarray (n_chains, n_draws, n)
+    variances : ndarray (n_chains, n_draws)
+        Of the noise.
+    """
+
+    coefficients: np.ndarray
+    variances: np.ndarray
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Posterior mean, shape ``(n,)``."""
+        return self.coefficients.mean(axis=(0, 1))
+
+    @property
+    def std(self) -> np.ndarray:
+        """Posterior standard deviation, shape ``(n,)``."""
+        return self.coefficients.reshape(-1, self.coefficients.shape[2]).std(axis=0)
+
+
+def split_r_hat(draws: np.ndarray) -> np.ndarray:
+    """Potential scale reduction of half chains, one where they agree.
+
+    Parameters
+    ----------
+    draws : ndarray (n_chains, n_draws, n)
+
+    Returns
+    -------
+    ndarray (n,)
+
+    References
+    ----------
+    Gelman et al. (2013), Bayesian data analysis, 3rd ed., sec. 11.4.
+    """
+    half = draws.shape[1] // 2
+    halves = np.concatenate([draws[:, :half], draws[:, half : 2 * half]])
+    within = halves.var(axis=1, ddof=1).mean(axis=0)
+    between = half * halves.mean(axis=1).var(axis=0, ddof=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = ((half - 1) / half * within + between / half) / within
+    return np.sqrt(np.where(within > 0, ratio, 1.0))
+
+
+def effective_draws(draws: np.ndarray) -> np.ndarray:
+    """Number of independent draws that the chains are worth, shape ``(n,)``.
+
+    Combines the autocorrelation within chains with the spread between them and
+    cuts it where pairs turn negative (Gelman et al. 2013, sec. 11.5).
+
+    Parameters
+    ----------
+    draws : ndarray (n_chains, n_draws, n)
+    """
+    n_chains, n_draws, n = draws.shape
+    result = np.empty(n)
+    for i in range(n):
+        part = draws[:, :, i]
+        within = part.var(axis=1, ddof=1).mean()
+        if within == 0:
+            result[i] = n_chains * n_draws
+            continue
+        total = (n_draws - 1) / n_draws * within + part.mean(axis=1).var(ddof=1)
+        correlations = np.array([autocorrelation(chain, n_draws - 1) for chain in part])
+        variances = part.var(axis=1)[:, None]
+        rho = 1.0 - (within - (correlations * variances).mean(axis=0)) / total
+        pairs = rho[1:-1:2] + rho[2::2]
+        negative = np.flatnonzero(pairs < 0)
+        tail = pairs[: negative[0]] if len(negative) else pairs
+        result[i] = n_chains * n_draws / max(1.0 + 2.0 * float(tail.sum()), 1e-3)
+    return np.minimum(result, n_chains * n_draws)
+
+
+DRAWS = ("joint", "coordinate")
+
+
+R_HAT_LIMIT = 1.01
+
+
+# A parameter without a prior gets one this wide, in units of what explains the whole target.
+WIDE = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class LinearPosterior:
+    """Closed-form posterior of a linear regression with a conjugate prior.
+
+    Attributes
+    ----------
+    mean : ndarray (n,)
+    covariance : ndarray (n, n)
+        Of the coefficients, noise integrated out (a Student distribution).
+    shape, rate : float
+        Of the inverse gamma distribution of the noise variance.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    shape: float
+    rate: float
+
+    @property
+    def variance(self) -> float:
+        """Mean of the noise variance."""
+        return self.rate / (self.shape - 1)
+
+
+def conjugate_posterior(
+    features: np.ndarray,
+    targets: np.ndarray,
+    *,
+    precision: np.ndarray,
+    mean: np.ndarray | None = None,
+    shape: float = 1e-3,
+    rate: float = 1e-3,
+) -> LinearPosterior:
+    r"""Posterior for :math:`c|s^2 \sim N(m_0, s^2\Lambda_0^{-1})`, :math:`s^2 \sim IG(a_0, b_0)`.
+
+    Parameters
+    ----------
+    features : ndarray (n_samples, n)
+    targets : ndarray (n_samples,)
+    precision : ndarray (n,)
+        Diagonal of :math:`\Lambda_0`.
+    mean : ndarray (n,), optional
+        :math:`m_0`, zero by default.
+    shape, rate : float
+        :math:`a_0, b_0`.
+
+    References
+    ----------
+    Gelman et al. (2013), Bayesian data analysis, 3rd ed., sec. 14.2-14.8.
+    """
+    mean0 = np.zeros(features.shape[1]) if mean is None else mean
+    inner = features.T @ features + np.diag(precision)
+    centre = np.linalg.solve(inner, features.T @ targets + precision * mean0)
+    errors = targets - features @ centre
+    new_shape = shape + 0.5 * len(targets)
+    new_rate = rate + 0.5 * float(errors @ errors + precision @ (centre - mean0) ** 2)
+    covariance = np.linalg.inv(inner) * new_rate / (new_shape - 1)
+    return LinearPosterior(centre, covariance, new_shape, new_rate)
+
+
+def sample_posterior(
+    features: np.ndarray,
+    targets: np.ndarray,
+    *,
+    precision: np.ndarray,
+    rng: np.random.Generator,
+    mean: np.ndarray | None = None,
+    conjugate: bool = False,
+    shape: float = 1e-3,
+    rate: float = 1e-3,
+    draw: str = "joint",
+    n_draws: int = 2000,
+    burn_in: int = 500,
+    n_chains: int = 4,
+) -> Chains:
+    r"""Gibbs sampler of :math:`y = \Phi c + e`, :math:`e \sim N(0, s^2)`.
+
+    Alternates between the coefficients given the variance and the variance
+    given the coefficients. ``"coordinate"`` draws one coefficient at a time,
+
+    .. math:: c_j|\cdot \sim N(\mu, 1/\pi),\quad \pi = G_{jj}/s^2 + \lambda_j,\quad
+              \mu = \frac{h_j - \sum_{l\ne j}G_{jl}c_l}{s^2\pi}
+
+    with :math:`G=\Phi^T\Phi`, :math:`h=\Phi^Ty`; it mixes slowly where columns
+    are alike. ``"joint"`` draws all at once.
+
+    Parameters
+    ----------
+    features : ndarray (n_samples, n)
+        Columns of like size.
+    targets : ndarray (n_samples,)
+    precision : ndarray (n,)
+        Prior precision of each coefficient; in units of ``1/s^2`` if
+        ``conjugate``.
+    rng : numpy.random.Generator
+    mean : ndarray (n,), optional
+        Prior mean, zero by default.
+    conjugate : bool
+        Prior of :func:`conjugate_posterior`; otherwise it does not depend on
+        the noise.
+    shape, rate : float
+        Of the prior of the variance.
+    draw : str
+        ``"joint"`` or ``"coordinate"``.
+    n_draws, burn_in, n_chains : int
+        Draws kept and dropped per chain, and number of chains; these begin at
+        overdispersed points.
+
+    References
+    ----------
+    Geman & Geman (1984), IEEE Trans. PAMI 6; Chen, Deng & Xu (2023), Ship
+    Engineering 45(2), for the use on manoeuvring derivatives.
+    """
+    if draw not in DRAWS:
+        raise ModelError(f"draw is {draw!r}. Choose one of {', '.join(DRAWS)}.")
+    n = features.shape[1]
+    mean0 = np.zeros(n) if mean is None else np.asarray(mean, dtype=float)
+    gram, moment = features.T @ features, features.T @ targets
+    energy = float(targets @ targets)
+    a = shape + 0.5 * (len(targets) + (n if conjugate else 0))
+    centre = np.linalg.lstsq(features, targets, rcond=None)[0]
+    start = float(np.mean((targets - features @ centre) ** 2)) + 1e-12 * energy / len(targets)
+    spread = np.sqrt(start / np.maximum(np.diag(gram), 1e-300))
+    c = centre + 10.0 * spread * rng.standard_normal((n_chains, n))
+    variance = start * np.exp(rng.uniform(-1, 1, n_chains))
+    kept = np.empty((n_chains, n_draws, n))
+    variances = np.empty((n_chains, n_draws))
+    if conjugate:
+        factor = _Joint(gram + np.diag(precision), moment + precision * mean0)
+    for index in range(burn_in + n_draws):
+        weight = 1.0 / variance if conjugate else np.ones(n_chains)
+        prior = precision * weight[:, None]  # (n_chains, n)
+        if draw == "coordinate":
+            for j in range(n):
+                pi = gram[j, j] / variance + prior[:, j]
+                others = c @ gram[j] - c[:, j] * gram[j, j]
+                mu = ((moment[j] - others) / variance + prior[:, j] * mean0[j]) / pi
+                c[:, j] = mu + rng.standard_normal(n_chains) / np.sqrt(pi)
+        elif conjugate:
+            c = factor.draw(variance, rng)
+        else:
+            for chain in range(n_chains):
+                inner = gram / variance[chain] + np.diag(precision)
+                right = moment / variance[chain] + precision * mean0
+                c[chain] = _Joint(inner, right).draw(np.ones(1), rng)[0]
+        sse = energy - 2 * c @ moment + np.einsum("ci,ij,cj->c", c, gram, c)
+        sse = np.maximum(sse, 1e-14 * energy)
+        if conjugate:
+            sse = sse + ((c - mean0) ** 2) @ precision
+        variance = (rate + 0.5 * sse) / rng.gamma(a, size=n_chains)
+        if index >= burn_in:
+            kept[:, index - burn_in] = c
+            variances[:, index - burn_in] = variance
+    return Chains(kept, variances)
+
+
+class _Joint:
+    """Draws from a normal distribution with a given precision, up to a variance."""
+
+    def __init__(self, precision: np.ndarray, right: np.ndarray) -> None:
+        self._lower = np.linalg.cholesky(precision)
+        self._mean = np.linalg.solve(precision, right)
+
+    def draw(self, variance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """One draw per variance, shape ``(n, n_coefficients)``."""
+        unit = rng.standard_normal((len(variance), len(self._mean)))
+        moved = np.linalg.solve(self._lower.T, unit.T).T
+        return self._mean + np.sqrt(variance)[:, None] * moved
+
+
+@dataclass(frozen=True)
+class GibbsRegression:
+    """Bayesian regression of each equation of motion by Gibbs sampling.
+
+    Estimates are posterior means and the covariance is that of the draws. The
+    errors of the rows are taken as white; where derivatives come from noisy
+    measurements they are not, and the posterior is too narrow.
+
+    Parameters
+    ----------
+    n_draws, burn_in, n_chains : int
+        See :func:`sample_posterior`.
+    draw : str
+        ``"joint"`` or ``"coordinate"``, as published.
+    rule, window, rates
+        Where derivatives come from, see
+        :class:`~oed_sysid.baselines.least_squares.EquationError`.
+    seed : int
+        Of the random numbers.
+
+    References
+    ----------
+    Chen, Deng & Xu (2023), Ship Engineering 45(2), doi
+    10.13788/j.cnki.cbgc.2023.02.11; Gelman et al. (2013), Bayesian data
+    analysis, 3rd ed., ch. 11.
+    """
+
+    n_draws: int = 2000
+    burn_in: int = 500
+    n_chains: int = 4
+    draw: str = "joint"
+    rule: str = "local"
+    window: int = 9
+    rates: Rates | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_rule(self.rule, self.window)
+        if self.draw not in DRAWS:
+            raise ModelError(f"draw is {self.draw!r}. Choose one of {', '.join(DRAWS)}.")
+        if self.n_draws < 100 or self.n_chains < 2 or self.burn_in < 0:
+            raise ModelError(
+                f"{self.n_chains} chains of {self.n_draws} draws cannot be judged. Give at least 2 "
+                "chains of 100."
+            )
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        return f"Gibbs sampling ({self.draw} draws, {self.n_chains} x {self.n_draws})"
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Sample the posterior of each equation.
+
+        Returns
+        -------
+        Fit
+            ``extras``: ``r_hat`` and ``effective_draws`` by parameter, and
+            ``draws`` ``(n_chains, n_draws)`` by parameter.
+
+        Raises
+        ------
+        ModelError
+            As :meth:`EquationError.fit`, and where equations share a parameter.
+        """
+        return regress(self, model, dataset, self._solve, window=self.window)
+
+    def _solve(self, rows: Rows) -> Regression:
+        rng = np.random.default_rng(self.seed)
+        names = rows.form.names
+        estimates, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
+        facts: dict[str, dict] = {"r_hat": {}, "effective_draws": {}, "draws": {}}
+        for index in range(len(rows.form.equations)):
+            features, targets, own = rows.equation(index)
+            where = [names.index(name) for name in own]
+            chains, units = self._sample(rows.form.model, features, targets, own, rng)
+            draws = chains.coefficients * units
+            flat = draws.reshape(-1, len(own))
+            estimates[where] = flat.mean(axis=0)
+            covariance[np.ix_(where, where)] = np.atleast_2d(np.cov(flat.T))
+            facts["r_hat"] |= zip(own, map(float, split_r_hat(draws)), strict=True)
+            facts["effective_draws"] |= zip(own, map(float, effective_draws(draws)), strict=True)
+            facts["draws"] |= zip(own, np.moveaxis(draws, 2, 0), strict=True)
+        worst = max(facts["r_hat"], key=lambda name: facts["r_hat"][name])
+        status = CONVERGED
+        if facts["r_hat"][worst] > R_HAT_LIMIT:
+            status = Status(
+                "iterations",
+                f"the chains disagree in {worst} (R-hat {facts['r_hat'][worst]:.3f}). Raise "
+                "n_draws, or use draw='joint'.",
+            )
+        return Regression(
+            estimates,
+            covariance,
+            status=status,
+            iterations=self.n_draws + self.burn_in,
+            extras=facts,
+        )
+
+    def _sample(
+        self,
+        model: Model,
+        features: np.ndarray,
+        targets: np.ndarray,
+        own: tuple[str, ...],
+        rng: np.random.Generator,
+    ) -> tuple[Chains, np.ndarray]:
+        """Chains in scaled units, and the unit of each coefficient."""
+        size = float(np.sqrt(np.mean(targets**2))) or 1.0
+        units = size / np.sqrt(np.mean(features**2, axis=0))
+        parameters = [model.parameter(name) for name in own]
+        precision = np.array(
+            [
+                (unit / p.prior_spread) ** 2 if p.prior_spread is not None else WIDE**-2
+                for p, unit in zip(parameters, units, strict=True)
+            ]
+        )
+        mean = [0.0 if p.prior_spread is None else float(p.prior_mean or 0.0) for p in parameters]
+        chains = sample_posterior(
+            features * units / size,
+            targets / size,
+            precision=precision,
+            mean=np.array(mean) / units,
+            # A variance below rounding cannot be told from none.
+            shape=1e-3,
+            rate=1e-18,
+            draw=self.draw,
+            n_draws=self.n_draws,
+            burn_in=self.burn_in,
+            n_chains=self.n_chains,
+            rng=rng,
+        )
+        return chains, units

@@ -1,0 +1,435 @@
+"""Kalman filters on states and parameters together, sample by sample."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from oed_sysid.baselines.regression import fit_from_values
+from oed_sysid.compiled.kernels import Kernel, kernel
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.likelihood.noise_levels import given_levels, noise_floor
+from oed_sysid.likelihood.start_guess import check_channels, measured_states
+from oed_sysid.physics.model import Model
+
+KINDS = ("extended", "unscented")
+# A measured start state is known this many noise levels well before its first measurement.
+START_SPREAD = 10.0
+# Of a normal distribution, as it enters the covariance of the points of the unscented filter.
+PEAKEDNESS = 2.0
+DIVERGED = Status(
+    "diverged",
+    "the filter left the numbers. Start closer, give smaller parameter_std, add process_std, or "
+    "use MultipleShooting, whose result does not depend on the order of the samples.",
+)
+
+# Mean of e'S^-1 e per measured value beyond which a filter's errors are not those it states, and
+# the number of values from which on this is no chance.
+INCONSISTENT, ENOUGH = 2.0, 50
+
+
+@dataclass(frozen=True)
+class JointKalmanFilter:
+    r"""Kalman filter whose state is the vehicle's state and the free parameters.
+
+    The extended filter linearises one step with the exact derivatives of the
+    compiled kernel; the unscented one sends ``2n + 1`` points through it. Without
+    process noise the extended filter is a recursive, approximate output-error
+    method: one pass over the data, each sample linearised once. Samples that
+    were linearised far from the truth are not looked at again, so the stated
+    errors are too small in strongly nonlinear cases.
+
+    Parameters
+    ----------
+    kind : str
+        ``"extended"`` or ``"unscented"``.
+    process_std : mapping of str to float
+        Intensity of the noise on each state's rate, in its unit per
+        :math:`\sqrt{s}`; zero where nothing is said.
+    drift_std : mapping of str to float
+        The same for parameters that change in time.
+    parameter_std : mapping of str to float
+        Uncertainty of the start values; by default the prior's, else half the
+        parameter's magnitude.
+    state_std : mapping of str to float
+        Uncertainty of start states that are not measured; by default their scale.
+    initial : mapping of str to float
+        Mean of some start states; others are measured, or zero.
+    reach : float
+        Distance of the points of the unscented filter, in standard deviations.
+        Further out, at the :math:`\sqrt{n}` of the cubature rule, ten parameters
+        known to a half are tried at minus and plus two times their values, and
+        stated errors come out far too small.
+    passes : int
+        How often the data is gone through; each pass starts with the values
+        of the one before and the first uncertainty, so that errors stay those
+        of a single pass.
+
+    References
+    ----------
+    Ljung (1979), Asymptotic behavior of the extended Kalman filter as a parameter
+    estimator for linear systems, IEEE Trans. Automatic Control 24; Wan & van der
+    Merwe (2000), The unscented Kalman filter for nonlinear estimation, AS-SPCC;
+    Arasaratnam & Haykin (2009), Cubature Kalman filters, IEEE TAC 54, for the rule
+    that ``reach`` departs from.
+    """
+
+    kind: str = "extended"
+    process_std: Mapping[str, float] = field(default_factory=dict)
+    drift_std: Mapping[str, float] = field(default_factory=dict)
+    parameter_std: Mapping[str, float] = field(default_factory=dict)
+    state_std: Mapping[str, float] = field(default_factory=dict)
+    initial: Mapping[str, float] = field(default_factory=dict)
+    reach: float = 3.0**0.5
+    passes: int = 1
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ModelError(f"kind is {self.kind!r}. Choose one of {', '.join(KINDS)}.")
+        if not self.reach > 0:
+            raise ModelError(f"reach is {self.reach}. Give a positive number of deviations.")
+        if self.passes < 1:
+            raise ModelError(f"passes is {self.passes}. Go through the data at least once.")
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        passes = "" if self.passes == 1 else f", {self.passes} passes"
+        return f"{self.kind} Kalman filter of states and parameters{passes}"
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Filter all records in turn; parameters are carried over.
+
+        Returns
+        -------
+        Fit
+            Values and covariance after the last sample. ``extras``: ``history``
+            and ``history_std`` by parameter, one number per sample of the last
+            pass, and ``innovation`` (root mean square innovation in units of
+            its stated standard deviation, one where the filter is honest).
+
+        Raises
+        ------
+        ModelError
+            If the settings name unknown states or parameters.
+        """
+        began = time.perf_counter()
+        check_channels(model, dataset)
+        self.check(model)
+        levels = given_levels(model.outputs)
+        sigma = np.where(np.isfinite(levels), levels, noise_floor(dataset))
+        filter_ = JointFilter(self, model, sigma)
+        values, covariance = filter_.first_values()
+        prior = covariance
+        for index in range(self.passes):
+            covariance = prior
+            filter_.restart()
+            for record in dataset:
+                values, covariance = filter_.run(record, values, covariance)
+                if not np.isfinite(values).all():
+                    break
+            if index + 1 < self.passes and not np.isfinite(values).all():
+                break
+        ok = bool(np.isfinite(values).all())
+        last = values if ok else np.array([p.value for p in model.free_parameters])
+        tracks, spreads = np.array(filter_.track), np.array(filter_.spread)
+        return fit_from_values(
+            model,
+            dataset,
+            estimator=self.name,
+            estimates=last,
+            covariance=covariance if ok else np.diag(np.full(len(last), np.inf)),
+            began=began,
+            status=consistency(filter_.innovation**2, filter_.count) if ok else DIVERGED,
+            iterations=len(tracks),
+            initial_states=[self.initial] * len(dataset),
+            extras={
+                "history": dict(zip(model.free_names, tracks.T, strict=True)),
+                "history_std": dict(zip(model.free_names, spreads.T, strict=True)),
+                "innovation": filter_.innovation,
+            },
+        )
+
+    def check(self, model: Model) -> None:
+        """Raise :class:`ModelError` where settings and model do not belong together."""
+        for setting, known in (
+            ("process_std", model.state_names),
+            ("state_std", model.state_names),
+            ("initial", model.state_names),
+            ("drift_std", model.free_names),
+            ("parameter_std", model.free_names),
+        ):
+            unknown = [name for name in getattr(self, setting) if name not in known]
+            if unknown:
+                raise ModelError(
+                    f"{setting} names {unknown[0]!r}; model {model.name!r} has {', '.join(known)}."
+                )
+        if not model.free_names:
+            raise ModelError(f"Model {model.name!r} has no free parameter to estimate.")
+        if local := [p.name for p in model.free_parameters if p.per_record]:
+            raise ModelError(
+                f"{', '.join(local)} differ from record to record, which a filter does not know. "
+                "Use MultipleShooting."
+            )
+
+
+def consistency(square: float, count: int) -> Status:
+    r"""Status of a filter from its normalised innovation squared.
+
+    .. math:: \bar\nu = \frac{1}{n} \sum_k e_k' S_k^{-1} e_k,
+
+    one where the stated covariances ``S`` are right (Bar-Shalom, Li & Kirubarajan 2001,
+    *Estimation with applications to tracking and navigation*, section 5.4).
+
+    Parameters
+    ----------
+    square : float
+        Normalised innovation squared per measured value.
+    count : int
+        Number of measured values.
+    """
+    if count < ENOUGH or 1.0 / INCONSISTENT <= square <= INCONSISTENT:
+        return Status("converged", "")
+    found = f"the normalised innovations squared are {square:.3g} on average (expected 1): "
+    if square < 1.0:  # values can be used, their errors are on the safe side
+        todo = "the stated errors are too large. Declare less noise_std or process_std."
+        return Status("converged", found + todo)
+    todo = (
+        "the stated errors are too small. Give process_std, more noise_std, or use "
+        "MultipleShooting(disturbances='auto')."
+    )
+    return Status("inconsistent", found + todo)
+
+
+class JointFilter:
+    """Mean and covariance of ``[full state, free parameters]``, in scaled units."""
+
+    def __init__(self, settings: JointKalmanFilter, model: Model, sigma: np.ndarray) -> None:
+        self.settings, self.model, self.sigma = settings, model, sigma
+        self.kernel: Kernel = kernel(model)
+        n_extra = self.kernel.n_full - self.kernel.n_own
+        free = model.free_parameters
+        self.n_z = self.kernel.n_full
+        self.scale = np.array(
+            [*(s.scale for s in model.states), *np.ones(n_extra), *(p.magnitude for p in free)]
+        )
+        self.columns = [model.parameter_names.index(name) for name in model.free_names]
+        self.lower = np.array([p.lower for p in free])
+        self.upper = np.array([p.upper for p in free])
+        rates = [settings.process_std.get(s.name, 0.0) for s in model.states]
+        drifts = [settings.drift_std.get(p.name, 0.0) for p in free]
+        self.intensity = (np.array([*rates, *np.zeros(n_extra), *drifts]) / self.scale) ** 2
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the track of an earlier pass."""
+        self.track: list[np.ndarray] = []
+        self.spread: list[np.ndarray] = []
+        self._squares, self._count = 0.0, 0
+
+    @property
+    def count(self) -> int:
+        """Number of measured values so far."""
+        return self._count
+
+    @property
+    def innovation(self) -> float:
+        """Root mean square innovation in units of its stated deviation."""
+        return float(np.sqrt(self._squares / max(self._count, 1)))
+
+    def first_values(self) -> tuple[np.ndarray, np.ndarray]:
+        """Start values of the parameters and their covariance."""
+        free = self.model.free_parameters
+        stds = [
+            self.settings.parameter_std.get(p.name, p.prior_spread or 0.5 * p.magnitude)
+            for p in free
+        ]
+        values = [p.value if p.prior_mean is None else p.prior_mean for p in free]
+        return np.array(values, dtype=float), np.diag(np.square(stds))
+
+    def run(
+        self, record: Record, values: np.ndarray, covariance: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Filter one record; return the parameters and their covariance after it."""
+        measured = {i: series[0] for i, series in measured_states(self.model, record).items()}
+        mean, spread = self.begin(record.times[0], record.inputs[0], measured, values, covariance)
+        times, inputs = record.times, record.inputs
+        for k in range(len(times)):
+            window = slice(max(k - 1, 0), max(k - 1, 0) + 2)
+            mean, spread = self.learn(
+                mean, spread, times[window], inputs[window], record.outputs[k], first=k == 0
+            )
+            if not np.isfinite(mean).all():
+                break
+            self.track.append((mean * self.scale)[self.n_z :])
+            variance = np.diag(spread)[self.n_z :]
+            self.spread.append(np.sqrt(np.maximum(variance, 0.0)) * self.scale[self.n_z :])
+        return self.parameters(mean, spread)
+
+    def learn(
+        self,
+        mean: np.ndarray,
+        spread: np.ndarray,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        outputs: np.ndarray,
+        *,
+        first: bool,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Scaled mean and covariance after the sample at the later of two times.
+
+        The first sample is at the earlier one, where the mean is already.
+        """
+        step = self._extended if self.settings.kind == "extended" else self._unscented
+        with np.errstate(all="ignore"):
+            mean, spread, predicted, cross, expected = step(
+                mean, spread, times, inputs, first=first
+            )
+            return self._correct(mean, spread, outputs - predicted, cross, expected)
+
+    def parameters(self, mean: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters and their covariance, in their own units."""
+        unit = self.scale[self.n_z :]
+        block = spread[self.n_z :, self.n_z :] * unit[:, None] * unit
+        return (mean * self.scale)[self.n_z :], block
+
+    def begin(
+        self,
+        time: float,
+        inputs: np.ndarray,
+        measured: Mapping[int, float],
+        values: np.ndarray,
+        covariance: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Scaled mean and covariance before the first measurement."""
+        model, n_own = self.model, self.kernel.n_own
+        own = np.zeros(n_own)
+        std = np.array([self.settings.state_std.get(s.name, s.scale) for s in model.states])
+        sources = {output.source: i for i, output in enumerate(model.outputs)}
+        for position, value in measured.items():
+            own[position] = value
+            std[position] = START_SPREAD * self.sigma[sources[model.state_names[position]]]
+        for name, value in self.settings.initial.items():
+            own[model.state_names.index(name)] = value
+        z, dz = self.kernel.start(own, inputs, self._all(values), time)
+        n_free = len(values)
+        shape = np.zeros((self.n_z + n_free, n_own + n_free))
+        shape[: self.n_z] = dz
+        shape[self.n_z :, n_own:] = np.eye(n_free)
+        before = np.zeros((n_own + n_free, n_own + n_free))
+        before[:n_own, :n_own] = np.diag(std**2)
+        before[n_own:, n_own:] = covariance
+        spread = shape @ before @ shape.T
+        return np.concatenate([z, values]) / self.scale, spread / self.scale[:, None] / self.scale
+
+    def _all(self, values: np.ndarray) -> np.ndarray:
+        """All parameter values, the free ones within their bounds."""
+        complete = self.model.value_vector
+        complete[self.columns] = np.clip(values, self.lower, self.upper)
+        return complete
+
+    def _extended(
+        self,
+        mean: np.ndarray,
+        spread: np.ndarray,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        *,
+        first: bool,
+    ) -> tuple[np.ndarray, ...]:
+        """Prediction over one step with exact derivatives, and the expected measurement."""
+        n_z = self.n_z
+        full = mean * self.scale
+        run = self.kernel.run(
+            times,
+            inputs,
+            self._all(full[n_z:]),
+            full[:n_z],
+            starts=np.array([0, 1]),
+            carry=True,
+            sensitivities=True,
+        )
+        assert run.output_sensitivities is not None
+        assert run.end_sensitivities is not None
+        if first:
+            row = 0
+        else:
+            row = 1
+            transition = np.eye(len(full))
+            transition[:n_z] = run.end_sensitivities[0]
+            transition = transition * self.scale / self.scale[:, None]
+            mean = np.concatenate([run.states[1], full[n_z:]]) / self.scale
+            spread = transition @ spread @ transition.T
+            spread = spread + np.diag(self.intensity * (times[1] - times[0]))
+        slope = run.output_sensitivities[row] * self.scale
+        cross = spread @ slope.T
+        return mean, spread, run.outputs[row], cross, slope @ cross
+
+    def _unscented(
+        self,
+        mean: np.ndarray,
+        spread: np.ndarray,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        *,
+        first: bool,
+    ) -> tuple[np.ndarray, ...]:
+        """Prediction over one step with the mean and two points per direction."""
+        n, n_z, reach = len(mean), self.n_z, self.settings.reach
+        values, vectors = np.linalg.eigh(0.5 * (spread + spread.T))
+        offsets = vectors * (reach * np.sqrt(np.maximum(values, 0.0)))
+        points = np.vstack([mean, mean + offsets.T, mean - offsets.T])
+        outputs = np.empty((2 * n + 1, len(self.sigma)))
+        row = 0 if first else 1
+        for i, point in enumerate(points):
+            full = point * self.scale
+            run = self.kernel.run(times, inputs, self._all(full[n_z:]), full[:n_z])
+            outputs[i] = run.outputs[row]
+            if not first:
+                points[i, :n_z] = run.states[1] / self.scale[:n_z]
+        # Moments about the image of the mean: the weights of Wan & van der Merwe, summed so that
+        # no negative weight of the middle point can make a covariance indefinite.
+        away, change = points[1:] - points[0], outputs[1:] - outputs[0]
+        weight = 0.5 / reach**2
+        shift, expected = weight * away.sum(axis=0), weight * change.sum(axis=0)
+        both = PEAKEDNESS - reach**2 / n
+        spread = weight * away.T @ away + both * np.outer(shift, shift)
+        if not first:
+            spread = spread + np.diag(self.intensity * (times[1] - times[0]))
+        cross = weight * away.T @ change + both * np.outer(shift, expected)
+        own = weight * change.T @ change + both * np.outer(expected, expected)
+        return points[0] + shift, spread, outputs[0] + expected, cross, own
+
+    def _correct(
+        self,
+        mean: np.ndarray,
+        spread: np.ndarray,
+        innovation: np.ndarray,
+        cross: np.ndarray,
+        expected: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and covariance after one measurement; missing outputs are passed over."""
+        seen = np.flatnonzero(np.isfinite(innovation))
+        if not len(seen):
+            return mean, spread
+        total = expected[np.ix_(seen, seen)] + np.diag(self.sigma[seen] ** 2)
+        unit = np.sqrt(np.diag(total))
+        scaled = total / unit[:, None] / unit
+        if not np.isfinite(scaled).all():
+            return np.full_like(mean, np.nan), spread
+        gain = np.linalg.solve(scaled, (cross[:, seen] / unit).T).T / unit
+        mean = mean + gain @ innovation[seen]
+        spread = spread - gain @ cross[:, seen].T
+        spread = 0.5 * (spread + spread.T)
+        free = slice(self.n_z, None)
+        mean[free] = np.clip(
+            mean[free], self.lower / self.scale[free], self.upper / self.scale[free]
+        )
+        self._squares += float(innovation[seen] @ np.linalg.solve(total, innovation[seen]))
+        self._count += len(seen)
+        return mean, spread

@@ -1,0 +1,420 @@
+"""Regressions in closed form: equation error, total least squares, heading differences."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.baselines.equations import (
+    Rates,
+    RegressionForm,
+    Rows,
+    check_rule,
+    regression_form,
+    rows_of,
+)
+from oed_sysid.baselines.regression import (
+    Regression,
+    fit_from_values,
+    regress,
+    residual_covariance,
+    solve_rows,
+)
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.noise_levels import given_levels, noise_floor
+from oed_sysid.likelihood.start_guess import check_channels
+from oed_sysid.physics.model import Model
+
+
+@dataclass(frozen=True)
+class EquationError:
+    r"""Least squares on measured states and the derivatives taken from them.
+
+    Inertia times measured rate is explained by forces at the measured states,
+
+    .. math:: M\dot x_k = \Phi(x_k, d_k)\,\theta + e_k ,
+
+    which is linear in the parameters, has one solution and needs no start
+    values. The model must be linear in its free parameters and every state in
+    the equations measured. Noise in the states enters the regressors and biases
+    the estimates towards zero; the stated intervals do not contain this bias.
+    It falls with the noise, and with the ``window``.
+
+    Parameters
+    ----------
+    rule : str
+        Where derivatives come from, see
+        :mod:`oed_sysid.baselines.equations`.
+    window : int
+        Samples of the local cubic, odd.
+    rates : mapping of str to ndarray (n_times, n_states), optional
+        For ``rule="exact"``: rates by record, from accelerometers or a
+        simulation.
+    coloured : str
+        ``"auto"`` reports the sandwich covariance where errors are correlated
+        in time; ``"never"`` and ``"always"`` force it.
+
+    References
+    ----------
+    Klein & Morelli (2006), Aircraft system identification, ch. 5 (equation-error
+    method); Savitzky & Golay (1964) for the local cubic.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics.channels import Input, Output, State
+    >>> from oed_sysid.physics import Force
+    >>> from oed_sysid.experiments.experiment import Experiment
+    >>> from oed_sysid.experiments.manoeuvres import Doublet
+    >>> from oed_sysid.physics.parameters import Parameter
+    >>> from oed_sysid.experiments.simulation import simulate
+    >>> yaw = Model(
+    ...     "yaw", (State("r", "rad/s"),), (Input("delta", "rad"),), (Output("r", "rad/s"),),
+    ...     axes={"N": "r"}, inertia={("N", "r"): "T"},
+    ...     effects=(Force("turn", {"N": "K*delta - r"}, (Parameter("K", 0.1, "1/s"),)),),
+    ...     parameters=(Parameter("T", 10.0, "s"),),
+    ... )
+    >>> test = Experiment("test", Doublet("delta", 0.2, pulse_time=20.0), duration=60.0)
+    >>> fit = EquationError(rule="simpson").fit(yaw, Dataset((simulate(yaw, test, noise=False),)))
+    >>> {name: round(value, 3) for name, value in fit.values.items()}
+    {'T': 10.0, 'K': 0.1}
+    """
+
+    rule: str = "local"
+    window: int = 9
+    rates: Rates | None = None
+    coloured: str = "auto"
+
+    def __post_init__(self) -> None:
+        check_rule(self.rule, self.window)
+        if self.coloured not in ("auto", "never", "always"):
+            raise ModelError(f"coloured is {self.coloured!r}. Choose auto, never or always.")
+        if (self.rule == "exact") != (self.rates is not None):
+            raise ModelError("Exact rates and rule='exact' belong together: give both or none.")
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        window = f", {self.window} samples" if self.rule == "local" else ""
+        return f"equation error ({self.rule} derivatives{window})"
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Estimate the free parameters from all records at once.
+
+        Raises
+        ------
+        ModelError
+            If the model is not linear in its free parameters or a state is not
+            measured; the message says which and what to do.
+        DataError
+            If data and model do not belong together.
+        """
+        return regress(
+            self,
+            model,
+            dataset,
+            lambda rows: solve_rows(rows, model, coloured=self.coloured),
+            window=self.window,
+            apart=False,
+        )
+
+
+def is_linear(model: Model) -> bool:
+    """Whether :class:`EquationError` can be used on a model at all.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics.channels import Output, State
+    >>> from oed_sysid.physics.parameters import Parameter
+    >>> lag = Model(
+    ...     "lag", (State("x", "m"),), (), (Output("x", "m"),), {"x": "-x/T"},
+    ...     parameters=(Parameter("T", 1.0, "s"),),
+    ... )
+    >>> is_linear(lag)
+    False
+    """
+    try:
+        regression_form(model)
+    except ModelError:
+        return False
+    return True
+
+
+# Perturbed copies of the data that measure how noise enters the columns.
+COPIES = 12
+
+
+@dataclass(frozen=True)
+class TotalLeastSquares:
+    r"""Generalised total least squares, one equation at a time.
+
+    With ``D = [regressors, target]`` and ``W`` the covariance of the errors of
+    its columns, the solution is the direction that minimises
+
+    .. math:: \frac{v^T D^T D v}{v^T W v}, \qquad v \propto (\theta, -1).
+
+    Columns without noise, such as commanded angles, are exact. ``W`` follows
+    from the noise levels of the outputs, carried through smoothing, derivatives
+    and products by perturbing the data. Where the least ratio is far from one
+    the stated noise does not explain the misfit.
+
+    Parameters
+    ----------
+    rule, window
+        Where derivatives come from, see :class:`EquationError`.
+    seed : int
+        Of the perturbations.
+
+    References
+    ----------
+    Van Huffel & Vandewalle (1991), The total least squares problem, SIAM,
+    ch. 10 (generalised TLS).
+    """
+
+    rule: str = "local"
+    window: int = 9
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_rule(self.rule, self.window)
+        if self.rule == "exact":
+            raise ModelError("Exact rates have no noise to share out. Use EquationError.")
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        return f"total least squares ({self.rule} derivatives)"
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Estimate the free parameters of each equation.
+
+        Raises
+        ------
+        ModelError
+            As :meth:`EquationError.fit`, and where equations share a parameter.
+        """
+        return regress(
+            self, model, dataset, lambda rows: self._solve(rows, dataset), window=self.window
+        )
+
+    def _solve(self, rows: Rows, dataset: Dataset) -> Regression:
+        form = rows.form
+        sigma = given_levels(form.model.outputs)
+        sigma = np.where(np.isfinite(sigma), sigma, noise_floor(dataset))
+        column_errors = self._column_errors(form, dataset, rows, sigma)
+        estimates = np.zeros(len(form.names))
+        covariance = np.zeros((len(form.names), len(form.names)))
+        ratios: dict[str, float] = {}
+        coloured = False
+        for index, equation in enumerate(form.equations):
+            regressors, target, names = rows.equation(index)
+            if len(target) <= len(names):
+                raise ModelError(
+                    f"The equation of {equation} has {len(target)} complete rows for "
+                    f"{len(names)} parameters. Give a longer record."
+                )
+            values, ratio = generalised_tls(regressors, target, column_errors[index])
+            errors = ratio * column_errors[index]
+            block, use = _covariance(regressors, target, values, errors)
+            where = [form.names.index(name) for name in names]
+            estimates[where] = values
+            covariance[np.ix_(where, where)] = block
+            ratios[equation] = float(np.sqrt(ratio))
+            coloured |= use
+        return Regression(estimates, covariance, coloured=coloured, extras={"noise_ratio": ratios})
+
+    def _column_errors(
+        self, form: RegressionForm, dataset: Dataset, rows: Rows, sigma: np.ndarray
+    ) -> list[np.ndarray]:
+        """Covariance of the errors of ``[regressors, target]`` per row, by equation."""
+        rng = np.random.default_rng(self.seed)
+        sums = [np.zeros(()) for _ in form.equations]
+        used = [rows.equation(i)[2] for i in range(len(form.equations))]
+        targets, regressors = np.vstack(rows.targets), np.vstack(rows.regressors)
+        for _ in range(COPIES):
+            copies = [
+                record.with_outputs(
+                    record.outputs + sigma * rng.standard_normal(record.outputs.shape)
+                )
+                for record in dataset
+            ]
+            moved = rows_of(form, Dataset(tuple(copies)), rule=self.rule, window=self.window)
+            by_target = np.vstack(moved.targets) - targets
+            by_regressor = np.vstack(moved.regressors) - regressors
+            for index, names in enumerate(used):
+                columns = [form.names.index(name) for name in names]
+                change = np.column_stack([by_regressor[:, index, columns], by_target[:, index]])
+                change = change[np.isfinite(change).all(axis=1)]
+                sums[index] = sums[index] + change.T @ change / max(len(change), 1)
+        return [total / COPIES for total in sums]
+
+
+def generalised_tls(
+    regressors: np.ndarray, target: np.ndarray, errors: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Solve ``target = regressors @ values`` where all columns have errors.
+
+    Parameters
+    ----------
+    regressors : ndarray (n_rows, n_parameters)
+    target : ndarray (n_rows,)
+    errors : ndarray (n_parameters + 1, n_parameters + 1)
+        Covariance of the errors of one row of ``[regressors, target]``; may be
+        singular.
+
+    Returns
+    -------
+    values : ndarray (n_parameters,)
+    ratio : float
+        Mean square of the misfit over that of the stated errors.
+
+    Examples
+    --------
+    >>> x = np.array([[1.0], [2.0], [3.0]])
+    >>> values, ratio = generalised_tls(x, 2 * x[:, 0], np.eye(2))
+    >>> print(values.round(6))
+    [2.]
+    """
+    matrix = np.column_stack([regressors, target])
+    norms = np.linalg.norm(matrix, axis=0)
+    norms[norms == 0] = 1.0
+    _, values, vectors = np.linalg.svd(matrix / norms, full_matrices=False)
+    # Rounding is the smallest misfit that can be told from none.
+    values = np.maximum(values, 1e-14 * values[0])
+    whitener = vectors.T / values
+    scaled = errors / norms[:, None] / norms
+    inner = whitener.T @ scaled @ whitener
+    found, directions = np.linalg.eigh(0.5 * (inner + inner.T))
+    direction = whitener @ directions[:, -1] / norms
+    if abs(direction[-1]) < 1e-12 * np.abs(direction * norms).max() / norms[-1]:
+        raise ModelError(
+            "Total least squares has no solution here: the least misfit lies in the regressors "
+            "alone, which are not independent. Remove a parameter, or use EquationError."
+        )
+    ratio = 1.0 / (found[-1] * len(target)) if found[-1] > 0 else 0.0
+    return -direction[:-1] / direction[-1], float(ratio)
+
+
+def _covariance(
+    regressors: np.ndarray, target: np.ndarray, values: np.ndarray, errors: np.ndarray
+) -> tuple[np.ndarray, bool]:
+    """First-order covariance of the estimates, and whether errors are coloured."""
+    n, n_parameters = regressors.shape
+    residual = target - regressors @ values
+    variance = float(residual @ residual) / max(n - n_parameters, 1)
+    norms = np.linalg.norm(regressors, axis=0)
+    norms[norms == 0] = 1.0
+    curvature = regressors.T @ regressors - n * errors[:-1, :-1]
+    bread = np.linalg.pinv(curvature / norms[:, None] / norms, hermitian=True)
+    bread = bread / norms[:, None] / norms
+    return residual_covariance(bread, regressors, residual, variance)
+
+
+SCHEMES = ("forward", "central")
+
+
+@dataclass(frozen=True)
+class HeadingDifferences:
+    r"""Least squares for :math:`T\ddot\psi + \dot\psi = K\delta` from sampled headings.
+
+    With :math:`D` the sample time, the published ``"forward"`` scheme is
+
+    .. math:: \psi_{k+2} - 2\psi_{k+1} + \psi_k
+              = \frac{KD^2}{T}\,\delta_k - \frac{D}{T}\,(\psi_{k+1} - \psi_k),
+
+    of first order in ``D``; ``"central"`` takes :math:`\delta_{k+1}` and
+    :math:`(\psi_{k+2} - \psi_k)/2` and is of second order. Errors that coarse
+    sampling makes are not in the stated intervals.
+
+    Parameters
+    ----------
+    scheme : str
+        ``"forward"`` or ``"central"``.
+    heading, rudder, gain, time_constant : str
+        Names of the output, the input and the two parameters in the model.
+
+    References
+    ----------
+    Han, Bai, Yu & Lian (2023), Ship Science and Technology 45(7), doi
+    10.3404/j.issn.1672-7649.2023.07.017, eq. 11-15, with the sign of the
+    second regressor corrected.
+    """
+
+    scheme: str = "forward"
+    heading: str = "psi"
+    rudder: str = "delta"
+    gain: str = "K"
+    time_constant: str = "T"
+
+    def __post_init__(self) -> None:
+        if self.scheme not in SCHEMES:
+            raise ModelError(f"scheme is {self.scheme!r}. Choose one of {', '.join(SCHEMES)}.")
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        return f"heading differences ({self.scheme})"
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Estimate gain and time constant of a first-order Nomoto model.
+
+        Raises
+        ------
+        ModelError
+            If the model has other free parameters than the two.
+        DataError
+            If a record is not uniform, or its rows do not determine the two.
+        """
+        began = time.perf_counter()
+        check_channels(model, dataset)
+        if set(model.free_names) != {self.gain, self.time_constant}:
+            raise ModelError(
+                f"Model {model.name!r} has the free parameters {', '.join(model.free_names)}; "
+                f"expected {self.gain} and {self.time_constant}. Fix the others, or use "
+                "MultipleShooting."
+            )
+        matrix, right = map(np.concatenate, zip(*map(self._rows, dataset), strict=True))
+        present = np.isfinite(right) & np.isfinite(matrix).all(axis=1)
+        matrix, right = matrix[present], right[present]
+        first, second = np.linalg.lstsq(matrix, right, rcond=None)[0]
+        if not second < 0:
+            raise DataError(
+                "The heading's differences give a time constant that is not positive: the sampling "
+                "is too coarse or too noisy for them. Use MultipleShooting."
+            )
+        # Rows are divided by the sample time, so that first = K/T and second = -1/T.
+        values = {self.time_constant: -1.0 / second, self.gain: -first / second}
+        errors = right - matrix @ [first, second]
+        variance = float(errors @ errors) / max(len(right) - 2, 1)
+        inner = variance * np.linalg.inv(matrix.T @ matrix)
+        slopes = {
+            self.time_constant: np.array([0.0, 1.0 / second**2]),
+            self.gain: np.array([-1.0 / second, first / second**2]),
+        }
+        jacobian = np.array([slopes[name] for name in model.free_names])
+        return fit_from_values(
+            model,
+            dataset,
+            estimator=self.name,
+            estimates=np.array([values[name] for name in model.free_names]),
+            covariance=jacobian @ inner @ jacobian.T,
+            began=began,
+        )
+
+    def _rows(self, record: Record) -> tuple[np.ndarray, np.ndarray]:
+        """Rows ``(n, 2)`` and right-hand sides ``(n,)`` of a record, as accelerations."""
+        if not record.is_uniform:
+            raise DataError(
+                f"Record {record.name!r} is not sampled uniformly, which differences need."
+            )
+        heading, rudder = record.output(self.heading), record.input(self.rudder)
+        step = record.sample_time
+        right = (heading[2:] - 2 * heading[1:-1] + heading[:-2]) / step**2
+        if self.scheme == "forward":
+            rate = (heading[1:-1] - heading[:-2]) / step
+            return np.column_stack([rudder[:-2], rate]), right
+        rate = (heading[2:] - heading[:-2]) / (2 * step)
+        return np.column_stack([rudder[1:-1], rate]), right

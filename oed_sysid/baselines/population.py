@@ -1,0 +1,700 @@
+"""Searches by populations of simulated trajectories."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from types import ModuleType
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+from oed_sysid.baselines.regression import (
+    CONVERGED,
+    are_coloured,
+    fit_from_values,
+    sandwich,
+)
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import Record
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.experiments.batch import simulate_batch
+from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.likelihood.information import Information, coloured_score_covariance
+from oed_sysid.likelihood.noise_levels import given_levels, noise_floor
+from oed_sysid.likelihood.start_guess import check_channels, measured_states
+from oed_sysid.physics.model import Model
+
+
+def optional(module: str, package: str, *, wanted_by: str) -> ModuleType:
+    """Import a module of an optional library, or say which extra installs it.
+
+    Parameters
+    ----------
+    module : str
+        Module to import, for instance ``"sklearn.svm"``.
+    package : str
+        Name under which it is installed.
+    wanted_by : str
+        What needs it, for the message.
+
+    Raises
+    ------
+    ModelError
+        If it is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise ModelError(
+            f"{wanted_by} needs the optional library {package}, which is not installed ({error}). "
+            "Install it with: pip install 'oed-sysid[baselines]'."
+        ) from error
+
+
+UNFINISHED = Status(
+    "iterations",
+    "the limit of generations was reached before the search had gathered. Raise n_generations, or "
+    "start MultipleShooting from here with warm=fit.",
+)
+
+
+# A diverging candidate costs this much, because the libraries want finite numbers.
+WORST = 1e30
+# Members simulated at once: bounds the memory of long records.
+CHUNK_BYTES = 64_000_000
+
+
+class TrajectoryCost:
+    r"""Mean square of scaled residuals over all records, for many candidates at once.
+
+    .. math:: J(\theta) = \frac1N \sum_{k,i} \left(\frac{y_{ki} - \hat y_{ki}(\theta)}{s_i}\right)^2
+
+    Trajectories start where ``initial`` says, else at the measured states
+    (averaged over the first samples), else at zero. A start is never searched
+    for: its noise ends up in the parameters, and in their stated errors.
+
+    Parameters
+    ----------
+    model : Model
+        All free parameters need finite bounds.
+    dataset : Dataset
+        Measured records.
+    scale : str or mapping of str to float
+        ``"noise"`` takes the noise level of each output, ``"peak"`` its largest
+        magnitude; a mapping gives one number per output.
+    initial : mapping of str to float
+        Known start of some states, the same for all records.
+    n_workers : int or None
+        Threads; as many as cores by default.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        dataset: Dataset,
+        *,
+        scale: str | Mapping[str, float] = "noise",
+        initial: Mapping[str, float] | None = None,
+        n_workers: int | None = None,
+    ) -> None:
+        check_channels(model, dataset)
+        _check_searchable(model)
+        self.model, self.dataset, self.n_workers = model, dataset, n_workers
+        free = model.free_parameters
+        self.lower = np.array([p.lower for p in free])
+        self.upper = np.array([p.upper for p in free])
+        self._columns = [model.parameter_names.index(name) for name in model.free_names]
+        self.scales = output_scales(model, dataset, scale)
+        self.initial = dict(initial or {})
+        if unknown := [name for name in self.initial if name not in model.state_names]:
+            raise ModelError(
+                f"initial names {unknown[0]!r}; model {model.name!r} has the states "
+                f"{', '.join(model.state_names)}."
+            )
+        self._starts = [self._start(record) for record in dataset]
+        self.n_evaluations = 0
+
+    def _start(self, record: Record) -> np.ndarray:
+        own = np.zeros(len(self.model.states))
+        for position, series in measured_states(self.model, record).items():
+            own[position] = series[0]
+        for name, value in self.initial.items():
+            own[self.model.state_names.index(name)] = value
+        return own
+
+    def at(self, shares: np.ndarray) -> np.ndarray:
+        """Parameters ``(n, n_free)`` at shares of the way from the lower to the upper bounds."""
+        return self.lower + shares * (self.upper - self.lower)
+
+    def finite(self, population: np.ndarray) -> np.ndarray:
+        """Costs for libraries that want finite numbers: :data:`WORST` where the model diverges."""
+        return np.minimum(self(population), WORST)
+
+    def __call__(self, population: np.ndarray) -> np.ndarray:
+        """Costs ``(n,)`` of candidates ``(n, n_free)``; infinite where the model diverges."""
+        population = np.atleast_2d(population)
+        values = np.tile(self.model.value_vector, (len(population), 1))
+        values[:, self._columns] = population
+        total = np.zeros(len(population))
+        count = 0
+        for own, record in zip(self._starts, self.dataset, strict=True):
+            present = np.isfinite(record.outputs)
+            weights = present / self.scales
+            measured = np.where(present, record.outputs, 0.0)
+            count += int(present.sum())
+            room = max(1, CHUNK_BYTES // (8 * record.outputs.size))
+            for first in range(0, len(values), room):
+                part = slice(first, first + room)
+                found = simulate_batch(
+                    self.model,
+                    record.times,
+                    inputs=record.inputs,
+                    values=values[part],
+                    initials=own,
+                    n_workers=self.n_workers,
+                )
+                found -= measured
+                found *= weights
+                flat = found.reshape(len(found), -1)
+                with np.errstate(over="ignore", invalid="ignore"):
+                    total[part] += np.einsum("ij,ij->i", flat, flat)
+        self.n_evaluations += len(population)
+        return np.where(np.isfinite(total), total / count, np.inf)
+
+    def fit(
+        self,
+        best: np.ndarray,
+        *,
+        estimator: str,
+        began: float,
+        iterations: int,
+        status: Status,
+        extras: Mapping[str, Any] | None = None,
+    ) -> Fit:
+        """Build the result from the best candidate ``(n_free,)``.
+
+        The covariance is that of least squares at the optimum, widened by the
+        noise of the measured start states.
+        """
+        if not np.isfinite(self(best)[0]):
+            status = Status(
+                "diverged",
+                "every candidate left the numbers. Narrow the bounds, or reduce model.step.",
+            )
+        information, covariance, coloured = self._errors(best)
+        return fit_from_values(
+            self.model,
+            self.dataset,
+            estimator=estimator,
+            estimates=best,
+            covariance=covariance,
+            information=information,
+            coloured=coloured,
+            began=began,
+            status=status,
+            iterations=iterations,
+            initial_states=[self.initial] * len(self.dataset),
+            extras={"evaluations": self.n_evaluations, **(extras or {})},
+        )
+
+    def _errors(self, best: np.ndarray) -> tuple[Information, np.ndarray, bool]:
+        model, runner = self.model, kernel(self.model)
+        values = model.value_vector
+        values[self._columns] = best
+        jacobians, residuals, starts = [], [], []
+        for own, record in zip(self._starts, self.dataset, strict=True):
+            z, dz = runner.start(own, record.inputs[0], values, record.times[0])
+            run = runner.run(record.times, record.inputs, values, z, sensitivities=True)
+            assert run.output_sensitivities is not None
+            by_state = run.output_sensitivities[:, :, : runner.n_full] @ dz
+            by_free = by_state[:, :, runner.n_own :]
+            by_free += run.output_sensitivities[:, :, runner.n_full :]
+            residual = record.outputs - run.outputs
+            present = np.isfinite(residual)[:, :, None]
+            jacobians.append(np.where(present & np.isfinite(by_free), by_free, 0.0))
+            starts.append(np.where(present, np.nan_to_num(by_state[:, :, : runner.n_own]), 0.0))
+            residuals.append(residual)
+        stacked = np.vstack(residuals)
+        levels = given_levels(model.outputs)
+        with np.errstate(invalid="ignore"):
+            rms = np.sqrt(np.nanmean(np.where(np.isfinite(stacked), stacked, np.nan) ** 2, axis=0))
+        sigma = np.where(np.isfinite(levels), levels, np.maximum(rms, 1e-9 * self.scales))
+        sigma = np.where(np.isfinite(sigma), sigma, self.scales)
+        # The search weighed outputs by its own scales; errors follow from these weights.
+        weights = 1.0 / self.scales
+        magnitudes = np.array([p.magnitude for p in model.free_parameters])
+        whitened = np.vstack(
+            [(j / sigma[:, None]).reshape(-1, len(self._columns)) for j in jacobians]
+        )
+        information = Information.from_jacobian(model.free_names, whitened, magnitudes)
+        weighted = [j * weights[:, None] for j in jacobians]
+        rows = np.vstack([j.reshape(-1, len(self._columns)) for j in weighted])
+        bread = Information.from_jacobian(model.free_names, rows, magnitudes).covariance
+        scaled = [r * weights for r in residuals]
+        coloured = are_coloured(scaled)
+        shares = (sigma * weights)[:, None]
+        noisy = np.vstack([(j * shares).reshape(-1, rows.shape[1]) for j in weighted])
+        middle = coloured_score_covariance(weighted, scaled) if coloured else noisy.T @ noisy
+        middle = middle + self._start_noise(weighted, starts, weights, sigma)
+        return information, sandwich(bread, middle), coloured
+
+    def _start_noise(
+        self,
+        weighted: list[np.ndarray],
+        starts: list[np.ndarray],
+        weights: np.ndarray,
+        sigma: np.ndarray,
+    ) -> np.ndarray:
+        """Covariance of the score that comes from the noise of the start states."""
+        n_free = len(self._columns)
+        total = np.zeros((n_free, n_free))
+        sources = {output.source: i for i, output in enumerate(self.model.outputs)}
+        spread = np.array(
+            [
+                sigma[sources[name]] if name in sources and name not in self.initial else 0.0
+                for name in self.model.state_names
+            ]
+        )
+        for jacobian, start in zip(weighted, starts, strict=True):
+            whitened = (start * weights[:, None]).reshape(-1, start.shape[2])
+            mixed = jacobian.reshape(-1, n_free).T @ (whitened * spread)
+            total += mixed @ mixed.T
+        return total
+
+
+def _check_searchable(model: Model) -> None:
+    """Raise :class:`ModelError` where the free parameters span no region to search."""
+    free = model.free_parameters
+    if not free:
+        raise ModelError(f"Model {model.name!r} has no free parameter to search for.")
+    if unbounded := [p.name for p in free if not np.isfinite([p.lower, p.upper]).all()]:
+        raise ModelError(
+            f"{', '.join(unbounded)} have no finite bounds, and a search needs a region. Give "
+            "lower and upper with model.with_parameter(replace(parameter, lower=..., "
+            "upper=...)), or use MultipleShooting, which needs none."
+        )
+    if local := [p.name for p in free if p.per_record]:
+        raise ModelError(
+            f"{', '.join(local)} differ from record to record, which a search does not know. "
+            "Use MultipleShooting."
+        )
+
+
+def output_scales(model: Model, dataset: Dataset, scale: str | Mapping[str, float]) -> np.ndarray:
+    """Scale of the residuals of each output, see :class:`TrajectoryCost`."""
+    names = model.output_names
+    if not isinstance(scale, str):
+        missing = [name for name in names if not scale.get(name, 0.0) > 0]
+        if missing:
+            raise ModelError(
+                f"scale gives no positive number for the output(s) {', '.join(missing)}."
+            )
+        return np.array([scale[name] for name in names], dtype=float)
+    if scale == "noise":
+        levels = given_levels(model.outputs)
+        return np.where(np.isfinite(levels), levels, noise_floor(dataset))
+    if scale != "peak":
+        raise ModelError(f"scale is {scale!r}. Choose noise, peak or a number per output.")
+    peaks = np.nanmax(np.abs(np.vstack([record.outputs for record in dataset])), axis=0)
+    if not np.all(peaks > 0):
+        flat = names[int(np.argmin(peaks))]
+        raise DataError(f"Output {flat!r} is zero all the time and has no peak to scale with.")
+    return peaks
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Where a search ended.
+
+    Attributes
+    ----------
+    best : ndarray (n_free,)
+    iterations : int
+        Generations.
+    gathered : bool
+        Whether it ended by itself.
+    """
+
+    best: np.ndarray
+    iterations: int
+    gathered: bool
+
+
+class PopulationSearch(Protocol):
+    """Settings that all searches share; see :class:`DifferentialSwarm`."""
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        ...
+
+    @property
+    def scale(self) -> str | Mapping[str, float]:
+        """Scale of the residuals of each output."""
+        ...
+
+    @property
+    def initial(self) -> Mapping[str, float] | None:
+        """Known start of some states."""
+        ...
+
+    @property
+    def n_workers(self) -> int | None:
+        """Threads."""
+        ...
+
+
+def searched(
+    method: PopulationSearch,
+    model: Model,
+    dataset: Dataset,
+    search: Callable[[TrajectoryCost], Found],
+) -> Fit:
+    """Build the misfit, search, and simulate what was found: the adapter of all searches."""
+    began = time.perf_counter()
+    cost = TrajectoryCost(
+        model, dataset, scale=method.scale, initial=method.initial, n_workers=method.n_workers
+    )
+    found = search(cost)
+    return cost.fit(
+        found.best,
+        estimator=method.name,
+        began=began,
+        iterations=found.iterations,
+        status=CONVERGED if found.gathered else UNFINISHED,
+    )
+
+
+UPDATES = ("particle", "dimension")
+
+
+@dataclass(frozen=True)
+class DifferentialSwarm:
+    r"""Search by a swarm that mixes personal bests, the best of all, and differences.
+
+    .. math::
+        x_i^{k+1} = r\,p_i^k + (1 - r)\,p_g^k + \omega\,(p_{i_1}^k - p_{i_2}^k),
+        \qquad r \sim U[0, 1]
+
+    with personal bests :math:`p`, the best of all :math:`p_g` and two random members. A better
+    position replaces the personal best. A coordinate outside its bounds is drawn anew between the
+    personal best and the bound. All particles are simulated at once, on all cores.
+
+    Parameters
+    ----------
+    n_particles, n_generations : int
+        Size of the swarm and number of moves.
+    omega : float
+        Weight of the difference.
+    draw : str
+        Whether ``r`` is one number per ``"particle"`` or per ``"dimension"``;
+        the source does not say, and the first converges far better.
+    distinct : bool
+        Whether the two members of the difference must differ. The source does not say. Where they
+        may be the same, now and then a particle moves on the line between its own best and the best
+        of all, and the search converges many times faster (two problems, three seeds each).
+    scale : str or mapping of str to float
+        Scale of the residuals of each output, see
+        :class:`~oed_sysid.baselines.population.TrajectoryCost`.
+    initial : mapping of str to float
+        Known start of some states; others are measured, or zero.
+    tolerance : float
+        The swarm has converged when its costs differ by less than this share
+        of the least one, or from it by less than this number.
+    seed : int
+        Of the random numbers; the same seed gives the same result.
+    n_workers : int or None
+        Threads; all cores by default.
+    progress : callable or None
+        Called with the generation and the least cost.
+
+    References
+    ----------
+    Chen, Yan & Wang (2011), Parameter identification of a torpedo by
+    differential swarm, J. Ship Mechanics 15(4); equal to barebones differential
+    evolution with personal bests: Omran, Engelbrecht & Salman (2009), European
+    J. Operational Research 196.
+    """
+
+    n_particles: int = 60
+    n_generations: int = 300
+    omega: float = 1.0
+    draw: str = "particle"
+    distinct: bool = False
+    scale: str | Mapping[str, float] = "noise"
+    initial: Mapping[str, float] | None = None
+    tolerance: float = 1e-8
+    seed: int = 0
+    n_workers: int | None = None
+    progress: Callable[[int, float], None] | None = None
+
+    def __post_init__(self) -> None:
+        if self.draw not in UPDATES:
+            raise ModelError(f"draw is {self.draw!r}. Choose one of {', '.join(UPDATES)}.")
+        if self.n_particles < 4 or self.n_generations < 1:
+            raise ModelError(
+                f"A swarm of {self.n_particles} particles and {self.n_generations} generations is "
+                "too small. Give at least 4 particles and 1 generation."
+            )
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        return (
+            f"differential swarm ({self.n_particles} particles, {self.n_generations} generations)"
+        )
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Search the free parameters within their bounds.
+
+        Returns
+        -------
+        Fit
+            ``extras["history"]`` holds the least cost of each generation.
+
+        Raises
+        ------
+        ModelError
+            If a free parameter has no finite bounds.
+        """
+        began = time.perf_counter()
+        cost = TrajectoryCost(
+            model, dataset, scale=self.scale, initial=self.initial, n_workers=self.n_workers
+        )
+        rng = np.random.default_rng(self.seed)
+        best = rng.uniform(cost.lower, cost.upper, (self.n_particles, len(cost.lower)))
+        values = cost(best)
+        history = [float(values.min())]
+        converged = False
+        generation = 0
+        for generation in range(1, self.n_generations + 1):
+            moved = self._moved(best, best[np.argmin(values)], rng)
+            moved = redrawn(moved, best, cost.lower, cost.upper, rng)
+            found = cost(moved)
+            better = found < values
+            best[better], values[better] = moved[better], found[better]
+            history.append(float(values.min()))
+            if self.progress is not None:
+                self.progress(generation, history[-1])
+            gap = values.max() - values.min()
+            converged = bool(gap <= max(self.tolerance * values.min(), 1e-300))
+            converged |= bool(values.max() <= self.tolerance**2)
+            if converged:
+                break
+        status = CONVERGED
+        if not converged:
+            spread = best.std(axis=0) / np.maximum(cost.upper - cost.lower, 1e-300)
+            wide = [n for n, s in zip(model.free_names, spread, strict=True) if s > 0.05]
+            if wide:
+                status = Status(
+                    "iterations",
+                    f"the swarm has not gathered yet in {', '.join(wide)}. Raise n_generations, "
+                    "narrow the bounds, or start MultipleShooting from here with warm=fit.",
+                )
+        return cost.fit(
+            best[np.argmin(values)],
+            estimator=self.name,
+            began=began,
+            iterations=generation,
+            status=status,
+            extras={"history": np.array(history)},
+        )
+
+    def _moved(self, best: np.ndarray, leader: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """New positions ``(n_particles, n_free)``."""
+        n, n_free = best.shape
+        columns = 1 if self.draw == "particle" else n_free
+        share = rng.uniform(size=(n, columns))
+        first = rng.integers(n, size=n)
+        if self.distinct:
+            second = (first + rng.integers(1, n, size=n)) % n
+        else:
+            second = rng.integers(n, size=n)
+        return share * best + (1 - share) * leader + self.omega * (best[first] - best[second])
+
+
+def redrawn(
+    moved: np.ndarray,
+    best: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Draw every coordinate outside its bounds anew, between personal best and bound.
+
+    Arrays are ``(n_particles, n_free)``, bounds ``(n_free,)``.
+    """
+    share = rng.uniform(size=moved.shape)
+    result = np.where(moved < lower, lower + share * (best - lower), moved)
+    return np.where(moved > upper, upper - share * (upper - best), result)
+
+
+@dataclass(frozen=True)
+class DifferentialEvolution:
+    """Differential evolution of SciPy on the trajectory misfit, whole generations at once.
+
+    Parameters
+    ----------
+    n_particles, n_generations : int
+        Size of the population and number of generations.
+    scale, initial, n_workers
+        See :class:`~oed_sysid.baselines.population.DifferentialSwarm`.
+    tolerance : float
+        Relative spread of the costs at which to stop.
+    seed : int
+        Of the random numbers.
+
+    References
+    ----------
+    Storn & Price (1997), J. Global Optimization 11.
+    """
+
+    n_particles: int = 60
+    n_generations: int = 400
+    scale: str | Mapping[str, float] = "noise"
+    initial: Mapping[str, float] | None = None
+    tolerance: float = 1e-6
+    seed: int = 0
+    n_workers: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        return f"differential evolution ({self.n_particles} members)"
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Search the free parameters within their bounds."""
+
+        def search(cost: TrajectoryCost) -> Found:
+            n_free = len(cost.lower)
+            found = differential_evolution(
+                lambda shares: cost.finite(cost.at(shares.T)),
+                [(0.0, 1.0)] * n_free,
+                maxiter=self.n_generations,
+                popsize=max(1, round(self.n_particles / n_free)),
+                tol=self.tolerance,
+                rng=np.random.default_rng(self.seed),
+                vectorized=True,
+                updating="deferred",
+                polish=False,
+            )
+            return Found(cost.at(found.x), int(found.nit), bool(found.success))
+
+        return searched(self, model, dataset, search)
+
+
+@dataclass(frozen=True)
+class CovarianceMatrixAdaptation:
+    """CMA-ES of the package cma on the trajectory misfit.
+
+    Parameters
+    ----------
+    n_particles : int or None
+        Population; None takes what the package advises.
+    n_generations : int
+        Most generations.
+    spread : float
+        First standard deviation, as a share of the bounds' distance.
+    scale, initial, n_workers, seed
+        See :class:`~oed_sysid.baselines.population.DifferentialSwarm`.
+
+    References
+    ----------
+    Hansen & Ostermeier (2001), Evolutionary Computation 9.
+    """
+
+    n_particles: int | None = None
+    n_generations: int = 400
+    spread: float = 0.25
+    scale: str | Mapping[str, float] = "noise"
+    initial: Mapping[str, float] | None = None
+    seed: int = 0
+    n_workers: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        return "CMA-ES"
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Search the free parameters within their bounds, from the middle of these."""
+        cma = optional("cma", "cma", wanted_by="CovarianceMatrixAdaptation")
+        options: dict[str, Any] = {
+            "bounds": [0.0, 1.0],
+            # Zero would mean a seed from the clock.
+            "seed": self.seed + 1,
+            "maxiter": self.n_generations,
+            "verbose": -9,
+        }
+        if self.n_particles is not None:
+            options["popsize"] = self.n_particles
+
+        def search(cost: TrajectoryCost) -> Found:
+            middle = np.full(len(cost.lower), 0.5)
+            run = cma.CMAEvolutionStrategy(middle, self.spread, options)
+            while not run.stop():
+                members = np.array(run.ask())
+                run.tell(list(members), list(cost.finite(cost.at(members))))
+            best = cost.at(np.clip(run.result.xbest, 0.0, 1.0))
+            return Found(best, int(run.result.iterations), "maxiter" not in run.stop())
+
+        return searched(self, model, dataset, search)
+
+
+@dataclass(frozen=True)
+class ParticleSwarm:
+    """Particle swarm of the package pymoo on the trajectory misfit.
+
+    Parameters
+    ----------
+    n_particles, n_generations : int
+        Size of the swarm and number of moves.
+    scale, initial, n_workers, seed
+        See :class:`~oed_sysid.baselines.population.DifferentialSwarm`.
+
+    References
+    ----------
+    Kennedy & Eberhart (1995), Particle swarm optimization, IEEE Int. Conf.
+    Neural Networks.
+    """
+
+    n_particles: int = 60
+    n_generations: int = 400
+    scale: str | Mapping[str, float] = "noise"
+    initial: Mapping[str, float] | None = None
+    seed: int = 0
+    n_workers: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        return f"particle swarm ({self.n_particles} particles)"
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Search the free parameters within their bounds."""
+        swarm = optional("pymoo.algorithms.soo.nonconvex.pso", "pymoo", wanted_by="ParticleSwarm")
+        problems = optional("pymoo.core.problem", "pymoo", wanted_by="ParticleSwarm")
+        optimize = optional("pymoo.optimize", "pymoo", wanted_by="ParticleSwarm")
+
+        def search(cost: TrajectoryCost) -> Found:
+            def evaluate(_: object, x: np.ndarray, out: dict[str, np.ndarray], *__: object) -> None:
+                out["F"] = cost.finite(x)[:, None]
+
+            kind = type("Misfit", (problems.Problem,), {"_evaluate": evaluate})
+            found = optimize.minimize(
+                kind(n_var=len(cost.lower), n_obj=1, xl=cost.lower, xu=cost.upper),
+                swarm.PSO(pop_size=self.n_particles),
+                ("n_gen", self.n_generations),
+                seed=self.seed,
+                verbose=False,
+            )
+            values = found.pop.get("F").ravel()
+            gathered = np.ptp(values) <= 1e-3 * values.min()
+            return Found(np.asarray(found.X, dtype=float), self.n_generations, bool(gathered))
+
+        return searched(self, model, dataset, search)

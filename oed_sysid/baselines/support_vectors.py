@@ -1,0 +1,368 @@
+"""Support vector machines on equations of motion: least squares, or an insensitive zone."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from oed_sysid.baselines.equations import Rates, Rows, check_rule
+from oed_sysid.baselines.population import optional
+from oed_sysid.baselines.regression import (
+    Regression,
+    SeparateSolution,
+    regress,
+    separate,
+)
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.physics.model import Model
+
+FORMS = ("primal", "dual")
+
+
+# A dual system of more samples than this is larger than 800 MB.
+LARGEST_DUAL = 10_000
+
+
+class KernelFunction(Protocol):
+    """Inner products of features of two sets of points."""
+
+    def __call__(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Return the matrix ``(n_first, n_second)``."""
+        ...
+
+
+@dataclass(frozen=True)
+class LinearKernel:
+    """The features themselves: coefficients can be read off."""
+
+    def __call__(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Return ``first @ second.T``."""
+        return first @ second.T
+
+
+@dataclass(frozen=True)
+class GaussianKernel:
+    r"""Radial basis functions :math:`\exp(-|x - x'|^2/2\sigma^2)`; no coefficients exist.
+
+    Parameters
+    ----------
+    width : float
+        Width, in the unit of the features, which should be of like size.
+    """
+
+    width: float
+
+    def __call__(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Return the kernel matrix ``(n_first, n_second)``."""
+        squares = (first**2).sum(axis=1)[:, None] + (second**2).sum(axis=1)
+        distance = np.maximum(squares - 2 * first @ second.T, 0.0)
+        return np.exp(-distance / (2 * self.width**2))
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A trained machine.
+
+    Attributes
+    ----------
+    support : ndarray (n_samples, n_features)
+        Samples it was trained on.
+    multipliers : ndarray (n_samples,)
+        Lagrange multipliers, ``C`` times the error of each sample.
+    coefficients : ndarray (n_features,) or None
+        With the linear kernel.
+    bias : float
+    kernel : callable
+    """
+
+    support: np.ndarray
+    multipliers: np.ndarray
+    coefficients: np.ndarray | None
+    bias: float
+    kernel: KernelFunction
+
+    def predict(self, features: np.ndarray) -> np.ndarray:
+        """Values ``(n,)`` at features ``(n, n_features)``."""
+        features = np.atleast_2d(features)
+        if self.coefficients is not None:
+            return features @ self.coefficients + self.bias
+        return self.kernel(features, self.support) @ self.multipliers + self.bias
+
+
+def train(
+    features: np.ndarray,
+    targets: np.ndarray,
+    *,
+    C: float,
+    kernel: KernelFunction | None = None,
+    form: str = "primal",
+    bias: bool = True,
+) -> Machine:
+    r"""Train a least-squares support vector machine.
+
+    .. math:: \min_{w,b,e} \tfrac12 |w|^2 + \tfrac{C}{2} \sum_i e_i^2,\quad
+              y_i = w^T\varphi(x_i) + b + e_i
+
+    The dual is a linear system of the size of the samples; with the linear
+    kernel the primal has the size of the features, the same solution and far
+    better numbers.
+
+    Parameters
+    ----------
+    features : ndarray (n_samples, n_features)
+    targets : ndarray (n_samples,)
+    C : float
+        Weight of the errors; its meaning depends on the units of both.
+    kernel : callable, optional
+        Linear by default.
+    form : str
+        ``"primal"`` (linear kernel only) or ``"dual"``.
+    bias : bool
+        Whether there is a constant, which is not penalised.
+
+    References
+    ----------
+    Suykens et al. (2002), Least squares support vector machines, eq. 3.5-3.9;
+    Xu, Zou, Yin & Cao (2012), J. Hydrodynamics 24(5).
+
+    Examples
+    --------
+    >>> x = np.linspace(-1, 1, 20)[:, None]
+    >>> machine = train(x, 2 * x[:, 0] + 1, C=1e6)
+    >>> print(machine.coefficients.round(4), round(machine.bias, 4))
+    [2.] 1.0
+    """
+    features = np.asarray(features, dtype=float)
+    targets = np.asarray(targets, dtype=float)
+    if features.ndim != 2 or targets.shape != (len(features),):
+        raise ModelError(
+            f"Features have shape {features.shape} and targets {targets.shape}; expected "
+            "(n_samples, n_features) and (n_samples,)."
+        )
+    check_weight(C)
+    chosen = kernel or LinearKernel()
+    linear = isinstance(chosen, LinearKernel)
+    if form not in FORMS:
+        raise ModelError(f"form is {form!r}. Choose one of {', '.join(FORMS)}.")
+    if form == "primal":
+        if not linear:
+            raise ModelError("Only the linear kernel has a primal form. Use form='dual'.")
+        solution = ridge(features, targets, C, bias=bias)
+        coefficients, offset = solution[:-1], float(solution[-1])
+        errors = targets - features @ coefficients - offset
+        return Machine(features, C * errors, coefficients, offset, chosen)
+    n = len(targets)
+    if n > LARGEST_DUAL:
+        raise ModelError(
+            f"The dual of {n} samples would need {n * n * 8 / 1e9:.1f} GB. Thin the record, or use "
+            "form='primal'."
+        )
+    gamma = chosen(features, features) + np.eye(n) / C
+    if bias:
+        solved = np.linalg.solve(gamma, np.column_stack([targets, np.ones(n)]))
+        offset = float(solved[:, 0].sum() / solved[:, 1].sum())
+        multipliers = solved[:, 0] - offset * solved[:, 1]
+    else:
+        offset, multipliers = 0.0, np.linalg.solve(gamma, targets)
+    coefficients_ = features.T @ multipliers if linear else None
+    return Machine(features, multipliers, coefficients_, offset, chosen)
+
+
+def ridge(features: np.ndarray, targets: np.ndarray, C: float, *, bias: bool) -> np.ndarray:
+    """Primal solution ``[w, b]`` by orthogonal transformations, ``b`` not penalised."""
+    n, n_features = features.shape
+    constant = np.ones((n, 1)) if bias else np.zeros((n, 1))
+    upper = np.hstack([features, constant])
+    lower = np.hstack([np.eye(n_features) / np.sqrt(C), np.zeros((n_features, 1))])
+    matrix = np.vstack([upper, lower])
+    norms = np.linalg.norm(matrix, axis=0)
+    scale = 1.0 / np.where(norms > 0, norms, 1.0)
+    right = np.concatenate([targets, np.zeros(n_features)])
+    return scale * np.linalg.lstsq(matrix * scale, right, rcond=None)[0]
+
+
+def check_weight(C: float) -> None:
+    """Raise :class:`ModelError` for a weight that is not positive."""
+    if not C > 0:
+        raise ModelError(f"C is {C}. Give a positive weight of the errors.")
+
+
+@dataclass(frozen=True)
+class LeastSquaresSVM:
+    r"""Separate linear least-squares support vector regressions, one per equation.
+
+    A parameter whose regressor is constant, such as a steady thrust, is taken
+    as the bias of its equation, as published.
+
+    Parameters
+    ----------
+    C : float
+        Weight of the errors. It has the unit of one over a squared feature, so
+        what it does depends on the scale of the equations: with forces in
+        newton the published 30000 penalises next to nothing, with equations
+        divided by :math:`\rho L^n/2` it pulls weak terms to zero.
+    form : str
+        ``"primal"`` or ``"dual"``. In newton the dual system is so ill
+        conditioned that it loses up to all digits; see ``extras["condition"]``.
+    scale : str or mapping of str to float
+        ``"raw"`` takes equations in SI units, ``"unit"`` scales targets and
+        features to unit size, which gives ``C`` the same meaning in every
+        equation; a mapping gives a divisor for each equation, by state.
+    bias : bool
+        Whether equations without a constant term get one all the same, as
+        published; see ``extras["bias"]``.
+    rule, window, rates
+        Where derivatives come from, see :class:`EquationError`.
+
+    References
+    ----------
+    Xu, Zou, Yin & Cao (2012), Identification of an AUV in the diving plane by
+    LS-SVM, J. Hydrodynamics 24(5), doi 10.1016/S1001-6058(11)60299-0.
+    """
+
+    C: float = 3e4
+    form: str = "primal"
+    scale: str | Mapping[str, float] = "raw"
+    bias: bool = True
+    rule: str = "simpson"
+    window: int = 9
+    rates: Rates | None = None
+
+    def __post_init__(self) -> None:
+        check_weight(self.C)
+        check_rule(self.rule, self.window)
+        if self.form not in FORMS:
+            raise ModelError(f"form is {self.form!r}. Choose one of {', '.join(FORMS)}.")
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        return f"LS-SVM ({self.form}, C {self.C:g}, {self.rule} derivatives)"
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Estimate the free parameters of each equation.
+
+        Raises
+        ------
+        ModelError
+            As :meth:`EquationError.fit`, and where equations share a parameter.
+        """
+
+        def solve(features: np.ndarray, targets: np.ndarray, bias: bool) -> SeparateSolution:
+            machine = train(features, targets, C=self.C, form=self.form, bias=bias)
+            assert machine.coefficients is not None  # the kernel is linear
+            spectrum = np.linalg.svd(features, compute_uv=False)
+            condition = 1.0 + self.C * float(spectrum[0]) ** 2
+            return SeparateSolution(
+                machine.coefficients,
+                machine.bias,
+                ridge=1.0 / self.C,
+                facts={"condition": condition if self.form == "dual" else np.sqrt(condition)},
+            )
+
+        return regress(
+            self,
+            model,
+            dataset,
+            lambda rows: separate(rows, solve, scale=self.scale, bias=self.bias),
+            window=self.window,
+        )
+
+
+ITERATIONS = Status(
+    "iterations", "the limit of iterations was reached. Raise max_iterations, or lower C."
+)
+
+
+@dataclass(frozen=True)
+class SupportVectorRegression:
+    r"""Linear :math:`\varepsilon`-support vector regression, one equation at a time.
+
+    .. math:: \min \tfrac12|w|^2 + C\sum_i \max(0, |y_i - w^Tx_i - b| - \varepsilon)
+
+    Errors within the zone cost nothing and others linearly, so that outliers
+    count little. Stated intervals treat the solution as least squares and are
+    a rough guide only.
+
+    Parameters
+    ----------
+    C : float
+        Weight of the errors, in scaled units.
+    epsilon : float
+        Half-width of the zone, in scaled units.
+    scale : str or mapping
+        See :class:`LeastSquaresSVM`; ``"unit"`` makes both settings
+        independent of units.
+    rule, window, rates
+        Where derivatives come from, see :class:`EquationError`.
+    max_iterations : int
+        Most iterations of the solver per equation.
+
+    References
+    ----------
+    Smola & Schölkopf (2004), A tutorial on support vector regression,
+    Statistics and Computing 14; solver: Fan et al. (2008), LIBLINEAR.
+    """
+
+    C: float = 100.0
+    epsilon: float = 1e-3
+    scale: str | Mapping[str, float] = "unit"
+    rule: str = "simpson"
+    window: int = 9
+    rates: Rates | None = None
+    max_iterations: int = 200_000
+
+    def __post_init__(self) -> None:
+        check_weight(self.C)
+        check_rule(self.rule, self.window)
+        if not self.epsilon >= 0:
+            raise ModelError(f"epsilon is {self.epsilon}. Give the half-width of the zone, >= 0.")
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        return f"support vector regression (C {self.C:g}, epsilon {self.epsilon:g})"
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Estimate the free parameters of each equation.
+
+        Raises
+        ------
+        ModelError
+            As :meth:`EquationError.fit`, where equations share a parameter, or
+            if scikit-learn is not installed.
+        """
+        svm = optional("sklearn.svm", "scikit-learn", wanted_by="SupportVectorRegression")
+        unfinished: list[int] = []
+
+        def solve(features: np.ndarray, targets: np.ndarray, bias: bool) -> SeparateSolution:
+            machine = svm.SVR(
+                kernel="linear",
+                C=self.C,
+                epsilon=self.epsilon,
+                tol=1e-6,
+                max_iter=self.max_iterations,
+            )
+            centre = targets.mean() if bias else 0.0
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # reported in the status
+                machine.fit(features, targets - centre)
+            if machine.fit_status_ or machine.n_iter_ >= self.max_iterations:
+                unfinished.append(int(machine.n_iter_))
+            return SeparateSolution(
+                machine.coef_.ravel(),
+                float(machine.intercept_[0]) + float(centre),
+                facts={"support_vectors": len(machine.support_)},
+            )
+
+        def solve_all(rows: Rows) -> Regression:
+            found = separate(rows, solve, scale=self.scale)
+            return replace(found, status=ITERATIONS) if unfinished else found
+
+        return regress(self, model, dataset, solve_all, window=self.window)

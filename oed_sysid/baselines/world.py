@@ -1,0 +1,260 @@
+r"""What keeps real records from being what a model simulates.
+
+Where data come from the very equations that are fitted, with the very noise that is declared,
+every method looks better than at sea. A :class:`World` changes one thing at a time: random forces
+on all equations of motion,
+
+.. math:: w_{k+1} = \varphi w_k + \sigma_w \sqrt{1 - \varphi^2}\, \varepsilon_k, \qquad
+    \sigma_w = \text{share} \cdot \max |F|,
+
+with :math:`\max|F|` the largest sum of forces of the undisturbed run (largest acceleration, where
+an equation is written as one) and a time of four samples; sensor noise with a memory; noise of
+another size than declared; numbers that are taken as known and are not; spikes; start values off
+by far.
+Commands are those of the undisturbed run, and white noise is drawn alike in all worlds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oed_sysid.data.record import Record, closest
+from oed_sysid.errors import ProblemError
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics import Force
+from oed_sysid.physics.channels import Input, Output
+from oed_sysid.physics.model import Model
+
+# Correlation times, in samples.
+FORCE_TIME, NOISE_TIME = 4.0, 5.0
+SPIKE_SIZE = 20.0  # x noise
+# Least share of white noise, of the variance, where a bound is calculated: a filter needs some.
+LEAST_WHITE = 0.01
+# Steps per sample in which random forces are drawn and integrated.
+SUBSTEPS = 4
+
+
+@dataclass(frozen=True)
+class World:
+    """How records depart from the model that is fitted.
+
+    Parameters
+    ----------
+    title : str
+        For tables.
+    forces : float
+        Level of random forces, share of the largest force.
+    colour : float
+        Share of the sensor noise's variance that has a memory of five samples.
+    declared : float
+        Declared noise over the true one.
+    wrong : float
+        Largest relative error of the numbers that are taken as known.
+    spikes : float
+        Share of samples that are off by twenty times the noise.
+    sparse : int
+        Every how many samples outputs are kept; inputs are known at all.
+    start : float
+        Start values are off by up to this factor either way; 1 leaves the benchmark's 30 %.
+    """
+
+    title: str
+    forces: float = 0.0
+    colour: float = 0.0
+    declared: float = 1.0
+    wrong: float = 0.0
+    spikes: float = 0.0
+    sparse: int = 1
+    start: float = 1.0
+
+    def record(
+        self, model: Model, experiment: Experiment, *, rng: np.random.Generator, noise: bool
+    ) -> Record:
+        """Simulate one run of this world.
+
+        Parameters
+        ----------
+        model : Model
+            At the truth; its outputs declare the true noise.
+        experiment : Experiment
+        rng : numpy.random.Generator
+            Of the white noise of the sensors, which is that of every other world; everything else
+            comes from generators that it spawns.
+        noise : bool
+            Whether sensors are noisy; without it only what is not noise of a sensor acts.
+        """
+        for_forces, for_colour, for_spikes = rng.spawn(3)
+        std = np.array([output.noise_std for output in model.outputs], dtype=float)
+        if self.forces or self.colour:
+            run = simulate(model, experiment, noise=False)
+            if self.forces:
+                run = self._pushed(model, run, experiment, for_forces)
+            outputs = run.outputs.copy()
+            if noise:
+                errors = np.sqrt(1 - self.colour) * rng.standard_normal(outputs.shape)
+                if self.colour:
+                    memory = _gauss_markov(outputs.shape, NOISE_TIME, for_colour)
+                    errors += np.sqrt(self.colour) * memory
+                outputs += std * errors
+        else:  # as in the ideal world, commands that answer noisy measurements included
+            run = simulate(model, experiment, rng=rng, noise=noise)
+            outputs = run.outputs.copy()
+        if self.spikes:
+            struck = for_spikes.random(outputs.shape) < self.spikes
+            signs = np.sign(for_spikes.standard_normal(outputs.shape))
+            outputs += struck * SPIKE_SIZE * std * signs
+        if self.sparse > 1:
+            kept = np.arange(len(outputs)) % self.sparse == 0
+            outputs[~kept] = np.nan
+        return run.with_outputs(outputs)
+
+    def _pushed(
+        self, model: Model, clean: Record, experiment: Experiment, rng: np.random.Generator
+    ) -> Record:
+        """The same commands with random forces on every equation of motion."""
+        levels = self._levels(model, clean, experiment)
+        places, start = tuple(levels), _start(model, experiment)
+        pushes = [f"push_{i}" for i in range(len(places))]
+        # Forces of a model with actuators see these, not its inputs.
+        through = {name: name for name in pushes} if model.actuators else {}
+        pushed = replace(
+            model,
+            actuators={**model.actuators, **through},
+            inputs=(*model.inputs, *(Input(name, "1", interpolation="linear") for name in pushes)),
+            effects=(
+                *model.effects,
+                Force("random pushes", dict(zip(places, pushes, strict=True))),
+            ),
+        )
+        n = len(clean.times)
+        fine = np.interp(np.arange((n - 1) * SUBSTEPS + 1) / SUBSTEPS, np.arange(n), clean.times)
+        columns = []
+        for signal, values in zip(model.inputs, clean.inputs.T, strict=True):
+            if signal.interpolation == "linear":
+                columns.append(np.interp(fine, clean.times, values))
+            else:
+                held = np.searchsorted(clean.times, fine * (1 + 1e-12) + 1e-12, side="right") - 1
+                columns.append(values[np.clip(held, 0, n - 1)])
+        push = np.array(list(levels.values())) * _gauss_markov(
+            (len(fine), len(places)), FORCE_TIME * SUBSTEPS, rng
+        )
+        inputs = np.column_stack([*columns, push])
+        path = simulate_inputs(pushed, fine, inputs=inputs, initial=start)
+        return clean.with_outputs(path.outputs[::SUBSTEPS])
+
+    def _levels(self, model: Model, clean: Record, experiment: Experiment) -> dict[str, float]:
+        """Standard deviation of the random force on each equation of motion, by axis or state."""
+        places = tuple(model.axes) or tuple(
+            state.name
+            for state in model.states
+            if state.name in model.kinematics and state.unit in ("rad/s", "m/s")
+        )
+        if not places:
+            raise ProblemError(f"Model {model.name!r} has no equation of motion to push.")
+        sums = (f'force("{key}")' if key in model.axes else f"dot({key})" for key in places)
+        probe = replace(
+            model,
+            outputs=tuple(Output(f"sum_{i}", "1", expression=text) for i, text in enumerate(sums)),
+            effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
+        )
+        run = simulate_inputs(
+            probe, clean.times, inputs=clean.inputs, initial=_start(model, experiment)
+        )
+        largest = np.abs(run.outputs).max(axis=0)
+        return dict(zip(places, (self.forces * largest).tolist(), strict=True))
+
+    def noise(self, model: Model, experiment: Experiment) -> NoiseModel:
+        """Everything random of one run but spikes, as an estimator that knew it would be told.
+
+        Parameters
+        ----------
+        model : Model
+            At the truth; its outputs declare the true noise.
+        experiment : Experiment
+        """
+        std = np.array([output.noise_std for output in model.outputs], dtype=float)
+        levels = {}
+        if self.forces:
+            clean = simulate(model, experiment, noise=False)
+            levels = self._levels(model, clean, experiment)
+        return NoiseModel(
+            np.sqrt(max(1.0 - self.colour, LEAST_WHITE)) * std,
+            np.sqrt(self.colour) * std,
+            np.array(list(levels.values())),
+            NOISE_TIME * experiment.sample_time,
+            FORCE_TIME * experiment.sample_time,
+            model.output_names,
+            tuple(f"force {place}" for place in levels),
+        )
+
+    def believed(self, model: Model, rng: np.random.Generator) -> Model:
+        """The model as an estimator is handed it: levels as declared, known numbers nominal."""
+        outputs = tuple(
+            replace(output, noise_std=float(output.noise_std or 0.0) * self.declared)
+            for output in model.outputs
+        )
+        model = replace(model, outputs=outputs)
+        if not self.wrong:
+            return model
+        known = [p for p in model.all_parameters if p.fixed and p.value]
+        off = {p.name: p.value * (1 + self.wrong * rng.uniform(-1.0, 1.0)) for p in known}
+        bounded = {p.name: float(np.clip(off[p.name], p.lower, p.upper)) for p in known}
+        return model.with_values(bounded)
+
+
+def _start(model: Model, experiment: Experiment) -> dict[str, float]:
+    return {name: experiment.initial.get(name, 0.0) for name in model.state_names}
+
+
+def _gauss_markov(shape: tuple[int, ...], time: float, rng: np.random.Generator) -> np.ndarray:
+    """First-order noise of unit variance, ``(n_times, n_signals)``; ``time`` in samples."""
+    keep = np.exp(-1.0 / time)
+    white = rng.standard_normal(shape)
+    out = np.empty(shape)
+    out[0] = white[0]
+    for k in range(1, shape[0]):
+        out[k] = keep * out[k - 1] + np.sqrt(1 - keep**2) * white[k]
+    return out
+
+
+IDEAL = "ideal"
+WORLDS: Mapping[str, World] = {
+    IDEAL: World("as simulated: white noise, as declared"),
+    "forces_2": World("random forces of 2 %", forces=0.02),
+    "forces_5": World("random forces of 5 %", forces=0.05),
+    "forces_10": World("random forces of 10 %", forces=0.10),
+    "coloured": World("sensor noise all coloured", colour=1.0),
+    "declared_half": World("noise declared half its size", declared=0.5),
+    "declared_twice": World("noise declared twice its size", declared=2.0),
+    "wrong_model": World("known numbers off by up to 5 %", wrong=0.05),
+    "spikes": World("1 % of samples are spikes", spikes=0.01),
+    "sparse": World("every fourth sample only", sparse=4),
+    "far_start": World("start values off by up to a factor of 3", start=3.0),
+    "all": World(
+        "forces of 5 %, half the noise coloured, 1 % spikes, known numbers off by 5 %",
+        forces=0.05,
+        colour=0.5,
+        spikes=0.01,
+        wrong=0.05,
+    ),
+}
+
+
+def world_by_name(name: str) -> World:
+    """Return one world.
+
+    Examples
+    --------
+    >>> world_by_name("forces_5").forces
+    0.05
+    """
+    if name not in WORLDS:
+        raise ProblemError(
+            f"There is no world {name!r}. There are {', '.join(WORLDS)}.{closest(name, WORLDS)}"
+        )
+    return WORLDS[name]

@@ -1,0 +1,394 @@
+"""Mapping files: which field of a log is which channel, kept as text and repeated on the next log.
+
+A mapping is TOML::
+
+    problem = "my_auv"          # a shipped problem or a folder; its channels are written
+    clock = "outputs"           # or the name of an output whose times the records get
+    tolerance = 0.002           # s; samples this near each other share a row
+    sample_time = 0.1           # s; keep one sample of each output per interval
+
+    [inputs.rudder]
+    field = "actuator_controls_0.control[2]"
+    factor = 0.35               # reading minus trim times factor is in unit
+    unit = "rad"
+
+    [outputs.psi]
+    field = "vehicle_attitude.yaw"
+    unit = "rad"
+    sign = -1                   # axes of the log against those of the problem
+    wrap = true                 # the log jumps at 180 or 360 degrees
+    delay = 0.08                # s; the log says it that much later than it was
+    trim = 0.02                 # reading at zero, in units of the log
+
+    [[cuts]]
+    name = "zigzag"
+    from = 120.0                # s since the log's origin
+    to = 180.0
+
+Only ``field`` (or ``constant``, for an input that was not logged) is required; ``unit`` where the
+log does not say it. ``[cut_by_commands]`` and ``[cut_while]`` find manoeuvres by themselves
+(:mod:`oed_sysid.data.cuts`).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from oed_sysid.data.cuts import CommandCuts, Cut, WhileCuts
+from oed_sysid.data.log import Log
+from oed_sysid.data.meanings import symbol_of
+from oed_sysid.data.record import closest
+from oed_sysid.errors import DataError, OedSysidError
+from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.runtime.files import write_text
+from oed_sysid.text.units import dimension, to_si
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a channel comes from: channel = sign * factor * (reading - trim), in ``unit``.
+
+    Parameters
+    ----------
+    field : str
+        ``topic.field``; empty for a constant.
+    unit : str or None
+        Unit of the result; by default that of the log.
+    sign : float
+        1 or -1.
+    factor : float
+        Units per reading, for servos in microseconds or normalised commands.
+    trim : float
+        Reading at zero.
+    delay : float
+        Time by which the log is late, in s.
+    wrap : bool
+        Whether the log holds an angle within one turn, to be made continuous.
+    constant : float or None
+        Value of an input that was not logged.
+    interpolation : str or None
+        Of an input without a problem: ``"hold"`` or ``"linear"``.
+    """
+
+    field: str = ""
+    unit: str | None = None
+    sign: float = 1
+    factor: float = 1.0
+    trim: float = 0.0
+    delay: float = 0.0
+    wrap: bool = False
+    constant: float | None = None
+    interpolation: str | None = None
+
+    def __post_init__(self) -> None:
+        if bool(self.field) == (self.constant is not None):
+            raise DataError("Give either field = 'topic.field' or constant = number.")
+        if self.sign not in (1, -1):
+            raise DataError(f"sign is {self.sign!r}. Choose 1 or -1; a scale is a factor.")
+        if not self.factor:
+            raise DataError("factor is 0, which makes everything zero.")
+        if self.unit is not None:
+            dimension(self.unit)
+        if self.interpolation not in (None, "hold", "linear"):
+            raise DataError(f"interpolation is {self.interpolation!r}. Choose 'hold' or 'linear'.")
+
+
+@dataclass(frozen=True)
+class LogMapping:
+    """How a log becomes records.
+
+    Parameters
+    ----------
+    inputs, outputs : mapping of str to Source
+        By channel name.
+    problem : str
+        Problem whose channels these are; empty without one.
+    clock : str
+        ``"outputs"``: the times of all outputs; or the name of one output whose times the
+        records get.
+    tolerance : float or None
+        Samples of different outputs that lie within this (s) share a row; by default a tenth
+        of the shortest sampling interval.
+    sample_time : float or None
+        Keep one sample of each output per interval of this length (s); by default all.
+    cuts : tuple of Cut
+        Manoeuvres by time.
+    by_commands, while_ : CommandCuts, WhileCuts or None
+        Manoeuvres that are found.
+
+    Examples
+    --------
+    >>> mapping = parse('''
+    ... [inputs.rudder]
+    ... field = "RCOU.C1"
+    ... trim = 1500
+    ... factor = 0.001
+    ... unit = "rad"
+    ... [outputs.psi]
+    ... field = "ATT.Yaw"
+    ... wrap = true
+    ... ''')
+    >>> mapping.inputs["rudder"].trim, mapping.outputs["psi"].wrap
+    (1500, True)
+    >>> parse(mapping.text()) == mapping
+    True
+    """
+
+    inputs: Mapping[str, Source]
+    outputs: Mapping[str, Source]
+    problem: str = ""
+    clock: str = "outputs"
+    tolerance: float | None = None
+    sample_time: float | None = None
+    cuts: tuple[Cut, ...] = ()
+    by_commands: CommandCuts | None = None
+    while_: WhileCuts | None = None
+    where: str = field(default="The mapping", compare=False)
+
+    def __post_init__(self) -> None:
+        if not self.outputs:
+            raise DataError(f"{self.where} has no outputs. Add a table such as [outputs.psi].")
+        for name, source in self.outputs.items():
+            if source.constant is not None:
+                raise DataError(f"{self.where}: output {name!r} is measured, not constant.")
+        if self.clock != "outputs" and self.clock not in self.outputs:
+            raise DataError(
+                f"{self.where}: clock is {self.clock!r}. Choose 'outputs' or one of "
+                f"{', '.join(self.outputs)}."
+            )
+        for what in ("tolerance", "sample_time"):
+            value = getattr(self, what)
+            if value is not None and not value > 0.0:
+                raise DataError(f"{self.where}: {what} is {value}. Give a time above 0 s.")
+        names = [cut.name for cut in self.cuts]
+        if len(set(names)) < len(names):
+            raise DataError(f"{self.where}: two cuts have the same name. Rename one.")
+
+    def channels(self, log: Log) -> Channels:
+        """Channels of a mapping without a problem, in the SI unit of each field."""
+
+        def unit(name: str, source: Source) -> str:
+            stated = source.unit or (log[source.field].unit if source.field else None)
+            if stated is None:
+                raise DataError(
+                    f"{self.where}: {source.field!r} ({name}) has no unit in the log. Add "
+                    'unit = "..." to its table.'
+                )
+            return to_si(1.0, stated)[1]
+
+        return Channels(
+            tuple(
+                Input(name, unit(name, one), interpolation=one.interpolation or "hold")
+                for name, one in self.inputs.items()
+            ),
+            tuple(Output(name, unit(name, one)) for name, one in self.outputs.items()),
+        )
+
+    def text(self) -> str:
+        """The mapping as TOML; :func:`parse` reads it."""
+        lines = []
+        for name in ("problem", "clock", "tolerance", "sample_time"):
+            value = getattr(self, name)
+            if value not in ("", None, "outputs"):
+                lines.append(f"{name} = {_toml(value)}")
+        for kind in ("inputs", "outputs"):
+            for name, source in getattr(self, kind).items():
+                lines += ["", f"[{kind}.{name}]", *_entries(source)]
+        for cut in self.cuts:
+            lines += ["", "[[cuts]]", f"name = {_toml(cut.name)}"]
+            lines += [f"from = {_toml(cut.start)}", f"to = {_toml(cut.stop)}"]
+        if self.by_commands is not None:
+            lines += ["", "[cut_by_commands]", *_entries(self.by_commands)]
+        if self.while_ is not None:
+            lines += ["", "[cut_while]", *_entries(self.while_)]
+        return "\n".join(lines).lstrip() + "\n"
+
+    def write(self, path: str | Path) -> None:
+        """Write the mapping file."""
+        write_text(path, self.text())
+
+
+def _entries(value: Any) -> list[str]:
+    """Lines of what differs from its default."""
+    return [
+        f"{one.name} = {_toml(getattr(value, one.name))}"
+        for one in fields(value)
+        if getattr(value, one.name) != one.default
+    ]
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_toml(one) for one in value) + "]"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
+    return json.dumps(value)
+
+
+def read_mapping(path: str | Path) -> LogMapping:
+    """Read a mapping file.
+
+    Raises
+    ------
+    DataError
+        If it is no TOML, or says something unknown; the message names the place.
+    """
+    place = Path(path)
+    try:
+        text = place.read_text(encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"{place} cannot be read: {error.strerror or error}.") from None
+    except UnicodeDecodeError:
+        raise DataError(f"{place} is no text file (UTF-8), so it is not a mapping.") from None
+    return parse(text, where=place.name)
+
+
+_KEYS = ("problem", "clock", "tolerance", "sample_time", "inputs", "outputs", "cuts")
+_CUTTERS = {"cut_by_commands": CommandCuts, "cut_while": WhileCuts}
+
+
+def parse(text: str, *, where: str = "The mapping") -> LogMapping:
+    """Read a mapping from TOML text.
+
+    Parameters
+    ----------
+    text : str
+        As in the head of this module.
+    where : str
+        Words for messages.
+
+    Raises
+    ------
+    DataError
+        If it is no TOML, or says something unknown.
+    """
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise DataError(f"{where} is no TOML: {error}. Texts stand in quotation marks.") from None
+    _known(where, "", content, (*_KEYS, *_CUTTERS))
+    found: dict[str, Any] = {
+        key: content[key] for key in ("problem", "clock", "tolerance", "sample_time")
+        if key in content
+    }  # fmt: skip
+    for kind in ("inputs", "outputs"):
+        tables = content.get(kind, {})
+        if not isinstance(tables, dict) or not all(isinstance(t, dict) for t in tables.values()):
+            raise DataError(f"{where}: {kind} are tables, as [{kind}.psi].")
+        found[kind] = {
+            name: _built(Source, table, f"{where}: [{kind}.{name}]")
+            for name, table in tables.items()
+        }
+    cuts = content.get("cuts", [])
+    if not isinstance(cuts, list):
+        raise DataError(f"{where}: write every cut under [[cuts]], in two brackets.")
+    renamed = [{_CUT.get(key, key): value for key, value in cut.items()} for cut in cuts]
+    found["cuts"] = tuple(
+        _built(Cut, cut, f"{where}: cut {number}") for number, cut in enumerate(renamed, start=1)
+    )
+    for key, kind_ in _CUTTERS.items():
+        if key in content:
+            target = "by_commands" if key == "cut_by_commands" else "while_"
+            found[target] = _built(kind_, content[key], f"{where}: [{key}]")
+    return LogMapping(**found, where=where)
+
+
+_CUT = {"from": "start", "to": "stop"}
+
+
+def _known(where: str, table: str, content: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    for key in content:
+        if key not in known:
+            raise DataError(
+                f"{where}{table} says {key!r}, which is not known. Known are {', '.join(known)}."
+                + closest(key, known)
+            )
+
+
+def _built(kind: type, table: Mapping[str, Any], where: str) -> Any:
+    """An object of a table, with every fault said where it stands."""
+    known = {one.name: one for one in fields(kind)}
+    _known(where, "", table, tuple(known))
+    values = {}
+    for key, value in table.items():
+        text = str(known[key].type)
+        if isinstance(value, list):
+            value = tuple(value)
+        good = (
+            ("bool" in text and isinstance(value, bool))
+            or ("str" in text and isinstance(value, str))
+            or ("tuple" in text and isinstance(value, tuple))
+            or ("float" in text and isinstance(value, int | float) and value is not True
+                and value is not False)
+        )  # fmt: skip
+        if not good:
+            raise DataError(f"{where}: {key} is {value!r:.40}, expected {_words(text)}.")
+        values[key] = value
+    try:
+        return kind(**values)
+    except TypeError as error:
+        lost = re.findall(r"'(\w+)'", str(error))
+        back = {new: old for old, new in _CUT.items()}
+        raise DataError(
+            f"{where} lacks {', '.join(back.get(name, name) for name in lost)}."
+        ) from None
+    except OedSysidError as error:
+        raise DataError(f"{where}: {error}") from None
+
+
+def _words(text: str) -> str:
+    for kind, words in (("tuple", "a list"), ("bool", "true or false"), ("float", "a number")):
+        if kind in text:
+            return words
+    return "text in quotation marks"
+
+
+def draft(log: Log, channels: Channels, *, problem: str = "") -> LogMapping | None:
+    """Guess a mapping from names and units, to be read and corrected by a person.
+
+    Parameters
+    ----------
+    log : Log
+        The log.
+    channels : Channels
+        What is wanted.
+    problem : str
+        Name of the problem, to be written into the mapping.
+
+    Returns
+    -------
+    LogMapping or None
+        With the first field that has the name or symbol of each output, or None where no output
+        is found; inputs that are not found are constant zeros.
+    """
+
+    def found(name: str, unit: str) -> Source | None:
+        for one in log.series:
+            last = one.name.rpartition(".")[2].split(" ")[0]
+            same = last == name or symbol_of(one.name) == name
+            if same and one.unit and dimension(one.unit) == dimension(unit):
+                turns = unit == "rad" and name in ("psi", "phi")
+                return Source(one.name, unit=one.unit, wrap=turns)
+        return None
+
+    outputs = {one.name: found(one.name, one.unit) for one in channels.outputs}
+    inputs = {one.name: found(one.name, one.unit) for one in channels.inputs}
+    present = {name: source for name, source in outputs.items() if source is not None}
+    if not present:
+        return None
+    return LogMapping(
+        {
+            channel.name: inputs[channel.name] or Source(constant=0.0, unit=channel.unit or "1")
+            for channel in channels.inputs
+        },
+        present,
+        problem=problem,
+    )

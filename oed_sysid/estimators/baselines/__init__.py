@@ -1,1 +1,0 @@
-"""The literature's estimators, behind the same interface as multiple shooting."""

@@ -1,0 +1,396 @@
+"""Compare models with records: where, when and how much they differ, and whether it is noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.overlap import check_disjoint
+from oed_sysid.errors import DataError
+from oed_sysid.evidence.forecasts import Forecasts, forecasts
+from oed_sysid.evidence.misfit import OutputMisfit, output_misfit
+from oed_sysid.evidence.regimes import Signal, regimes
+from oed_sysid.likelihood.fit import Fit, align
+from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.prediction import WAYS, Initial, Prediction, predict
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict, as_html
+from oed_sysid.runtime.threads import single_threaded
+from oed_sysid.text.units import shown_unit
+
+TWO_SIDED_95 = 1.959964
+# An estimated noise level this far above what the fastest wiggles show is suspect.
+SUSPECT_NOISE = 1.3
+
+
+@dataclass(frozen=True, eq=False)
+class ModelMisfit:
+    """How one model does on the records.
+
+    Attributes
+    ----------
+    label : str
+        What the model is called in the comparison.
+    model : Model
+        At the compared values.
+    prediction : Prediction
+        Outputs, bands and initial states, per record.
+    states : tuple of ndarray (n_times, n_full)
+        State trajectories, per record.
+    outputs : tuple of OutputMisfit
+        One per output.
+    forecasts : Forecasts
+        Predictions a short time ahead.
+    """
+
+    label: str
+    model: Model
+    prediction: Prediction
+    states: tuple[np.ndarray, ...]
+    outputs: tuple[OutputMisfit, ...]
+    forecasts: Forecasts
+
+    to_dict = as_dict(
+        "label", "relative", "is_noise", "verdict", "outputs",
+        initial_states="prediction.initial_states", forecast="forecasts",
+    )  # fmt: skip
+
+    @property
+    def relative(self) -> float:
+        """Root mean square residual over all outputs, in units of the noise."""
+        measured = [part for part in self.outputs if part.n_samples]
+        total = sum(part.n_samples * part.relative**2 for part in measured)
+        return float(np.sqrt(total / max(sum(part.n_samples for part in measured), 1)))
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether no output shows more than noise."""
+        return all(part.is_noise for part in self.outputs)
+
+    @property
+    def verdict(self) -> str:
+        """The misfit in one sentence, the worst output first."""
+        if self.is_noise:
+            return f"{self.label}: the misfit is noise ({self.relative:.3g} x noise overall)."
+        wrong = [part for part in self.outputs if not part.is_noise]
+        wrong.sort(key=lambda part: -part.relative)
+        return f"{self.label}: " + "; ".join(part.verdict for part in wrong) + "."
+
+    def output(self, name: str) -> OutputMisfit:
+        """Misfit of one output."""
+        return next(part for part in self.outputs if part.output.name == name)
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """One or several models against the same records.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    models : tuple of ModelMisfit
+        In the order given.
+    sigma : ndarray (n_outputs,)
+        Noise levels that all models are measured with.
+    notes : tuple of str
+        What to keep in mind.
+    """
+
+    dataset: Dataset
+    models: tuple[ModelMisfit, ...]
+    sigma: np.ndarray
+    notes: tuple[str, ...]
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        errors = ", ".join(f"{part.label} {part.relative:.3g} x noise" for part in self.models)
+        return f"<Comparison on {len(self.dataset)} records: {errors}>"
+
+    def __getitem__(self, key: str | int) -> ModelMisfit:
+        if isinstance(key, int):
+            return self.models[key]
+        for part in self.models:
+            if part.label == key:
+                return part
+        known = ", ".join(part.label for part in self.models)
+        raise DataError(f"The comparison has no model {key!r}. It has: {known}.")
+
+    @property
+    def best(self) -> ModelMisfit:
+        """The model with the smallest misfit over all outputs."""
+        return min(self.models, key=lambda part: part.relative)
+
+    @property
+    def verdict(self) -> str:
+        """The comparison in words."""
+        lines = [part.verdict for part in self.models]
+        if len(self.models) > 1:
+            best = self.best
+            others = ", ".join(
+                f"{part.relative:.3g} ({part.label})" for part in self.models if part is not best
+            )
+            lines.append(f"Closest: {best.label}, {best.relative:.3g} x noise against {others}.")
+        return "\n".join(lines)
+
+    def report(self) -> str:
+        """Return the comparison as text."""
+        lines = [
+            f"comparison on {', '.join(self.dataset.names)}",
+            "  independent tests: motion and inputs are given, their order says nothing"
+            if self.dataset.only_tests
+            else f"  initial states: {WAYS[self.models[0].prediction.way]}",
+        ]
+        for part in self.models:
+            lines += ["", f"{part.label}: {part.relative:.3f} x noise over all outputs", ""]
+            lines += [f"  {line}" for line in align(_table(part))]
+            ahead = part.forecasts
+            if ahead.n_forecasts:
+                lines += [
+                    "",
+                    f"  {ahead.horizon:g} s ahead: {ahead.overall:.3f} x what a right model would "
+                    f"leave ({ahead.n_forecasts} forecasts)",
+                ]
+            if ahead.failed:
+                lines.append(f"  {ahead.failed} of the forecasts left the numbers.")
+        lines += ["", self.verdict, *(f"Note: {note}" for note in self.notes)]
+        return "\n".join(lines)
+
+    to_dict = as_dict(
+        "models", "verdict", "notes",
+        records="dataset.names", best="best.label",
+        noise=lambda self: dict(zip(self.dataset.channels.output_names, self.sigma, strict=True)),
+    )  # fmt: skip
+
+
+@single_threaded
+def compare(
+    fits: Fit | Model | Sequence[Fit | Model] | Mapping[str, Fit | Model],
+    dataset: Dataset,
+    *,
+    initial: Initial = "fit",
+    horizon: float = 10.0,
+    sigma: np.ndarray | None = None,
+) -> Comparison:
+    """Compare models with records, best validation records.
+
+    No shared parameter is estimated again; initial states (and parameters
+    that differ from record to record) are, because no record starts from a
+    known state.
+
+    Parameters
+    ----------
+    fits : Fit, Model, a sequence or a mapping of them
+        What to judge; a mapping names the models. A model stands for itself at
+        its values, without uncertainty.
+    dataset : Dataset
+        Records with the models' channels.
+    initial : str or mapping
+        Initial states, as :func:`oed_sysid.likelihood.prediction.predict` takes them.
+    horizon : float
+        How far ahead forecasts look, and length of the windows in which the
+        misfit is located, s.
+    sigma : ndarray (n_outputs,), optional
+        Noise levels that errors are measured with, SI. By default those declared by the model, or
+        that a fit was given; else the smallest that a fit estimated.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    DataError
+        If nothing was given or a model has other channels than the records.
+    """
+    if isinstance(fits, Mapping):
+        labels, given = tuple(fits), tuple(fits.values())
+    else:
+        given = (fits,) if isinstance(fits, Fit | Model) else tuple(fits)
+        labels = _labels([_model(item) for item in given])
+    if not given:
+        raise DataError("Nothing to compare: give at least one fit or model.")
+    if not horizon > 0:
+        raise DataError(f"horizon is {horizon} s. Give a length above zero.")
+    sigma, notes = _levels(given, dataset) if sigma is None else (np.asarray(sigma), ())
+    notes = (*_training_notes(given, dataset), *notes)
+    parts = tuple(
+        _misfit(label, item, dataset, sigma, initial, horizon)
+        for label, item in zip(labels, given, strict=True)
+    )
+    return Comparison(dataset, parts, sigma, notes)
+
+
+def _training_notes(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[str, ...]:
+    """Say so where a fit is judged on records that it was fitted to, whatever they are called."""
+    trained = [item for item in given if isinstance(item, Fit)]
+    try:
+        for fit in trained:
+            check_disjoint(fit.dataset, dataset)
+    except DataError as error:
+        return (f"this is no validation: {error}",)
+    return ()
+
+
+def _misfit(
+    label: str,
+    item: Fit | Model,
+    dataset: Dataset,
+    sigma: np.ndarray,
+    initial: Initial,
+    horizon: float,
+) -> ModelMisfit:
+    model = _model(item)
+    noise: NoiseModel | np.ndarray = sigma
+    if isinstance(item, Fit):
+        covariance = item.covariance
+        if item.noise is not None and not item.noise.is_white:
+            noise = item.noise  # what start states may be bent by is what the fit admits
+    else:
+        n_shared = sum(not p.per_record for p in model.free_parameters)
+        covariance = np.zeros((n_shared, n_shared))
+    prediction = predict(model, dataset, covariance, noise, initial=initial)
+    states = _states(model, dataset, prediction)
+    times = [record.times for record in dataset]
+    signals = _signals(model, dataset, states)
+    in_time = not dataset.only_tests
+    parts = regimes(signals, times, in_time=in_time)
+    outputs = tuple(
+        output_misfit(
+            output,
+            [_distance(r, p, column) for r, p in zip(dataset, prediction.outputs, strict=True)],
+            float(sigma[column]),
+            [
+                np.abs(residual[:, column]) <= TWO_SIDED_95 * std[:, column]
+                for residual, std in zip(prediction.residuals, prediction.std, strict=True)
+            ],
+            times,
+            dataset.names,
+            signals,
+            parts,
+            horizon,
+            in_time=in_time,
+        )
+        for column, output in enumerate(model.outputs)
+    )
+    ahead = forecasts(model, dataset, sigma, horizon=horizon, local=prediction.local_values)
+    return ModelMisfit(label, model, prediction, states, outputs, ahead)
+
+
+def _model(item: Fit | Model) -> Model:
+    return item.model if isinstance(item, Fit) else item
+
+
+def _distance(record: Any, predicted: np.ndarray, column: int) -> np.ndarray:
+    """Residual of one output; infinite where there is a measurement but no prediction."""
+    residual = record.residuals(predicted)[:, column]
+    lost = np.isfinite(record.outputs[:, column]) & ~np.isfinite(predicted[:, column])
+    return np.where(lost, np.inf, residual)
+
+
+def _states(model: Model, dataset: Dataset, prediction: Prediction) -> tuple[np.ndarray, ...]:
+    compiled = kernel(model)
+    result = []
+    for record, initial, local in zip(
+        dataset, prediction.initial_states, prediction.local_values, strict=True
+    ):
+        values = model.with_values(local).value_vector
+        own = np.array([initial[name] for name in model.state_names])
+        z0, _ = compiled.start(own, record.inputs[0], values, record.times[0])
+        result.append(compiled.run(record.times, record.inputs, values, z0).states)
+    return tuple(result)
+
+
+def _signals(model: Model, dataset: Dataset, states: Sequence[np.ndarray]) -> list[Signal]:
+    """Inputs and own states, as far as they are finite; of independent tests what was given."""
+    result = [
+        Signal(c.name, c.unit, c.label, tuple(r.inputs[:, i] for r in dataset), True)
+        for i, c in enumerate(model.inputs)
+    ]
+    if not dataset.only_tests:
+        result += [
+            Signal(s.name, s.unit, s.label, tuple(part[:, i] for part in states), False)
+            for i, s in enumerate(model.states)
+        ]
+    return [s for s in result if all(np.isfinite(part).all() for part in s.series)]
+
+
+def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray, tuple[str, ...]]:
+    """One set of noise levels for all models, and what is doubtful about it.
+
+    In this order: a level that a fit was given, a declared one, the smallest
+    that a fit estimated, and the fastest wiggles of the records. A filter along the records
+    estimates declared levels again: errors are still in units of what was declared.
+    """
+    fits = [item for item in given if isinstance(item, Fit)]
+    floor, _ = credible_levels(dataset)
+    sigma = given_levels(_model(given[0]).outputs)
+    for fit in reversed(fits):
+        own = fit.sigma_estimated | ((fit.innovations is not None) & np.isfinite(sigma))
+        sigma = np.where(own, sigma, fit.noise.sensors)
+    unknown = np.isnan(sigma)
+    names = dataset.channels.output_names
+    notes = []
+    if unknown.any() and fits:
+        # A sensor's noise is all of it, white and coloured.
+        smallest = np.min([fit.noise.sensors for fit in fits], axis=0)
+        sigma = np.where(unknown, smallest, sigma)
+        for name, level, low in zip(names, sigma, floor, strict=True):
+            if unknown[names.index(name)] and level > SUSPECT_NOISE * low:
+                notes.append(
+                    f"the noise of {name} was estimated by a fit as {level:.2g}, while its fastest "
+                    f"wiggles show {low:.2g}: part of what counts as noise may be misfit."
+                )
+    elif unknown.any():
+        sigma = np.where(unknown, floor, sigma)
+        which = ", ".join(
+            name for name, is_unknown in zip(names, unknown, strict=True) if is_unknown
+        )
+        notes.append(f"the noise of {which} was taken from the fastest wiggles of the records.")
+    return sigma, tuple(notes)
+
+
+def _labels(models: Sequence[Model]) -> tuple[str, ...]:
+    """Names that tell models apart, by their effects if need be."""
+    names = [model.name for model in models]
+    if len(set(names)) == len(names):
+        return tuple(names)
+    common = set.intersection(*(set(model.effect_names) for model in models))
+    labels = []
+    for position, model in enumerate(models, start=1):
+        own = [name for name in model.effect_names if name not in common]
+        label = (
+            " + ".join(["base", *own]) if len(set(names)) == 1 else " + ".join([model.name, *own])
+        )
+        labels.append(f"{label} ({position})" if label in labels else label)
+    return tuple(labels)
+
+
+def _table(part: ModelMisfit) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [
+        ("output", "rmse", "unit", "x noise", "in band", "eff. samples", "of", "ahead", "worst")
+    ]
+    for output, ahead in zip(part.outputs, part.forecasts.relative, strict=True):
+        if not (output.n_samples or output.in_time):  # captive tests measure forces alone
+            continue
+        factor, unit = shown_unit(output.output.unit)  # angles are read in degrees
+        rows.append(
+            (
+                output.output.name,
+                f"{factor * output.rmse:.3g}",
+                unit,
+                f"{output.relative:.3f}",
+                f"{100 * output.coverage:.0f} %",
+                f"{output.effective_samples:.0f}",
+                f"{output.n_samples}",
+                f"{ahead:.3f}" if output.in_time else "-",
+                f"{output.worst[3]:.2g} in {output.where}" if output.where else "",
+            )
+        )
+    return rows

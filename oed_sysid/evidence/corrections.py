@@ -1,0 +1,214 @@
+"""Undoing what was found, in a trace or in a copy of a record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import Record
+from oed_sysid.evidence.relations import Relation
+from oed_sysid.evidence.result import Correction
+from oed_sysid.evidence.traces import Trace
+
+# An angle that stays below this is scaled about zero, a heading about its mean.
+PITCH_LIKE = 1.6
+# What happened last on the way from the vehicle to the log is undone first.
+ORDER = (
+    "blank", "step", "swap", "sign", "unit", "offset", "frame", "delay", "bias", "scale",
+    "misalignment", "lever", "drift",
+)  # fmt: skip
+
+
+def undo(
+    trace: Trace, corrections: Iterable[Correction], relations: tuple[Relation, ...] = ()
+) -> Trace:
+    """Return a trace without the faults; ``relations`` are needed to turn frames only."""
+    values, noise = dict(trace.values), dict(trace.noise)
+    for one in sorted(corrections, key=lambda c: ORDER.index(c.kind)):
+        here = one.record in ("", trace.name)
+        if here and all(name in values for name in (*one.signals, *one.other)):
+            values |= _undone(trace.name, trace.times, values, trace.units, one, relations)
+            noise |= _noise(noise, one)
+    return replace(trace, values=values, noise=noise)
+
+
+def _noise(noise: dict[str, float], one: Correction) -> dict[str, float]:
+    """Noise levels that a correction changes."""
+    if one.kind == "unit":
+        return {name: abs(one.value) * noise[name] for name in one.signals}
+    if one.kind == "swap":
+        first, second = one.signals
+        return {first: noise[second], second: noise[first]}
+    if one.kind == "frame":
+        usual = float(np.mean([noise[name] for name in one.signals]))
+        return dict.fromkeys(one.signals, usual)
+    return {}
+
+
+def corrected(
+    dataset: Dataset, corrections: Iterable[Correction], relations: tuple[Relation, ...] = ()
+) -> Dataset:
+    """Return copies of records without the faults; signals outside the outputs are left alone."""
+    chosen = tuple(corrections)
+    records = []
+    for record in dataset:
+        trace = undo(Trace.of(record, {}), chosen, relations)
+        columns = [
+            trace.values.get(name, np.full(record.n_samples, np.nan))
+            for name in record.channels.output_names
+        ]
+        records.append(record.with_outputs(np.column_stack(columns)))
+    return Dataset(tuple(_with_inputs(record, chosen) for record in records))
+
+
+def _with_inputs(record: Record, corrections: tuple[Correction, ...]) -> Record:
+    names = record.channels.input_names
+    inputs = np.array(record.inputs)
+    for one in corrections:
+        for name in one.signals:
+            if name in names and one.kind in ("sign", "unit"):
+                inputs[:, names.index(name)] *= one.value
+    return replace(record, inputs=inputs)
+
+
+def pivot(series: np.ndarray, unit: str) -> float:
+    """Value that a relative error leaves alone: zero, or the mean of a heading."""
+    if unit != "rad" or np.nanmax(np.abs(series)) < PITCH_LIKE:
+        return 0.0
+    return float(np.nanmean(series))
+
+
+def shifted(times: np.ndarray, series: np.ndarray, delay: float) -> np.ndarray:
+    """Series that was logged ``delay`` seconds late, at the times of the others; NaN outside."""
+    present = np.isfinite(series)
+    moved = np.interp(times + delay, times[present], series[present], left=np.nan, right=np.nan)
+    return np.where(present, moved, np.nan)
+
+
+def _undone(
+    record: str,
+    times: np.ndarray,
+    values: dict[str, np.ndarray],
+    units: dict[str, str],
+    one: Correction,
+    relations: tuple[Relation, ...],
+) -> dict[str, np.ndarray]:
+    """Signals that a correction changes."""
+    here = {name: values[name] for name in one.signals}
+    if one.kind == "swap":
+        first, second = one.signals
+        return {first: values[second], second: values[first]}
+    if one.kind in ("sign", "unit"):
+        return {name: one.value * series for name, series in here.items()}
+    if one.kind == "offset":
+        return {name: series + one.value for name, series in here.items()}
+    if one.kind == "delay":
+        return {name: shifted(times, series, one.value) for name, series in here.items()}
+    if one.kind == "bias":
+        return {name: series - one.value for name, series in here.items()}
+    if one.kind == "scale":
+        result = {}
+        for name, series in here.items():
+            fixed = pivot(series, units[name])
+            result[name] = fixed + (series - fixed) / (1.0 + one.value)
+        return result
+    if one.kind == "misalignment":
+        first, second = one.signals
+        cos, sin = np.cos(one.value), np.sin(one.value)
+        return {
+            first: cos * values[first] + sin * values[second],
+            second: cos * values[second] - sin * values[first],
+        }
+    if one.kind == "lever":
+        return {name: series - one.value * values[one.other[0]] for name, series in here.items()}
+    if one.kind == "blank":
+        result = {}
+        for name, series in here.items():
+            result[name] = series.copy()
+            result[name][list(one.rows.get(record, ()))] = np.nan
+        return result
+    if one.kind == "step":
+        jumps = zip(one.rows.get(record, ()), one.sizes.get(record, ()), strict=True)
+        later = sum((size * (np.arange(times.size) >= row) for row, size in jumps), 0.0)
+        return {name: series - later for name, series in here.items()}
+    if one.kind == "drift":
+        return {name: series - one.value * (times - times[0]) for name, series in here.items()}
+    if one.kind == "frame":
+        return body_axes(times, values, units, one.signals, relations)
+    return here
+
+
+def body_axes(
+    times: np.ndarray,
+    values: dict[str, np.ndarray],
+    units: dict[str, str],
+    velocities: tuple[str, ...],
+    relations: tuple[Relation, ...],
+) -> dict[str, np.ndarray]:
+    r"""Velocities along the axes of the positions, turned into body axes.
+
+    With :math:`\dot P_i = \sum_j J_{ij}(\text{angles})\, v_j` and :math:`J = I` at level
+    attitude, the logged signals are :math:`m_j = \dot P_j`, and :math:`v = J^{-1} m`; a
+    direction without a position of its own is completed by orthogonality.
+    """
+    rows = {}
+    for relation in relations:
+        place = level_axis(relation, values, units, times, velocities)
+        if place is not None:
+            rows[place] = [_partial(relation, values, times, v) for v in velocities]
+    if not rows:
+        return {}
+    n = len(velocities)
+    matrix = np.zeros((times.size, n, n))
+    for i, name in enumerate(velocities):
+        if name in rows:
+            matrix[:, i] = np.column_stack(rows[name])
+    absent = [i for i, name in enumerate(velocities) if name not in rows]
+    if n == 2 and len(absent) == 1:
+        other = matrix[:, 1 - absent[0]]
+        matrix[:, absent[0], absent[0]] = other[:, 1 - absent[0]]
+        matrix[:, absent[0], 1 - absent[0]] = -other[:, absent[0]]
+    elif absent:
+        return {}
+    logged = np.column_stack([values[name] for name in velocities])
+    ok = np.isfinite(matrix).all(axis=(1, 2)) & (np.abs(np.linalg.det(np.nan_to_num(matrix))) > 0.1)
+    body = np.full_like(logged, np.nan)
+    body[ok] = np.linalg.solve(matrix[ok], logged[ok][:, :, None])[:, :, 0]
+    return {name: body[:, i] for i, name in enumerate(velocities)}
+
+
+def level_axis(
+    relation: Relation,
+    values: dict[str, np.ndarray],
+    units: dict[str, str],
+    times: np.ndarray,
+    velocities: tuple[str, ...],
+) -> str | None:
+    """Velocity that the rate of a position equals at level attitude; None if there is none."""
+    if not relation.is_rate or units.get(relation.target) != "m":
+        return None
+    level = {n: np.zeros(2) for n in relation.signals}
+    found = []
+    for name in relation.signals:
+        if name in velocities:
+            slope = float(relation({**level, name: np.ones(2)}, times[:2])[0])
+            if abs(slope) > 1e-9:
+                found.append((name, slope))
+    return found[0][0] if len(found) == 1 and abs(found[0][1] - 1.0) < 1e-6 else None
+
+
+def _partial(
+    relation: Relation, values: dict[str, np.ndarray], times: np.ndarray, name: str
+) -> np.ndarray:
+    """Derivative of a right side by a signal that it is linear in, shape ``(n_times,)``."""
+    if name not in relation.signals:
+        return np.zeros(times.size)
+    here = {n: values[n] for n in relation.signals}
+    zero = {n: np.zeros(times.size) for n in relation.signals if n not in here}
+    up, down = here[name] + 0.5, here[name] - 0.5
+    return relation({**zero, **here, name: up}, times) - relation(
+        {**zero, **here, name: down}, times
+    )

@@ -1,0 +1,327 @@
+"""A dictionary of terms that an equation may lack: products of states and inputs.
+
+Up to three factors, each as it is or as its absolute value (flow separates on
+both sides), velocities through the water where the model knows them; of
+angles the trigonometric functions that gravity and buoyancy bring; of commands
+what reaches the forces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement, product
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.likelihood.disturbances import disturbed_equations
+from oed_sysid.physics import Effect, Force
+from oed_sysid.physics.channels import Output
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.physics.table import factor_of
+from oed_sysid.text import dimensions, expressions, notation
+from oed_sysid.text.units import Dimension, dimension
+
+MOST_FACTORS = 3
+# With more signals than this a product of three has at most two different ones.
+MANY_SIGNALS = 6
+# Positions on which no force in homogeneous water depends.
+HORIZONTAL = ("x", "y", "xi", "eta")
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Something that terms are made of.
+
+    Attributes
+    ----------
+    name : str
+        As it stands in an expression.
+    unit : str
+    kind : str
+        ``motion`` (velocities and deflections), ``angle``, ``thrust`` (a
+        command that is no angle) or ``position``.
+    one_sided : bool
+        Whether it keeps its sign throughout the records.
+    """
+
+    name: str
+    unit: str
+    kind: str
+    one_sided: bool
+
+
+@dataclass(frozen=True)
+class Term:
+    """One product, in one equation.
+
+    Attributes
+    ----------
+    equation : str
+        Axis, or state whose rate is meant.
+    expression : str
+        The product, for instance ``abs(w_r)*w_r``.
+    factors : tuple of (str, bool)
+        Signals and whether their absolute value is meant; empty where the
+        expression is no product of signals.
+    """
+
+    equation: str
+    expression: str
+    factors: tuple[tuple[str, bool], ...] = ()
+
+    @property
+    def complexity(self) -> int:
+        """Number of factors, absolute values of anything but a squared one counted again."""
+        names = [name for name, _ in self.factors]
+        odd = sum(
+            absolute and not (names.count(name) == 2 and (name, False) in self.factors)
+            for name, absolute in self.factors
+        )
+        return max(len(names), 2 if "*" in self.expression else 1) + odd
+
+    @property
+    def symbol(self) -> str:
+        """Name of the coefficient, in the manner of hydrodynamic derivatives."""
+        if self.factors:
+            text = "".join(f"{'abs' if a else ''}{factor_of(n)}" for n, a in self.factors)
+            return f"{self.equation}_{text}"
+        if self.expression == "1":
+            return f"{self.equation}_0"
+        kept = "".join(c if c.isalnum() else " " for c in self.expression.replace("**", ""))
+        return f"{self.equation}_{''.join(kept.split())}"
+
+    @property
+    def derivative(self) -> str | None:
+        """The symbol, where it is that of a hydrodynamic derivative and means the same."""
+        if not (self.factors or self.expression == "1") or not notation.is_derivative(self.symbol):
+            return None
+        parsed = tuple((f.symbol, f.absolute) for f in notation.parse(self.symbol).factors)
+        meant = tuple((factor_of(name), absolute) for name, absolute in self.factors)
+        return self.symbol if parsed == meant else None
+
+    @property
+    def text(self) -> str:
+        """The term for a reader, for instance ``M_qqq q^3``."""
+        if self.derivative is not None:
+            return notation.term_text(self.derivative)
+        written = self.expression.replace("**", "^").replace("*", " ")
+        while "abs(" in written:
+            head, _, tail = written.partition("abs(")
+            inner, _, rest = tail.partition(")")
+            written = f"{head}|{inner}|{rest}"
+        return f"{self.symbol} {written}"
+
+    def effect(self, model: Model, units: Mapping[str, str], scale: float) -> Force:
+        """The term as an effect, absent, its coefficient named and given a unit."""
+        name = self.symbol
+        if name in model.parameter_names or name in units:
+            name = f"E_{name}"
+        unit = _coefficient_unit(self, model, units)
+        size = Parameter(name, 0.0, unit, scale=scale, description=f"proposed: {self.text}")
+        return Force(
+            f"term_{self.symbol}",
+            {self.equation: name if self.expression == "1" else f"{name}*{self.expression}"},
+            (size,),
+            description=f"{self.text} in the {self.equation} equation, proposed from records",
+        )
+
+
+def _coefficient_unit(term: Term, model: Model, units: Mapping[str, str]) -> str:
+    if term.derivative is not None:
+        return notation.unit(term.derivative)
+    known: dict[str, Dimension | None] = {
+        name: dimension(unit) for name, unit in units.items() if unit
+    }
+    factor = (
+        Dimension() if term.expression == "1" else dimensions.dimension_of(term.expression, known)
+    )
+    if term.equation in model.axes:
+        force = dimension("N m" if term.equation in ("K", "M", "N") else "N")
+    else:
+        unit = next(state.unit for state in model.states if state.name == term.equation)
+        force = dimension(unit) / dimension("s")
+    # Radians are dropped, as in the units of derivatives.
+    return "" if factor is None else str(Dimension((force / factor).exponents))
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """Signals of a model along given trajectories.
+
+    Attributes
+    ----------
+    signals : tuple of Signal
+    values : tuple of dict
+        ``name -> ndarray (n_times,)`` halfway between samples, per record.
+    """
+
+    signals: tuple[Signal, ...]
+    values: tuple[dict[str, np.ndarray], ...]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of every signal."""
+        return {signal.name: signal.unit for signal in self.signals}
+
+
+def signals_along(model: Model, dataset: Dataset, states: Sequence[np.ndarray]) -> Signals:
+    """Evaluate what terms are made of along trajectories.
+
+    Parameters
+    ----------
+    model : Model
+        Its actuators and environment are respected.
+    dataset : Dataset
+        Gives times and inputs.
+    states : sequence of ndarray (n_times, n_full)
+        Full states, per record.
+    """
+    kinds = _kinds(model)
+    shown = replace(
+        model,
+        outputs=tuple(Output(f"term_{name}", unit, expression=name) for name, unit, _ in kinds),
+        effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
+    )
+    shown = shown.fix(*shown.free_names)
+    compiled = kernel(shown)
+    values = []
+    for record, full in zip(dataset, states, strict=True):
+        middle = full.copy()
+        middle[:-1] = 0.5 * (full[:-1] + full[1:])
+        run = compiled.run(
+            record.times,
+            record.inputs,
+            shown.value_vector,
+            middle[:, : compiled.n_full],
+            starts=np.arange(record.n_samples, dtype=np.intc),
+        )
+        values.append({name: run.outputs[:, i] for i, (name, _, _) in enumerate(kinds)})
+    signals = []
+    for name, unit, kind in kinds:
+        pooled = np.concatenate([part[name] for part in values])
+        low, high = np.quantile(pooled, [0.01, 0.99])
+        if np.ptp(pooled) > 1e-9 * np.abs(pooled).max(initial=0.0):
+            signals.append(Signal(name, unit, kind, bool(low > 0 or high < 0)))
+    return Signals(tuple(signals), tuple(values))
+
+
+def _kinds(model: Model) -> list[tuple[str, str, str]]:
+    """Name, unit and kind of everything that terms may be made of."""
+    velocities = set(model.axes.values())
+    through_water = {text: signal for signal, text in model.signals.items()}
+    found = []
+    still = cyclic(model)
+    for state in model.states:
+        if state.name in still:
+            continue
+        name = through_water.get(state.name, state.name)
+        if state.name in velocities or not model.axes:
+            found.append((name, state.unit, "motion"))
+        elif state.unit == "rad":
+            found.append((state.name, state.unit, "angle"))
+        elif state.name not in HORIZONTAL:
+            found.append((state.name, state.unit, "position"))
+    inputs = {channel.name: channel.unit for channel in model.inputs}
+    for signal, text in model.actuator_signals.items():
+        unit = inputs.get(text, "")
+        found.append((signal, unit, "motion" if unit == "rad" or not model.axes else "thrust"))
+    return found
+
+
+def cyclic(model: Model) -> set[str]:
+    """Coordinates that merely integrate a velocity, and on which no equation depends.
+
+    Calm water is the same at every place and heading: a heading of a steering
+    model is no cause of a force.
+    """
+    if model.axes:
+        return set()
+    states = set(model.state_names)
+    used = {name for text in model.kinematics.values() for name in expressions.names(text)}
+    return {s for s, text in model.kinematics.items() if text in states and s not in used}
+
+
+def terms(model: Model, signals: Sequence[Signal]) -> list[Term]:
+    """Every term of the dictionary, equation by equation.
+
+    Parameters
+    ----------
+    model : Model
+    signals : sequence of Signal
+        From :func:`signals_along`.
+    """
+    products = _products([s for s in signals if s.kind == "motion"])
+    thrusts = [s for s in signals if s.kind == "thrust"]
+    # A position on which a force depends, as a mooring's does: that may be no straight line.
+    springs = {name for effect in model.effects for name in _forces_depend_on(effect)}
+    angles = [s.name for s in signals if s.kind == "angle"]
+    expressions = [((), "1"), *products]
+    for thrust in thrusts:
+        extra = (thrust.name, False)
+        few = [((), "")] + [item for item in products if len(item[0]) < MOST_FACTORS]
+        expressions += [
+            ((*factors, extra), f"{text}*{thrust.name}" if text else thrust.name)
+            for factors, text in few
+        ]
+    for signal in signals:
+        if signal.kind == "angle":
+            sine, cosine = f"sin({signal.name})", f"cos({signal.name})"
+            texts = (sine, cosine, f"{sine}*{cosine}", f"{sine}*abs({sine})")
+            expressions += [((), text) for text in texts]
+        elif signal.kind == "position":
+            expressions.append((((signal.name, False),), signal.name))
+            if signal.name in springs:
+                expressions += [item for item in _products([signal]) if len(item[0]) > 1]
+                expressions += [((), f"{signal.name}*sin({angle})") for angle in angles]
+    return [
+        Term(equation, text, factors)
+        for equation in disturbed_equations(model)
+        for factors, text in expressions
+    ]
+
+
+def _forces_depend_on(effect: Effect) -> set[str]:
+    """Names in the force terms of an effect."""
+    if effect.stage != "force":
+        return set()
+    return {name for text in effect.terms.values() for name in expressions.names(text)}
+
+
+Factors = tuple[tuple[str, bool], ...]
+
+
+def _products(signals: Sequence[Signal]) -> list[tuple[Factors, str]]:
+    """Products of up to three signals, absolute values included."""
+    one_sided = {s.name for s in signals if s.one_sided}
+    found = []
+    for count in range(1, MOST_FACTORS + 1):
+        for names in combinations_with_replacement([s.name for s in signals], count):
+            different = list(dict.fromkeys(names))
+            if len(signals) > MANY_SIGNALS and len(different) > 2:
+                continue
+            powers = [names.count(name) for name in different]
+            choices = [(False,) if name in one_sided else (False, True) for name in different]
+            for absolute in product(*choices):
+                found.append(_write(different, powers, absolute))
+    return found
+
+
+def _write(
+    names: Sequence[str], powers: Sequence[int], absolute: Sequence[bool]
+) -> tuple[Factors, str]:
+    """Factors and text of a product; ``|w| w`` and ``|q| q^2`` where absolute."""
+    factors: list[tuple[str, bool]] = []
+    texts = []
+    for name, power, is_absolute in zip(names, powers, absolute, strict=True):
+        plain = power - is_absolute
+        if is_absolute:
+            factors.append((name, True))
+            texts.append(f"abs({name})")
+        factors += [(name, False)] * plain
+        if plain:
+            texts.append(name if plain == 1 else f"{name}**{plain}")
+    return tuple(factors), "*".join(texts)

@@ -1,0 +1,593 @@
+"""The result of an improvement: every step kept, printable, and plain data on request."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.evidence.locate import Located
+from oed_sysid.evidence.log_check import LogCheck
+from oed_sysid.evidence.propose import Proposals
+from oed_sysid.evidence.rank import Ranking
+from oed_sysid.evidence.remainder import Remains
+from oed_sysid.likelihood.fit import TWO_SIDED_95, Fit, align
+from oed_sysid.likelihood.noise_levels import signal_spread
+from oed_sysid.physics import Effect
+from oed_sysid.physics.channels import Output
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.runtime.display import as_dict, as_html
+
+# Log-likelihood gain, less the cost of freedom, from which a candidate is mentioned as a hint.
+HINT = 4.0
+# Invisible candidates that are named.
+NAMED = 6
+# Factor by which the error on validation records may seem to rise by chance.
+RISE = 1.02
+# Half a 95 % interval, in typical sizes, from which the records do not tell a size.
+UNTOLD = 100.0
+
+# Root mean square errors of every output, ``(n_outputs,)``, on ``train`` and ``test`` records.
+Errors = Mapping[str, np.ndarray]
+
+
+# Said where nothing is claimed and the misfit is no noise.
+UNCONFIRMED = "The misfit is more than noise, and no candidate is confirmed."
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """What errors are compared with.
+
+    Attributes
+    ----------
+    outputs : tuple of Output
+    sigma : ndarray (n_outputs,)
+        Noise levels.
+    spread : ndarray (n_outputs,)
+        Standard deviation of each signal over the training records.
+    """
+
+    outputs: tuple[Output, ...]
+    sigma: np.ndarray
+    spread: np.ndarray
+
+    @classmethod
+    def of(cls, dataset: Dataset, sigma: np.ndarray) -> Yardstick:
+        """Yardstick of the training records."""
+        return cls(dataset.channels.outputs, sigma, signal_spread(dataset))
+
+    def table(self, before: Errors, after: Errors | None) -> list[str]:
+        """Errors of the nominal and the improved model as lines of text."""
+        return [*align(self.rows(before, after)), *self.notes()]
+
+    def rows(self, before: Errors, after: Errors | None) -> list[tuple[str, ...]]:
+        """Errors in units and per cent of the signal, the header first."""
+        kinds = [k for k in ("train", "test") if not np.isnan(before[k]).all()]
+        models = [before, *([after] if after else [])]
+        rows: list[tuple[str, ...]] = [
+            ("output", "records", "nominal", *(["improved"] if after else []), "noise", "unit")
+        ]
+        for index, output in enumerate(self.outputs):
+            # Angles are read in degrees.
+            angle = output.unit.startswith("rad")
+            factor = np.degrees(1.0) if angle else 1.0
+            for kind in kinds:
+                if np.isnan(before[kind][index]):  # not measured
+                    continue
+                rows.append(
+                    (
+                        output.name,
+                        {"train": "training", "test": "validation"}[kind],
+                        *(self._cell(errors[kind][index], index, factor) for errors in models),
+                        f"{factor * self.sigma[index]:.2g}",
+                        output.unit.replace("rad", "deg", 1) if angle else output.unit,
+                    )
+                )
+        return rows
+
+    def notes(self) -> Sequence[str]:
+        """Where noise levels are from, if nobody declared them."""
+        unknown = [output.name for output in self.outputs if output.noise_std is None]
+        lines = [
+            "Errors are root mean squares over whole records, in per cent of the signal's spread."
+        ]
+        if unknown:
+            lines.append(
+                f"The noise of {', '.join(unknown)} was not declared: it is what the fastest "
+                "wiggles show, or more where the final model needs it."
+            )
+        return lines
+
+    def _cell(self, error: float, index: int, factor: float) -> str:
+        if not np.isfinite(error):
+            return "diverges" if np.isinf(error) else "-"
+        return f"{factor * error:.3g} ({_percent(error / self.spread[index])})"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A term that was proposed, tried and confirmed, as plain data.
+
+    Attributes
+    ----------
+    content : mapping
+    """
+
+    content: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, proposals: Proposals, step: Step, replaces: Sequence[str]) -> Term:
+        """The term of the last step, and the known effects whose place it takes."""
+        best = proposals[0]
+        parameter = step.effect.parameters[0]
+        return cls(
+            {
+                "term": best.text,
+                "name": step.effect.name,
+                "equation": best.term.equation,
+                "expression": best.term.expression,
+                "parameter": parameter.name,
+                "value": parameter.value,
+                "unit": parameter.unit,
+                "gain": step.gain,
+                "test_gain": None if np.isnan(step.test_gain) else step.test_gain,
+                "group": list(proposals.group),
+                "replaces": list(replaces),
+            }
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return dict(self.content)
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One effect added.
+
+    Attributes
+    ----------
+    effect : Effect
+        What was added, at its estimates after the step.
+    group : tuple of str
+        Identifiers that these data cannot tell from it, itself first.
+    gain : float
+        Log-likelihood gain on the training records: by how much twice the log-likelihood grows.
+    needed : float
+        Gain that chance rarely exceeds, however many candidates were tried.
+    test_gain : float
+        The same gain on the validation records; NaN without any.
+    train_error, test_error : float
+        Prediction errors after the step, in units of the noise.
+    fit : Fit
+        The fit after the step.
+    rms : dict
+        The same errors of each output in its unit, ``train`` and ``test``, ``(n_outputs,)``.
+    """
+
+    effect: Effect
+    group: tuple[str, ...]
+    gain: float
+    needed: float
+    test_gain: float
+    train_error: float
+    test_error: float
+    fit: Fit
+    rms: Errors
+
+    to_dict = as_dict("added", "group", "gain", "train_error", "test_error")
+
+    @property
+    def added(self) -> str:
+        """Identifier of the effect."""
+        return self.effect.name
+
+    @property
+    def evidence(self) -> float:
+        """Earlier name of ``gain``."""
+        return self.gain
+
+
+@dataclass(frozen=True, eq=False)
+class Improvement:
+    """What is missing, step by step, with the errors before and after.
+
+    Attributes
+    ----------
+    model : Model
+        The improved model at its estimates.
+    base : Model
+        The nominal model at its estimates.
+    steps : tuple of Step
+    ranking : Ranking
+        Of the first round.
+    base_fit : Fit
+    base_error, final_error : dict
+        ``train`` and ``test`` errors in units of the noise.
+    location : Located
+        Where the nominal model fails: stage, equation or sensor, and when.
+    remains : Remains
+        What is left unexplained after the last step.
+    base_rms : dict
+        Errors of each output in its unit, ``train`` and ``test``, ``(n_outputs,)``.
+    yardstick : Yardstick
+        Noise and spread of the signals, to compare errors with.
+    rejected : tuple of str
+        Best candidates that the validation records refused.
+    last : Ranking or None
+        Of the last round, in which everything found was part of the model; it tells what the
+        records would not have shown. None where the first was the last.
+    """
+
+    model: Model
+    base: Model
+    steps: tuple[Step, ...]
+    ranking: Ranking
+    base_fit: Fit
+    base_error: Mapping[str, float]
+    final_error: Mapping[str, float]
+    location: Located
+    remains: Remains
+    parameters: tuple[Mapping[str, Any], ...]
+    base_rms: Errors
+    yardstick: Yardstick
+    rejected: tuple[str, ...] = ()
+    proposed: tuple[Mapping[str, Any], ...] = ()
+    notes: tuple[str, ...] = ()
+    log: LogCheck | None = None
+    skipped: tuple[str, ...] = ()
+    last: Ranking | None = None
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        added = ", ".join(step.added for step in self.steps) or "nothing"
+        errors = " to ".join(f"{e['test']:.3g}" for e in (self.base_error, self.final_error))
+        return (
+            f"<Improvement of {self.base.name!r}: added {added}; validation error {errors} x noise>"
+        )
+
+    @property
+    def fits(self) -> tuple[Fit, ...]:
+        """The fit of the nominal model, then that of every step."""
+        return (self.base_fit, *(step.fit for step in self.steps))
+
+    @property
+    def fit(self) -> Fit:
+        """The fit after the last step: to save, predict with, and hand to a design."""
+        return self.fits[-1]
+
+    @property
+    def conclusion(self) -> str:
+        """What is left, as a kind and a size; see :class:`~.remainder.Remains`."""
+        return self.remains.sentence
+
+    @property
+    def verdict(self) -> str:
+        """``missing``, ``unexplained`` (more than noise, no claim) or ``nothing_missing``."""
+        if self.steps and self.remains.kind != "log suspect":
+            return "missing"
+        kinds = ("structure missing", "log suspect")
+        return "unexplained" if self.remains.kind in kinds else "nothing_missing"
+
+    @property
+    def located(self) -> dict[str, float]:
+        """Log-likelihood gain of a disturbance at each place of the signal chain."""
+        return dict(self.location.gains)
+
+    @property
+    def advice(self) -> list[str]:
+        """What to believe, what not, and what to do next at sea; one line each."""
+        return advice(
+            self.steps,
+            self.ranking,
+            self.parameters,
+            before=self.base_error["test"],
+            explained=self.remains.kind in ("adequate", "random forces"),
+            suspect=self.remains.kind == "log suspect",
+            commanded=bool(self.base.inputs),
+            last=self.last,
+        )
+
+    @property
+    def remainder(self) -> float:
+        """Gain in twice the log-likelihood that unknown forces would still bring."""
+        return self.remains.forces
+
+    @property
+    def explained(self) -> bool:
+        """Whether what remains is noise: no disturbance is needed, and no sensor has to drift."""
+        return self.remains.is_noise and self.remains.kind == "adequate"
+
+    def at_step(self, count: int) -> Model:
+        """Return the model after the first steps only: what came later is undone.
+
+        Parameters
+        ----------
+        count : int
+            Steps kept, 0 for the nominal model; negative numbers count from the
+            end, so that ``at_step(-1)`` undoes the last one.
+
+        Returns
+        -------
+        Model
+            At the estimates that were found after that step.
+        """
+        kept = self.steps[:count]
+        if not kept:
+            return self.base
+        model = self.base + tuple(step.effect for step in kept)
+        known = set(model.parameter_names)
+        return model.with_values({k: v for k, v in kept[-1].fit.values.items() if k in known})
+
+    to_dict = as_dict(
+        "verdict", "steps", "located", "base_error", "final_error", "remains", "conclusion",
+        "notes", "parameters",
+        ranking=lambda self: self.ranking.scored(), proposed_terms="proposed", noise="fit.noise",
+    )  # fmt: skip
+
+    def report(self) -> str:
+        """Return the improvement as a story with numbers."""
+        return "\n".join(
+            [
+                *self._opening(),
+                "",
+                self.location.report(),
+                "",
+                self.ranking.report(hidden=self.last is None),
+                "",
+                *self._story(),
+                "",
+                *self.yardstick.table(self.base_rms, self.steps[-1].rms if self.steps else None),
+                "",
+                *self.advice,
+                "",
+                *self._closing(),
+            ]
+        )
+
+    def _opening(self) -> list[str]:
+        error = self.base_error
+        warning = "" if self.log is None else self.log.warning()
+        return [
+            *([warning, ""] if warning else []),
+            f"{self.base.name}",
+            f"  nominal model: error on the training records {error['train']:.2f} x noise"
+            + (
+                ""
+                if np.isnan(error["test"])
+                else f", on the validation records {error['test']:.2f}"
+            ),
+        ]
+
+    def _story(self) -> list[str]:
+        if not self.steps:
+            lines = ["Nothing is missing that these records could show."]
+            if self.verdict == "unexplained":
+                lines = [UNCONFIRMED]
+            best = self.ranking.refits[0] if self.ranking.refits else None
+            if best is not None and best.evidence > HINT and best.name not in self.rejected:
+                lines.append(
+                    f"A hint, no more: {best.name} would gain {best.gain:.1f}, where "
+                    f"{self.ranking.needed(best):.1f} are needed. A manoeuvre that excites it "
+                    "would tell."
+                )
+            if self.rejected:
+                lines.append(
+                    "The validation records refused "
+                    + ", ".join(dict.fromkeys(self.rejected))
+                    + ": what looked like it on the training records did not repeat."
+                )
+            return lines
+        rows = [
+            (
+                "effect added",
+                "gain",
+                "needed",
+                "validation gain",
+                "training error",
+                "validation error",
+            )
+        ]
+        rows.append(("(nominal)", "", "", "", *self._pair(self.base_error)))
+        for step in self.steps:
+            rows.append(
+                (
+                    step.added,
+                    f"{step.gain:.1f}",
+                    f"{step.needed:.1f}",
+                    "-" if np.isnan(step.test_gain) else f"{step.test_gain:.1f}",
+                    *self._pair({"train": step.train_error, "test": step.test_error}),
+                )
+            )
+        lines = align(rows)
+        for step in self.steps:
+            if len(step.group) > 1:
+                lines.append(
+                    f"These records cannot tell {step.added} from {', '.join(step.group[1:])}."
+                )
+        return lines
+
+    @staticmethod
+    def _pair(error: Mapping[str, float]) -> tuple[str, str]:
+        test = "-" if np.isnan(error["test"]) else f"{error['test']:.3f}"
+        return f"{error['train']:.3f}", test
+
+    def _closing(self) -> list[str]:
+        lines = []
+        for term in self.proposed:
+            lines.append(
+                f"No known effect explains it alone: proposed is {term['term']} in the "
+                f"{term['equation']} equation, {term['parameter']} = {term['value']:.4g} "
+                f"{term['unit']}."
+            )
+            others = [name for name in term["group"] if name != term["term"]]
+            if others:
+                lines.append("These records cannot tell it from " + ", ".join(others[:8]) + ".")
+            if term["replaces"]:
+                lines.append("It takes the place of " + ", ".join(term["replaces"]) + ".")
+        return lines + self._verdict()
+
+    def _verdict(self) -> list[str]:
+        return [*(f"Note: {note}" for note in self.notes), f"Verdict: {self.conclusion}"]
+
+
+def parameter_table(fit: Fit) -> tuple[Mapping[str, Any], ...]:
+    """Name, value, standard error and unit of every estimated parameter."""
+    errors = fit.std_errors
+    return tuple(
+        {
+            "name": name,
+            "value": value,
+            "std_error": errors[name],
+            "unit": fit.model.parameter(name).unit,
+        }
+        for name, value in fit.values.items()
+    )
+
+
+def advice(
+    steps: Sequence[Any],
+    ranking: Ranking,
+    parameters: Sequence[Mapping[str, Any]],
+    *,
+    explained: bool,
+    suspect: bool = False,
+    before: float = np.nan,
+    commanded: bool = True,
+    last: Ranking | None = None,
+) -> list[str]:
+    """Sentences for whoever goes to sea again.
+
+    Parameters
+    ----------
+    steps : sequence of :class:`oed_sysid.evidence.improvement.Step`
+    ranking : Ranking
+        Of the first round: all candidates.
+    parameters : sequence of mapping
+        ``name``, ``value``, ``std_error`` and ``unit`` of every estimate.
+    explained : bool
+        Whether what remains is noise, or random forces that the standard errors hold.
+    suspect : bool
+        Whether the log contradicts itself, so that nothing found in it is to be believed.
+    before : float
+        Validation error of the nominal model, in units of the noise.
+    commanded : bool
+        Whether the model has inputs, so that a manoeuvre can be designed.
+    last : Ranking, optional
+        Of the last round, where that was not the first: it says what would not have shown.
+    """
+    known = {score.effect.name: score.effect for score in ranking.scores}
+    estimates = {row["name"]: row for row in parameters}
+    believe, doubt, sea = [], [], []
+    for step in steps:
+        own = [p for p in step.effect.parameters if p.name in estimates]
+        sizes = [_size(estimates[p.name], p) for p in own]
+        sizes += [_sizes(p, steps[-1].fit) for p in step.effect.parameters if p.per_record]
+        tested = not np.isnan(step.test_gain)
+        rivals = step.group[1:]
+        what = " or ".join(step.group) if rivals else step.added
+        believe.append(
+            f"{what} is missing{', the validation records agree' if tested else ''}"
+            + (f": {', '.join(sizes)}." if sizes and not rivals else ".")
+        )
+        if own and not any(_clear(estimates[p.name]) for p in own):
+            doubt.append(
+                f"{what} before more records have shown it: the 95 % interval holds zero "
+                f"({', '.join(sizes)})."
+            )
+        unknown = [p.name for p in own if not _is_told(estimates[p.name], p)]
+        if unknown:
+            doubt.append(f"the size of {', '.join(unknown)}: these records do not give it.")
+        if step.test_error > RISE * before:
+            doubt.append(
+                f"{step.added} alone: with it whole validation runs are {step.test_error:.3g} x "
+                f"noise off, {before:.3g} before. Its claim rests on the model as a whole."
+            )
+        before = step.test_error
+        if rivals:
+            doubt.append(
+                f"that it is {step.added} ({', '.join(sizes)}): {', '.join(rivals)} "
+                f"{'does' if len(rivals) == 1 else 'do'} as well."
+            )
+            sea += _manoeuvre(step.group, known, commanded)
+        if not tested:
+            doubt.append(f"{step.added} before a validation record has confirmed it.")
+    ended = ranking if last is None else last
+    added = {name for step in steps for name in (step.added, *step.group)}
+    imitated = [name for name in ended.imitated() if name not in added]
+    hidden = sorted(set(ended.undetectable()) - added - set(imitated))
+    if hidden:
+        doubt.append(
+            f"that {_several(hidden)} {'is' if len(hidden) == 1 else 'are'} absent: "
+            f"{'its' if len(hidden) == 1 else 'their'} typical size would not show here."
+        )
+    if imitated:
+        doubt.append(
+            f"that these records say anything about {_several(imitated)}: parameters that are free "
+            "already do the same."
+        )
+    if not explained:
+        doubt.append("standard errors of the parameters: more is missing than was found.")
+    return [
+        *_listed("Only if the log is right" if suspect else "Believe", believe),
+        *_listed("Do not believe", doubt),
+        *_listed("Next at sea", list(dict.fromkeys(sea))),
+    ]
+
+
+def _several(names: Sequence[str]) -> str:
+    """The first of some names, and how many more there are."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f"{', '.join(names[:NAMED])}{more}"
+
+
+def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) -> list[str]:
+    """What tells the members of a group apart."""
+    needs = {known[name].needs for name in group if name in known and known[name].needs}
+    lines = []
+    if needs:
+        lines.append(f"to tell {' from '.join(group[:3])}: {'; '.join(sorted(needs))}.")
+    if commanded:
+        names = " ".join(name for name in group if name in known)
+        lines.append(f"a manoeuvre for it: oed-sysid design PROBLEM --discriminate {names}")
+    return lines
+
+
+def _is_told(row: Mapping[str, Any], parameter: Parameter) -> bool:
+    """Whether the records give a size: its interval is within what was possible anyway."""
+    widest = min(parameter.upper - parameter.lower, UNTOLD * parameter.magnitude)
+    return bool(TWO_SIDED_95 * row["std_error"] < widest)
+
+
+def _clear(row: Mapping[str, Any]) -> bool:
+    """Whether an interval leaves zero out; correlated residuals widen it after a claim was made."""
+    return bool(abs(row["value"]) > TWO_SIDED_95 * row["std_error"])
+
+
+def _size(row: Mapping[str, Any], parameter: Parameter) -> str:
+    unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
+    if not _is_told(row, parameter):
+        return f"{row['name']} about {row['value']:.3g}{unit}"
+    half = TWO_SIDED_95 * row["std_error"]
+    return f"{row['name']} = {row['value']:.3g} +/- {half:.2g}{unit} (95 %)"
+
+
+def _sizes(parameter: Parameter, fit: Fit) -> str:
+    """The range of a size that differs from record to record."""
+    found = [local[parameter.name] for local in fit.local_values if parameter.name in local]
+    unit = "" if parameter.unit in ("", "1") else f" {parameter.unit}"
+    return f"{parameter.name} from {min(found):.3g} to {max(found):.3g}{unit}, by record"
+
+
+def _listed(title: str, lines: Sequence[str]) -> list[str]:
+    return [f"{title}:", *(f"  - {line}" for line in lines)] if lines else []

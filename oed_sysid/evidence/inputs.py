@@ -1,0 +1,294 @@
+r"""Signs and units of inputs, which kinematics cannot see, against the nominal model.
+
+From the measured states at the start of each short piece of a record the nominal model predicts
+those at its end; with parameters :math:`p = p_0 + S\eta`, :math:`\eta \sim N(0, I)`, and their
+sensitivities :math:`A`,
+
+.. math:: x_{k+1} - \hat x(x_k, h(d), p_0) = A S \eta + \varepsilon, \qquad
+    \varepsilon_i \sim N(0, v_i).
+
+The evidence of a hypothesis :math:`h` about the inputs :math:`d` (another sign, another unit) is
+
+.. math:: E_h = -\sum_i n_i \ln v_i - \eta^T \eta - \ln \det (I + S A^T V^{-1} A S),
+
+with the variances estimated under it, so that physics which the model lacks widens all of them
+alike. Only parameters with a declared prior say anything here: with the others free, an input of
+the other sign is a coefficient of the other sign.
+
+A state whose sensor is dead or missing is taken from the kinematics where these give it at every
+sample; a record in which they do not is left out of the judgement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import Kernel, kernel
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.errors import OedSysidError
+from oed_sysid.evidence.corrections import ORDER, corrected
+from oed_sysid.evidence.result import Correction, Finding
+from oed_sysid.evidence.words import COPY
+from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
+from oed_sysid.physics.model import Model
+
+DEGREE = np.pi / 180.0
+UNITS: dict[str, tuple[tuple[float, str], ...]] = {
+    "rad": ((DEGREE, "deg"), (1.0 / DEGREE, "")),
+    "1/s": ((1.0 / 60.0, "rpm"), (60.0, "")),
+    "rad/s": ((2.0 * np.pi / 60.0, "rpm"), (60.0 / (2.0 * np.pi), "")),
+    "N": ((1e3, "kN"), (1e-3, "mN"), (4.4482216, "lbf")),
+    "m/s": ((1852.0 / 3600.0, "kn"), (3600.0 / 1852.0, "")),
+}
+ACCEPTED = 20.0
+# A lag is physics of an actuator as well as a fault of a log: it only competes.
+LAGS = (0.0, 0.25, 0.5, 1.0, 2.0)
+PIECES = (5, 10, 20, 40)
+MOST_SAMPLES = 1500
+LEAST_PIECES = 30
+# Motion over a piece against its noise before the piece is long enough.
+VISIBLE = 6.0
+# Without a declared prior a parameter may be anything.
+FREE = 30.0
+# A declared prior is not trusted beyond this share of its mean.
+LEAST_PRIOR = 0.25
+SWEEPS = 4
+# What is left of a state's changes is not believed to be smaller than this share of them.
+EXACT = 1e-6
+
+
+@dataclass(frozen=True)
+class _Piecewise:
+    """Short pieces of one record: where they start, states there, and the states that move."""
+
+    record: Record
+    starts: np.ndarray
+    states: np.ndarray
+
+
+def input_findings(
+    dataset: Dataset, model: Model, fixes: Sequence[Correction]
+) -> tuple[list[Finding], str]:
+    """Judge signs and units of inputs.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The records as logged.
+    model : Model
+        The nominal model.
+    fixes : sequence of Correction
+        What was found about the outputs; undone first.
+
+    Returns
+    -------
+    findings : list of Finding
+        Inputs that act with another sign or unit than the nominal model's priors allow.
+    reason : str
+        Why inputs could not be judged, in a sentence; empty if they were.
+    """
+    believed = [p for p in model.free_parameters if p.prior_std is not None]
+    if not model.inputs or not believed:
+        return [], (
+            "Signs and units of inputs: no parameter of the model has a declared prior "
+            "(prior_mean, prior_std) to hold them against."
+            if model.inputs
+            else ""
+        )
+    known = [fix for fix in fixes if fix.kind in ORDER]
+    try:
+        mended = corrected(dataset, known) if known else dataset
+        run = kernel(model)
+        pieces = _pieces(mended, model)
+    except OedSysidError:
+        pieces = None
+    if not pieces:
+        return [], (
+            "Signs and units of inputs: not all states of the model are measured, or follow from "
+            "those that are."
+        )
+    found: list[Finding] = []
+    base = max(_evidence(run, model, pieces, None, 1.0, lag) for lag in LAGS)
+    if not np.isfinite(base):
+        return [], "Signs and units of inputs: the nominal model diverges from the measured states."
+    for index, channel in enumerate(model.inputs):
+        values = np.concatenate([record.inputs[:, index] for record in dataset])
+        if not np.any(values):
+            continue
+        trials = [(-1.0, "sign")] * bool(np.ptp(values) > 0.0) + list(UNITS.get(channel.unit, ()))
+        scores = []
+        for factor, meaning in trials:
+            gain = _evidence(run, model, pieces, index, factor, 0.0) - base
+            if gain > ACCEPTED:
+                scores.append((gain, factor, meaning))
+        if scores:
+            found.append(_finding(dataset, model, index, *max(scores)))
+    # Of several inputs the one that explains most; the others are judged once it is mended.
+    found.sort(key=lambda one: -(one.gain or 0.0))
+    return found[:1], ""
+
+
+def _finding(
+    dataset: Dataset, model: Model, index: int, gain: float, factor: float, meaning: str
+) -> Finding:
+    channel = model.inputs[index]
+    name = channel.name
+    if meaning == "sign":
+        says = f"{name} acts with the other sign than the nominal model and its priors say."
+        line = f'Input("{name}", "{channel.unit}", sign={-channel.sign:g})'
+        kind = "sign"
+    else:
+        header = f'write the header as "{channel.column or name} [{meaning}]"'
+        says = (
+            f"{name} acts as if it were in {meaning}, not in {channel.unit}."
+            if meaning
+            else f"{name} acts {factor:.3g} times as strongly as logged: converted twice?"
+        )
+        line = header if meaning else f"{COPY}; or correct the unit in the header"
+        kind = "unit"
+    return Finding(
+        kind,
+        (name,),
+        dataset.names,
+        says,
+        f"the coefficients of {name} are fitted {1.0 / factor:.3g} times as large",
+        line,
+        True,
+        gain=float(gain),
+        alternatives=("a nominal model or priors that are wrong by as much",),
+        correction=Correction(kind, (name,), float(factor)),
+    )
+
+
+def _pieces(dataset: Dataset, model: Model) -> list[_Piecewise] | None:
+    """Records cut into pieces that are long enough for the motion to show; None if impossible."""
+    series = []
+    for record in dataset:
+        part = _beginning(record)
+        measured = measured_states(model, part)
+        whole = measured | {
+            k: guess.series
+            for k, guess in kinematic_states(model, part, measured).items()
+            # A guess that is lost at some samples would be judged as a wild motion there.
+            if guess.rms < model.states[k].scale
+        }
+        if len(whole) == len(model.states):
+            states = np.column_stack([whole[k] for k in range(len(model.states))])
+            series.append((part, states))
+    if not series:
+        return None
+    length = next((n for n in PIECES if _moves(series, model, n)), PIECES[-1])
+    result = []
+    for part, states in series:
+        starts = np.arange(2, part.n_samples - length - 2, length)
+        if starts.size >= 2:
+            result.append(_Piecewise(part, starts, states))
+    return result if sum(p.starts.size for p in result) >= LEAST_PIECES else None
+
+
+def _beginning(record: Record) -> Record:
+    """Return the first samples of a record, as many as are needed here."""
+    if record.n_samples <= MOST_SAMPLES:
+        return record
+    return record.window(record.times[0], record.times[MOST_SAMPLES - 1])
+
+
+def _moves(series: list[tuple[Record, np.ndarray]], model: Model, length: int) -> bool:
+    """Whether states change visibly over pieces of a length."""
+    columns = _dynamic(model)
+    for _, states in series:
+        moving = states[length:, columns] - states[:-length, columns]
+        fast = np.median(np.abs(np.diff(states[:, columns], 4, axis=0)), axis=0) / 5.6
+        if np.any(moving.std(axis=0) > VISIBLE * (fast + 1e-12)):
+            return True
+    return False
+
+
+def _dynamic(model: Model) -> np.ndarray:
+    """Positions of the states whose equations hold free parameters: the velocities of axes."""
+    names = model.state_names
+    own = set(model.axes.values())
+    if not own:
+        free = set(model.free_names)
+        from oed_sysid.text import expressions
+
+        own = {s for s, text in model.kinematics.items() if expressions.names(text) & free}
+    return np.array([i for i, name in enumerate(names) if name in own], dtype=int)
+
+
+def _evidence(
+    run: Kernel,
+    model: Model,
+    pieces: list[_Piecewise],
+    index: int | None,
+    factor: float,
+    lag: float,
+) -> float:
+    """Logarithm of the evidence, times two, of inputs with one of them changed."""
+    columns = _dynamic(model)
+    if not columns.size:
+        return -np.inf
+    free = model.free_parameters
+    scale = np.array(
+        [
+            max(p.prior_std, LEAST_PRIOR * abs(p.prior_mean or p.value))
+            if p.prior_std is not None
+            else FREE * max(abs(p.value), 1e-3)
+            for p in free
+        ]
+    )
+    shift = np.array([(p.prior_mean - p.value) if p.prior_mean is not None else 0.0 for p in free])
+    rest, jacobian, moving = [], [], []
+    for piece in pieces:
+        record = piece.record
+        inputs = np.array(record.inputs)
+        if index is not None:
+            inputs[:, index] *= factor
+        if lag > 0.0:
+            inputs = np.column_stack(
+                [np.interp(record.times - lag, record.times, column) for column in inputs.T]
+            )
+        nodes = piece.states[piece.starts]
+        if run.n_full > run.n_own:  # states of effects begin where own states and inputs say
+            nodes = np.array(
+                [
+                    run.start(own, inputs[k], model.value_vector, record.times[k])[0]
+                    for k, own in zip(piece.starts, nodes, strict=True)
+                ]
+            )
+        first = piece.starts[0]
+        done = run.run(
+            record.times[first:],
+            inputs[first:],
+            model.value_vector,
+            nodes,
+            starts=piece.starts - first,
+            sensitivities=True,
+        )
+        ends, slopes = done.ends[:-1], np.asarray(done.end_sensitivities)[:-1]
+        seen = piece.states[piece.starts[1:]]
+        moving.append(seen[:, columns])
+        rest.append(seen[:, columns] - ends[:, columns])
+        jacobian.append(slopes[:, columns, run.n_full :])
+    e, a = np.concatenate(rest), np.concatenate(jacobian)
+    if not (np.isfinite(e).all() and np.isfinite(a).all()):
+        return -np.inf
+    a = a * scale
+    e = e - a @ (shift / scale)
+    # The same under every hypothesis, so that a state that hardly moves decides nothing.
+    least = EXACT**2 * np.concatenate(moving).var(axis=0) + 1e-30
+    variances = np.maximum(e.var(axis=0), least)
+    for _ in range(SWEEPS):
+        weighted = a / variances[None, :, None]
+        matrix = np.eye(len(scale)) + np.einsum("kip,kiq->pq", weighted, a)
+        try:
+            eta = np.linalg.solve(matrix, np.einsum("kip,ki->p", weighted, e))
+        except np.linalg.LinAlgError:  # sensitivities so large that the unit matrix is lost
+            return -np.inf
+        left = e - a @ eta
+        variances = np.maximum(np.mean(left**2, axis=0), least)
+    n = len(e)
+    return float(-n * np.sum(np.log(variances)) - eta @ eta - np.linalg.slogdet(matrix)[1])

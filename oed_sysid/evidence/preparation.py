@@ -1,0 +1,220 @@
+r"""What a search reads of the records that it is given.
+
+**Validation.** A claim is tested on records that nothing was chosen on. Where one record is given
+and no other, its last part is kept for that, :math:`t > t_0 + \alpha\,(t_N - t_0)`; of a series of
+independent tests, whose order says nothing, as many are drawn by lot.
+
+**Sampling.** Evidence grows with the samples, and so does the time of the search; but a vehicle
+that turns within seconds is not known better at 50 Hz than the noise of its sensors, averaged,
+allows. Of a very long log every :math:`k`-th sample is read,
+
+.. math:: \tilde y_j = y(t_{jk}), \qquad
+    \tilde u_j = \frac{1}{t_{(j+1)k} - t_{jk}} \int_{t_{jk}}^{t_{(j+1)k}} u\,dt,
+
+the mean of an input that is held keeping what its switching moves. :math:`k` is as small as the
+wanted number of samples allows, and never so large that a signal bends between two of them: what a
+straight line through :math:`k + 1` neighbours leaves has to be noise,
+
+.. math:: \operatorname{rms}(y - \ell_k) \le \max(\lambda\,\sigma,\ \epsilon\,s_y),
+
+with the level :math:`\sigma` of the fastest wiggles and the spread :math:`s_y` of the signal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import Record
+from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
+
+# Share of a record that is learnt from, and least samples of either part.
+LEARNT, LEAST = 0.6, 100
+# The same of independent tests, each of which tells as much as many samples of a series.
+LEAST_TESTS = 20
+# A search reads about this many samples.
+ENOUGH = 20_000
+# What a line may leave: in noise levels, and as share of the signal's spread.
+BEND, BEND_SPREAD = 1.3, 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Records as a search reads them.
+
+    Attributes
+    ----------
+    train : Dataset
+    validation : Dataset or None
+    notes : tuple of str
+        What was done to the records, in sentences.
+    whole : Dataset or None
+        Training records with all samples, where some were left out.
+    """
+
+    train: Dataset
+    validation: Dataset | None
+    notes: tuple[str, ...] = ()
+    whole: Dataset | None = None
+
+
+def prepared(train: Dataset, validation: Dataset | None, *, enough: int = ENOUGH) -> Prepared:
+    """Keep a part for validation where none is given, and thin what is very long.
+
+    Parameters
+    ----------
+    train : Dataset
+    validation : Dataset or None
+    enough : int
+        About how many samples are read.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics.channels import Channels, Input, Output
+    >>> channels = Channels((Input("fin", "rad"),), (Output("q", "rad/s"),))
+    >>> t = np.arange(1000) * 0.1
+    >>> run = Record("dive", t, np.sin(t)[:, None], np.cos(t)[:, None], channels)
+    >>> found = prepared(Dataset((run,)), None)
+    >>> print(found.train.n_samples, found.validation.n_samples)
+    600 400
+    """
+    notes = []
+    if validation is None and len(train) == 1:
+        if train.only_tests and train[0].n_samples >= 2.5 * LEAST_TESTS:
+            train, validation, words = _drawn_apart(train[0])
+            notes.append(words)
+        elif not train.only_tests and train[0].n_samples >= 2.5 * LEAST:
+            train, validation, words = _kept_apart(train[0])
+            notes.append(words)
+    if train.only_tests:  # to leave some out would lose what they alone tell
+        return Prepared(train, validation, tuple(notes))
+    strides, whole = _strides(train, validation, enough), None
+    if max(strides) > 1:
+        parts = [*train, *(validation or ())]
+        gap = max(n * part.sample_time for n, part in zip(strides, parts, strict=True) if n > 1)
+        few = min(strides) == 1
+        which = "Quickly sampled records were" if few else f"One sample in {max(strides)} was"
+        notes.append(
+            f"{which} searched {gap:.3g} s apart instead of {min(p.sample_time for p in parts):.3g}"
+            " s, with the mean of the inputs between samples. Fit the improved model to all "
+            "samples for its final numbers."
+        )
+        whole = train
+        thinned = [coarser(part, n) for n, part in zip(strides, parts, strict=True)]
+        train = Dataset(tuple(thinned[: len(train)]))
+        validation = None if validation is None else Dataset(tuple(thinned[len(train) :]))
+    return Prepared(train, validation, tuple(notes), whole)
+
+
+def _kept_apart(record: Record) -> tuple[Dataset, Dataset, str]:
+    cut = float(record.times[0] + LEARNT * record.duration)
+    rows = int(np.searchsorted(record.times, cut))
+    first = record.window(-np.inf, record.times[rows - 1]).rename(f"{record.name}, first part")
+    last = record.window(record.times[rows], np.inf).rename(f"{record.name}, last part")
+    words = (
+        f"No validation records were given: of {record.name!r} the last {last.duration:.4g} s, "
+        f"from {last.times[0]:.4g} s on, were kept for validation. A second manoeuvre is a "
+        "better test."
+    )
+    return Dataset((first,)), Dataset((last,)), words
+
+
+def _drawn_apart(record: Record) -> tuple[Dataset, Dataset, str]:
+    """Tests to learn from and to validate on, drawn by lot: their order says nothing."""
+    lot = np.random.default_rng(0).permutation(record.n_samples)
+    count = round(LEARNT * record.n_samples)
+    first = record.tests(np.sort(lot[:count]), f"{record.name}, drawn")
+    rest = record.tests(np.sort(lot[count:]), f"{record.name}, the others")
+    words = (
+        f"No validation records were given: of the {record.n_samples} tests of {record.name!r} "
+        f"{rest.n_samples}, drawn by lot, were kept for validation."
+    )
+    return Dataset((first,)), Dataset((rest,)), words
+
+
+def coarser(record: Record, every: int) -> Record:
+    """One sample in so many, with the mean of held inputs in between.
+
+    Parameters
+    ----------
+    record : Record
+    every : int
+        Samples per new one.
+
+    Returns
+    -------
+    Record
+        With ``ceil(n_samples / every)`` samples; those of inputs that are joined by straight
+        lines, and of outputs, are the logged ones.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics.channels import Channels, Input, Output
+    >>> channels = Channels((Input("fin", "rad"),), (Output("q", "rad/s"),))
+    >>> t = np.arange(20.0)
+    >>> run = Record("dive", t, (t >= 2)[:, None].astype(float), t[:, None], channels)
+    >>> print(coarser(run, 4).inputs.ravel(), coarser(run, 4).outputs.ravel())
+    [0.5 1.  1.  1.  1. ] [ 0.  4.  8. 12. 16.]
+    """
+    kept = np.arange(0, record.n_samples, every)
+    inputs = record.inputs[kept].copy()
+    steps = np.diff(record.times)
+    if len(steps):
+        held = np.array([i.interpolation == "hold" for i in record.channels.inputs], dtype=bool)
+        # The last sample is held for as long as the one before.
+        lasting = np.append(steps, steps[-1])[:, None]
+        area = np.add.reduceat(record.inputs * lasting, kept, axis=0)
+        inputs[:, held] = (area / np.add.reduceat(lasting, kept, axis=0))[:, held]
+    return record.thin(every).with_inputs(inputs)
+
+
+def _strides(train: Dataset, validation: Dataset | None, enough: int) -> list[int]:
+    """Largest strides that are needed and that no signal forbids, one for each record.
+
+    All leave about the same time between samples: what was logged slowly is read as it is.
+    """
+    parts = [*train, *(validation or ())]
+    whole = [1] * len(parts)
+    least = min(record.sample_time for record in parts)
+
+    def strides(count: int) -> list[int]:
+        return [max(int(count * least / part.sample_time + 1e-9), 1) for part in parts]
+
+    def read(count: int) -> int:
+        return sum(-(-part.n_samples // n) for n, part in zip(strides(count), parts, strict=True))
+
+    most = max(part.n_samples for part in parts)
+    wanted = next((n for n in range(1, most) if read(n) <= enough), most)
+    if wanted < 2:
+        return whole
+    noise, _ = credible_levels(train)
+    allowed = np.maximum(BEND * noise, BEND_SPREAD * signal_spread(train))
+    for count in range(wanted, 1, -1):
+        found = strides(count)
+        if np.all(_bend(train, found) <= allowed):
+            return found
+    return whole
+
+
+def _bend(dataset: Dataset, strides: Sequence[int]) -> np.ndarray:
+    """Rms of what straight lines through ``stride + 1`` neighbours leave, ``(n_outputs,)``."""
+    squares = np.zeros(len(dataset.channels.outputs))
+    count = np.zeros(len(squares))
+    for record, every in zip(dataset, strides, strict=False):
+        width = every + 1
+        place = np.linspace(-1.0, 1.0, width)
+        rows = record.n_samples // width
+        if every == 1 or not rows:
+            continue
+        groups = record.outputs[: rows * width].reshape(rows, width, -1)
+        groups = groups - groups.mean(axis=1, keepdims=True)
+        slope = np.einsum("k,rko->ro", place, groups) / float(place @ place)
+        left = groups - place[None, :, None] * slope[:, None, :]
+        whole = np.isfinite(left).all(axis=1)
+        freedom = max(width - 2, 1)
+        squares += np.where(whole, (left**2).sum(axis=1) / freedom, 0.0).sum(axis=0)
+        count += whole.sum(axis=0)
+    return np.sqrt(squares / np.maximum(count, 1))

@@ -1,0 +1,444 @@
+r"""Propose a term for what no known effect explains.
+
+Every term of a dictionary is a force along the smoothed trajectory. The linear deviations carry
+it to the outputs, the filter of the noise model whitens it, the unknowns that the model has
+already are projected out, and the statistic
+
+.. math:: T = (s' M r)^2 / s' M s
+
+is computed as in :mod:`oed_sysid.evidence.score`. The most promising terms are refitted as real
+effects. What is proposed is a hypothesis that explains the records, in the equation where it is
+needed, together with those they cannot tell from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.evidence.dictionary import Signals, Term, signals_along, terms
+from oed_sysid.evidence.locate import along_fit, forces_only
+from oed_sysid.evidence.rank import GROUP_WIDTH, threshold
+from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.fit import align
+from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.likelihood.kalman import whiten
+from oed_sysid.likelihood.linearisation import Along, Stretch
+from oed_sysid.physics import Effect
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict
+from oed_sysid.text import expressions
+
+# Terms refitted, at most this alike among each other.
+N_REFITS, ALIKE = 8, 0.98
+# How much likelier a more complicated term has to be, per factor.
+SIMPLICITY = 1.0
+# Seen from the best term, a rival is refitted if it explains this share of what that one
+# does; so many of the first refits are then repeated beside it.
+RIVAL, N_KEPT = 0.8, 3
+
+
+# What is left of a term after projection, below which free parameters imitate it.
+ABSORBED = 0.01
+# Terms, of those with the largest statistics, whose likeness is looked at.
+COMPARED = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """One term that would explain the records.
+
+    Attributes
+    ----------
+    term : Term
+    effect : Force
+        At the fitted value, ready to be added to a model.
+    fit : FilteredSolution
+        The fit with it.
+    gain : float
+        Gain in twice the log-likelihood.
+    score : TermScore
+        What had been expected.
+    alike : tuple of TermScore
+        Terms that were not refitted because their signature is almost the same.
+    """
+
+    term: Term
+    effect: Effect
+    fit: FilteredSolution
+    gain: float
+    score: TermScore
+    alike: tuple[TermScore, ...]
+
+    to_dict = as_dict(
+        "value", "unit", "gain",
+        term="text", name="effect.name", equation="term.equation", expression="term.expression",
+        parameter=lambda self: self.effect.parameters[0].name, score="score.statistic",
+        alike=lambda self: [other.term.text for other in self.alike],
+    )  # fmt: skip
+
+    @property
+    def text(self) -> str:
+        """The term for a reader, for instance ``M_qqq q^3``."""
+        return self.term.text
+
+    @property
+    def value(self) -> float:
+        """Fitted coefficient."""
+        return self.effect.parameters[0].value
+
+    @property
+    def unit(self) -> str:
+        """Unit of the coefficient."""
+        return self.effect.parameters[0].unit
+
+    @property
+    def evidence(self) -> float:
+        """Gain less what a more complicated term has to be worth."""
+        return self.gain - SIMPLICITY * self.term.complexity
+
+
+@dataclass(frozen=True, eq=False)
+class Proposals:
+    """Terms that would explain what no known effect explains, best first.
+
+    Attributes
+    ----------
+    proposals : tuple of Proposal
+    scores : tuple of TermScore
+        Every term, largest statistic first.
+    needed : float
+        Gain that a claim needs, so many terms looked at.
+    """
+
+    proposals: tuple[Proposal, ...]
+    scores: tuple[TermScore, ...]
+    needed: float
+
+    def __len__(self) -> int:
+        return len(self.proposals)
+
+    def __getitem__(self, index: int) -> Proposal:
+        return self.proposals[index]
+
+    @property
+    def best(self) -> Proposal | None:
+        """The best proposal; None where chance explains its gain."""
+        if self.proposals and self.proposals[0].gain > self.needed:
+            return self.proposals[0]
+        return None
+
+    @property
+    def group(self) -> tuple[str, ...]:
+        """The best term and all that these records cannot tell from it."""
+        if self.best is None:
+            return ()
+        top = self.best.evidence
+        found: list[str] = []
+        for proposal in self.proposals:
+            if top - proposal.evidence < GROUP_WIDTH:
+                found += [proposal.text, *(other.term.text for other in proposal.alike)]
+        return tuple(dict.fromkeys(found))
+
+    @property
+    def equations(self) -> dict[str, float]:
+        """Largest score statistic of any term, by equation, largest first."""
+        found: dict[str, float] = {}
+        for score in self.scores:
+            found.setdefault(score.term.equation, score.statistic)
+        return found
+
+    @property
+    def verdict(self) -> str:
+        """The finding in words."""
+        best = self.best
+        if best is None:
+            return (
+                f"None of {len(self.scores)} terms explains more than chance "
+                f"(a gain of {self.needed:.0f} is needed)."
+            )
+        text = (
+            f"A term {best.text} with {best.effect.parameters[0].name} = {best.value:.4g} "
+            f"{best.unit} in the {best.term.equation} equation would explain the records "
+            f"(gain {best.gain:.0f}, needed {self.needed:.0f})."
+        )
+        others = [name for name in self.group if name != best.text]
+        if others:
+            text += " These records cannot tell it from " + ", ".join(others[:8])
+            text += f" and {len(others) - 8} more." if len(others) > 8 else "."
+        return text
+
+    def report(self) -> str:
+        """Return the proposals as text."""
+        rows = [("term", "equation", "gain", "score", "value", "unit", "distinct")]
+        for proposal in self.proposals:
+            rows.append(
+                (
+                    proposal.text,
+                    proposal.term.equation,
+                    f"{proposal.gain:.1f}",
+                    f"{proposal.score.statistic:.1f}",
+                    f"{proposal.value:.4g}",
+                    proposal.unit,
+                    f"{proposal.score.distinct:.2f}",
+                )
+            )
+        lines = align(rows) if len(rows) > 1 else []
+        return "\n".join([*lines, "", self.verdict] if lines else [self.verdict])
+
+    to_dict = as_dict("verdict", "needed", "group", "equations", terms="proposals")
+
+
+def propose(study: Study, fit: FilteredSolution, *, n_refits: int = N_REFITS) -> Proposals:
+    """Propose terms for what the present model lacks.
+
+    Parameters
+    ----------
+    study : Study
+    fit : FilteredSolution
+        The present model, with estimated noise levels.
+    n_refits : int
+        How many terms to refit.
+    """
+    linear, dataset = along_fit(fit, study.unit)
+    signals = signals_along(linear.system.model, dataset, [s.states for s in linear.stretches])
+    first = term_scores(linear, signals)
+    needed = threshold(len(first.scores), 1)
+    bench = _Bench(study, fit, linear.system.model, signals)
+    found = bench.refit(_representatives(first, n_refits))
+    if found and found[0].gain > needed:
+        # Parameters bend to what is missing. With the best term they have straightened,
+        # and its noise is small: seen from there, a rival may be better still.
+        best = found[0]
+        again = linear.system.at(best.fit.values).linearise(
+            [s.states for s in linear.stretches], forces_only(best.fit.noise, len(study.unit.force))
+        )
+        second = term_scores(again, signals)
+        own = next((s.statistic for s in second.scores if s.term == best.term), 0.0)
+        present = {proposal.term for proposal in found}
+        rivals = [
+            (score, alike)
+            for score, alike in _representatives(second, n_refits)
+            if score.statistic > RIVAL * own and score.term not in present
+        ]
+        if rivals:
+            found = sorted([*found, *bench.refit(rivals, best.fit)], key=lambda p: -p.evidence)
+    return Proposals(tuple(found), first.scores, needed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bench:
+    """Refits terms as real effects."""
+
+    study: Study
+    fit: FilteredSolution
+    model: Model
+    signals: Signals
+
+    def refit(
+        self,
+        chosen: Sequence[tuple[TermScore, Sequence[TermScore]]],
+        near: FilteredSolution | None = None,
+    ) -> list[Proposal]:
+        """Refit each chosen term alone, best first; from parameters of a nearby fit too."""
+        if not chosen:
+            return []
+        effects = [
+            score.term.effect(
+                self.model, self.signals.units, max(abs(score.estimate), score.std_error)
+            )
+            for score, _ in chosen
+        ]
+        wide = self.study.with_candidates(effects)
+        present = self.study.effects_of(self.fit)
+        found = []
+        for (score, alike), effect in zip(chosen, effects, strict=True):
+            refitted = _refit(wide, present, self.fit, effect, score, near)
+            if refitted is not None:
+                parameter = effect.parameters[0]
+                fitted = effect.with_values({parameter.name: refitted.values[parameter.name]})
+                gain = self.fit.objective - refitted.objective
+                found.append(Proposal(score.term, fitted, refitted, gain, score, tuple(alike)))
+        return sorted(found, key=lambda p: -p.evidence)
+
+
+def _representatives(scored: TermScores, count: int) -> list[tuple[TermScore, list[TermScore]]]:
+    """The best terms that differ; of those that are alike, the simplest stands for all."""
+    result = []
+    for family in scored.families(count, ALIKE):
+        ordered = sorted(family, key=lambda s: SIMPLICITY * s.term.complexity - s.statistic)
+        result.append((ordered[0], ordered[1:]))
+    return result
+
+
+def _refit(
+    study: Study,
+    present: Sequence[Effect],
+    fit: FilteredSolution,
+    effect: Effect,
+    score: TermScore,
+    near: FilteredSolution | None,
+) -> FilteredSolution | None:
+    """Estimate everything again with one term added."""
+    name = effect.parameters[0].name
+    effects = (*present, effect)
+    starts = [dict(fit.values) | {name: 0.0}, dict(fit.values) | {name: score.estimate}]
+    if near is not None:
+        starts.insert(0, dict(near.values) | {name: score.estimate})
+    best: FilteredSolution | None = None
+    for values in starts:
+        found = study.estimate(effects, values, fit, update_noise=False, max_iterations=6)
+        if found is not None and (best is None or found.objective < best.objective):
+            best = found
+        if best is not None and fit.objective - best.objective > 0.7 * score.statistic:
+            break
+    if best is None:
+        return None
+    again = study.estimate(effects, best.values, best)
+    return again if again is not None and again.objective < best.objective else best
+
+
+@dataclass(frozen=True, eq=False)
+class TermScore:
+    """Evidence for one term before refitting.
+
+    Attributes
+    ----------
+    term : Term
+    statistic : float
+        Chi-squared statistic of its coefficient.
+    estimate, std_error : float
+        One-step estimate of the coefficient, and its standard error.
+    distinct : float
+        Share of its signature that free parameters cannot imitate.
+    unknowns : ndarray (n_unknowns,)
+        Change of parameters and initial states that goes with the term.
+    """
+
+    term: Term
+    statistic: float
+    estimate: float
+    std_error: float
+    distinct: float
+    unknowns: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class TermScores:
+    """Scores of all terms, largest statistic first.
+
+    Attributes
+    ----------
+    scores : tuple of TermScore
+    likeness : ndarray (n_compared, n_compared)
+        Correlation of the projected signatures of the first ones.
+    """
+
+    scores: tuple[TermScore, ...]
+    likeness: np.ndarray
+
+    def families(self, count: int, alike: float) -> list[list[TermScore]]:
+        """The best terms that differ, each followed by those that are like it.
+
+        Parameters
+        ----------
+        count : int
+            How many families.
+        alike : float
+            Correlation above which two terms are of one family.
+        """
+        found: list[list[int]] = []
+        for index in range(len(self.likeness)):
+            near = [family for family in found if abs(self.likeness[family[0], index]) > alike]
+            if near:
+                near[0].append(index)
+            elif len(found) < count:
+                found.append([index])
+        return [[self.scores[index] for index in family] for family in found]
+
+
+def term_scores(linear: Along, signals: Signals) -> TermScores:
+    """Score every term of the dictionary; those that free parameters imitate are left out.
+
+    Parameters
+    ----------
+    linear : Along
+        The model along its smoothed trajectories.
+    signals : Signals
+        Along the same trajectories.
+    """
+    dictionary = terms(linear.system.model, signals.signals)
+    grounds, n_terms = linear.grounds, len(dictionary)
+    n_names = len(grounds.prior)
+    n_unknowns = n_names + grounds.n_own * len(grounds.columns)
+    matrix, right = np.zeros((n_unknowns, n_unknowns)), np.zeros(n_unknowns)
+    matrix[np.arange(n_names), np.arange(n_names)] = grounds.prior[:, 0] ** 2
+    right[:n_names] = grounds.prior[:, 0] * grounds.prior[:, 1]
+    cross, along_residual = np.zeros((n_unknowns, n_terms)), np.zeros(n_terms)
+    full, kept = np.zeros(n_terms), []
+    for index, (stretch, scope, line, known) in enumerate(
+        zip(linear.stretches, signals.values, linear.joint, grounds.columns, strict=True)
+    ):
+        responses = _respond(linear, stretch, dictionary, scope)
+        whitened, _ = whiten(linear.noise, [line], [np.concatenate([known, responses], axis=2)])
+        n_known = known.shape[2]
+        own, residual = whitened[0][:, : n_known - 1], whitened[0][:, n_known - 1]
+        rows = whitened[0][:, n_known:]
+        where = grounds.unknowns(index)
+        matrix[np.ix_(where, where)] += own.T @ own
+        right[where] += own.T @ residual
+        cross[where] += own.T @ rows
+        along_residual += rows.T @ residual
+        full += np.sum(rows**2, axis=0)
+        kept.append(rows.astype(np.float32))
+    size = np.sqrt(np.diag(matrix))
+    size = np.where(size > 0, size, np.inf)
+    values, vectors = np.linalg.eigh(matrix / size[:, None] / size)
+    seen = values > 1e-11 * values.max()
+    basis = vectors[:, seen] / np.sqrt(values[seen]) / size[:, None]
+    step, shadow = basis.T @ right, basis.T @ cross
+    left = np.sqrt(np.maximum(full - np.sum(shadow**2, axis=0), 0.0))
+    usable = np.flatnonzero((left > ABSORBED * np.sqrt(full)) & (full > 0))
+    scores = (along_residual - shadow.T @ step)[usable] / left[usable]
+    order = usable[np.argsort(-(scores**2))]
+    root = dict(zip(usable, scores, strict=True))
+    first = order[:COMPARED]
+    likeness = (
+        sum((rows[:, first].T @ rows[:, first]).astype(float) for rows in kept)
+        - shadow[:, first].T @ shadow[:, first]
+    )
+    return TermScores(
+        tuple(
+            TermScore(
+                dictionary[i],
+                float(root[i] ** 2),
+                float(root[i] / left[i]),
+                float(1.0 / left[i]),
+                float(left[i] / np.sqrt(full[i])),
+                basis @ (step - root[i] / left[i] * shadow[:, i]),
+            )
+            for i in order
+        ),
+        likeness / left[first][:, None] / left[first],
+    )
+
+
+def _respond(
+    linear: Along, stretch: Stretch, dictionary: Sequence[Term], scope: dict[str, np.ndarray]
+) -> np.ndarray:
+    """Change of the outputs per unit of every coefficient, ``(n_times, n_outputs, n_terms)``."""
+    n, size = stretch.states.shape
+    texts = list(dict.fromkeys(term.expression for term in dictionary))
+    values = {text: np.broadcast_to(expressions.to_numpy(text, scope), (n,)) for text in texts}
+    forces = {linear.where[i].signal: stretch.gains[:, :, i] for i in linear.forces}
+    drive = np.empty((n, size, len(dictionary)))
+    for index, term in enumerate(dictionary):
+        drive[:, :, index] = forces[term.equation] * values[term.expression][:, None]
+    result = np.empty((n, stretch.output.shape[1], len(dictionary)))
+    moved = np.zeros((size, len(dictionary)))
+    for k in range(n):
+        result[k] = stretch.output[k] @ moved
+        moved = stretch.transition[k] @ moved + drive[k]
+    return result

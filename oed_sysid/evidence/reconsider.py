@@ -1,0 +1,230 @@
+"""Second thoughts of a search: a likelier valley, an effect needed no more, thinned records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.evidence.constancy import doubt, imitates
+from oed_sysid.evidence.rank import Ranking, Refit, rank
+from oed_sysid.evidence.standing import BOUGHT, Added, Standing, absent, own_error, rises
+from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.likelihood.summary import eliminate
+from oed_sysid.physics import Effect
+
+# An effect stays unasked where its information says that it is worth so many times what it needs.
+SURE = 4.0
+# Share of the largest gain below which an effect seen in thinned records is asked again.
+BESIDE = 0.1
+# Twice the log-likelihood within which two fits are the same.
+NEARBY = 1.0
+# A rival must be this much more likely to take an earlier effect's place.
+SWAP_MARGIN = 6.0
+
+
+def with_effect(
+    state: Standing, chosen: Refit, ranking: Ranking, validation_gain: float
+) -> Standing:
+    """Add an effect, and estimate once more."""
+    study = state.study
+    fit = not_astray(study, study.settle(chosen.fit))
+    if study.validation is not None and rises(study, state.fit, fit, validation_gain):
+        fit = chosen.fit  # a better likelihood elsewhere, which the validation records refuse
+    effect = chosen.score.effect
+    group = ranking.claimed_with(effect.name)
+    one = Added(effect, ranking, chosen.gain, ranking.needed(chosen), validation_gain, group)
+    return replace(state, added=(*state.added, one), fit=fit, path=(*state.path, fit))
+
+
+def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
+    """The fit, or a likelier one from the nominal values, or from a fit without random forces.
+
+    Where a large effect was missing, forces have grown to explain it and parameters have followed
+    them. Once it is there, that may be a valley of its own.
+    """
+    if not (fit.noise.force > 0).any():
+        return fit
+    effects, quiet = study.effects_of(fit), study.quiet(fit.noise)
+    own = {p.name for effect in effects for p in effect.parameters}
+    values = study.base.values | {k: v for k, v in fit.values.items() if k in own}
+    best = study.estimate(effects, values, fit, noise=quiet, max_iterations=25)
+    if best is None or best.objective > fit.objective - NEARBY:
+        best = fit
+    start = (
+        study.without_forces(effects, best.values)
+        if own_error(study, best, study.train) > BOUGHT
+        else None
+    )
+    if start is not None:
+        again = study.estimate(effects, start.values, start, noise=quiet, max_iterations=25)
+        if again is not None and again.objective < best.objective - NEARBY:
+            best = again
+    return fit if best is fit else study.settle(best)
+
+
+def reviewed(state: Standing) -> Standing:
+    """Drop or replace effects that others, or a better fit, have made doubtful."""
+    study = state.study
+    # By identity: a swap puts what came instead at the end.
+    for old in state.added:
+        needed = state.needed(old.effect)
+        is_last = old is state.added[-1]
+        if is_last and _cost(state.fit, old.effect) > SURE * needed:
+            continue
+        others = state.others(old)
+        without = _without(state, old)
+        if without is None:
+            continue
+        if without.objective - state.fit.objective < needed:
+            return rebuilt(state.dropping(old, study.settle(without)))
+        if is_last:  # it was the best of a ranking just now
+            continue
+        reduced = replace(state, added=others, fit=without)
+        ranking = rank(
+            study,
+            without,
+            reduced.left,
+            also=(old.effect.name,),
+            n_refits=5,
+            share=state.share,
+        )
+        present = next((r for r in ranking.refits if r.name == old.effect.name), None)
+        best = ranking.refits[0] if ranking.refits else None
+        if best is None:
+            continue
+        chosen = best
+        if present is not None and best.evidence < present.evidence + SWAP_MARGIN:
+            chosen = present
+        group = ranking.claimed_with(chosen.name)
+        if chosen.name == old.effect.name:
+            same = replace(old, ranking=ranking, group=group)
+            kept = tuple(same if one is old else one for one in state.added)
+            state = replace(state, added=kept)
+            continue
+        if study.validation is not None and study.validate(chosen.fit) > study.validate(state.fit):
+            continue
+        new = Added(
+            chosen.score.effect,
+            ranking,
+            chosen.gain,
+            ranking.needed(chosen),
+            old.validation_gain,
+            group,
+        )
+        state = rebuilt(replace(state, added=(*others, new), fit=study.settle(chosen.fit)))
+    return state
+
+
+def judged_anew(state: Standing) -> Standing:
+    """Every effect beside the others in the present likelihood: what gains too little is dropped.
+
+    For a set that was found under another noise: its gains are those of that noise.
+    """
+    while True:
+        judged = [(one, _without(state, one)) for one in state.added]
+        anew = [
+            one if without is None else replace(one, gain=without.objective - state.fit.objective)
+            for one, without in judged
+        ]
+        spare = [
+            (one, without)
+            for (one, without), seen in zip(judged, anew, strict=True)
+            if without is not None and seen.gain < state.needed(one.effect)
+        ]
+        if not spare:
+            return rebuilt(replace(state, added=tuple(anew)))
+        least, without = min(spare, key=lambda pair: pair[1].objective)
+        state = state.dropping(least, state.study.settle(without))
+
+
+def _without(state: Standing, one: Added) -> FilteredSolution | None:
+    """The fit with all effects but one."""
+    return state.study.estimate(
+        [other.effect for other in state.others(one)],
+        absent(state.fit, one.effect),
+        state.fit,
+        noise=state.study.loosened(state.fit.noise),
+        max_iterations=25,
+    )
+
+
+def on_all_samples(state: Standing, whole: Dataset) -> tuple[Standing, list[str]]:
+    """Drop what only the thinned records show: means of a command between samples are not it.
+
+    Asked are effects that remember a command or a signal, and those beside a much larger one.
+    """
+    study, largest = state.study, max((one.gain for one in state.added), default=0.0)
+    full = replace(study, train=whole)
+    notes: list[str] = []
+    for one in reversed(state.added):
+        if not one.effect.memory and one.gain > BESIDE * largest:
+            continue
+        effects, fit = [other.effect for other in state.others(one)], state.fit
+        less = full.estimate(effects, absent(fit, one.effect), fit, max_iterations=12)
+        more = full.estimate([*effects, one.effect], fit.values, fit, max_iterations=12)
+        if less is None or more is None:
+            continue
+        if less.objective - more.objective >= state.needed(one.effect):
+            continue
+        without = study.estimate(effects, less.values, fit, max_iterations=25)
+        if without is None:
+            continue
+        state = rebuilt(state.dropping(one, study.settle(without)))
+        notes.append(
+            f"{one.effect.name} was seen in the thinned records and is not in all samples: it is "
+            "no claim."
+        )
+    return state, notes
+
+
+def without_imitations(state: Standing) -> Standing:
+    """Drop effects, the last first, that cannot be told from what else is missing."""
+    for one in reversed(state.added):
+        study = state.study
+        sizes = imitates(study, state.fit, one.effect, partial(_without, state, one))
+        if not sizes:
+            continue
+        without = _without(state, one)
+        if without is None:
+            continue
+        told = doubt(one.effect, sizes)
+        state = rebuilt(state.dropping(one, study.settle(without)).doubting(one.effect.name, told))
+    return state
+
+
+def _cost(fit: FilteredSolution, effect: Effect) -> float:
+    """What leaving an effect out would cost in twice the log-likelihood, by its information."""
+    known = {name: i for i, name in enumerate(fit.problem.layout.shared)}
+    own = np.array([known[name] for name in effect.amplitude_names if name in known], dtype=int)
+    if len(own) < len(effect.amplitude_names):  # one for each record: not told so quickly
+        return 0.0
+    matrix = fit.matrix + np.diag(fit.problem.limits.prior_weight)
+    size = fit.point.unknowns[own]
+    rest = np.setdiff1d(np.arange(len(matrix)), own)
+    return float(size @ eliminate(matrix, own, rest) @ size)
+
+
+def rebuilt(state: Standing) -> Standing:
+    """The same with the fits of all steps made again, each with its own and earlier effects."""
+    study, path = state.study, [state.path[0]]
+    for count in range(1, len(state.added)):
+        last = path[-1]
+        effects = state.effects[:count]
+        names = [effect.name for effect in effects]
+        fits = [fit for fit in state.path if [e.name for e in study.effects_of(fit)] == names]
+        for values in (state.fit.values, last.values):
+            fit = study.estimate(
+                effects, values, last, max_iterations=25, noise=study.loosened(last.noise)
+            )
+            fits += [] if fit is None else [fit]
+        if study.validation is not None:
+            # Two optima of nearly the same likelihood: the one that predicts is meant.
+            fits = [fit for fit in fits if not rises(study, last, fit)] or fits
+        path.append(min(fits, key=lambda fit: fit.objective, default=last))
+    if state.added:
+        path.append(state.fit)
+    return replace(state, path=tuple(path))

@@ -1,0 +1,295 @@
+"""What a check of a log found: findings with sizes, fixes and words."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.runtime.display import as_dict, as_html, plain
+
+# A normal variable's 95 % interval in standard deviations.
+TWO_SIDED_95 = 1.96
+
+
+# Findings with which a fit must not be used whatever its residuals say.
+CONTRADICTIONS = (
+    "sign", "unit", "swap", "frame", "offset", "dead", "duplicate", "clock", "step",
+    "unexplained",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Correction:
+    """How to undo a finding in a copy of a record.
+
+    Parameters
+    ----------
+    kind : str
+        ``sign``, ``unit``, ``swap``, ``frame``, ``offset``, ``bias``, ``scale``, ``delay``,
+        ``lever``, ``misalignment``, ``step`` or ``blank``.
+    signals : tuple of str
+        Signals that change.
+    value : float
+        Factor, offset, relative error, delay in s, lever in m or angle in rad.
+    other : tuple of str
+        Signals that the change needs: the rate of a lever arm.
+    rows : mapping
+        For ``blank``: record name to the indices of samples to leave out; for ``step``: to the
+        indices of the first samples after each jump.
+    sizes : mapping
+        For ``step``: record name to the jump at each of these indices, in the signal's SI unit.
+    record : str
+        The only record that changes; empty for all of them.
+    """
+
+    kind: str
+    signals: tuple[str, ...]
+    value: float = 1.0
+    other: tuple[str, ...] = ()
+    rows: dict[str, tuple[int, ...]] = field(default_factory=dict, repr=False)
+    sizes: dict[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
+    record: str = ""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong with a log, or worth knowing.
+
+    Parameters
+    ----------
+    kind : str
+        What: ``sign``, ``unit``, ``swap``, ``frame``, ``bias``, ``scale``, ``delay``, ``lever``,
+        ``misalignment``, ``drift``, ``spikes``, ``dropouts``, ``frozen``, ``saturated``, ``held``,
+        ``dead``, ``gap``, ``clock``, ``duplicate``, ``quantised``, ``noise``, ``step``,
+        ``unexplained`` …
+    signals : tuple of str
+        Signals concerned.
+    records : tuple of str
+        Records concerned.
+    says : str
+        The finding in a sentence.
+    changes : str
+        What it would do to an estimate.
+    fix : str
+        A line for the problem file, or words for a corrected copy.
+    suspect : bool
+        Whether the log should not be used as it is; otherwise it is good to know.
+    size : float or None
+        Estimated size, in ``unit``.
+    interval : tuple of float or None
+        Its 95 % interval.
+    unit : str
+        Unit of the size.
+    gain : float or None
+        Log-likelihood gain (twice the logarithm of the likelihood ratio).
+    alternatives : tuple of str
+        Other explanations that these records cannot tell from this one.
+    correction : Correction or None
+        How a corrected copy undoes it.
+    """
+
+    kind: str
+    signals: tuple[str, ...]
+    records: tuple[str, ...]
+    says: str
+    changes: str
+    fix: str
+    suspect: bool = True
+    size: float | None = None
+    interval: tuple[float, float] | None = None
+    unit: str = ""
+    gain: float | None = None
+    alternatives: tuple[str, ...] = ()
+    correction: Correction | None = field(default=None, repr=False)
+
+    @property
+    def name(self) -> str:
+        """Kind and signals in one word, such as ``"bias q"``."""
+        return f"{self.kind} {', '.join(self.signals)}".strip()
+
+    def lines(self) -> list[str]:
+        """Return the finding as sentences, the most important first."""
+        head = self.says
+        if self.gain is not None:
+            head += f" Log-likelihood gain {self.gain:.0f}."
+        rows = [head]
+        if self.alternatives:
+            rows.append(f"These records cannot tell it from: {'; '.join(self.alternatives)}.")
+        if self.changes:
+            rows.append(f"Left as it is: {self.changes}")
+        if self.fix:
+            rows.append(f"Fix: {self.fix}")
+        return rows
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, with the key ``name`` added."""
+        return {
+            "name": self.name,
+            **{one.name: plain(getattr(self, one.name)) for one in fields(self)},
+        }
+
+
+@dataclass(frozen=True)
+class Balance:
+    """How well one equation between signals holds.
+
+    Parameters
+    ----------
+    relation : str
+        The equation.
+    before, after : float
+        Root mean square of what is left of the left side's changes, as a share of them, in the
+        log as it is and with the findings undone.
+    target, unit : str
+        Signal on the left side and the unit of the series.
+    series : tuple of (str, ndarray, ndarray, ndarray)
+        Record, times ``(n_blocks,)``, residual before and after ``(n_blocks,)``: the signal
+        minus the integral of the other signals.
+    """
+
+    relation: str
+    before: float
+    after: float
+    target: str
+    unit: str
+    series: tuple[tuple[str, np.ndarray, np.ndarray, np.ndarray], ...] = field(
+        default=(), repr=False, compare=False
+    )
+
+    to_dict = as_dict("relation", "before", "after")
+
+
+@dataclass(frozen=True)
+class LogCheck:
+    """Result of :func:`~oed_sysid.evidence.check`.
+
+    Parameters
+    ----------
+    findings : tuple of Finding
+        What was found, suspect ones first.
+    records : tuple of str
+        Records that were looked at.
+    relations : tuple of str
+        Equations between signals that were used.
+    balances : tuple of Balance
+        How well each of them holds.
+    unchecked : tuple of str
+        What no equation relates, and what these equations cannot tell, in sentences.
+    duration : float
+        Time that the check took, s.
+    """
+
+    findings: tuple[Finding, ...]
+    records: tuple[str, ...]
+    relations: tuple[str, ...] = ()
+    balances: tuple[Balance, ...] = field(default=(), repr=False)
+    unchecked: tuple[str, ...] = ()
+    duration: float = math.nan
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        return f"<LogCheck of {len(self.records)} records: {self.verdict}>"
+
+    @property
+    def suspect(self) -> bool:
+        """Whether the log contradicts itself and should not be used as it is."""
+        return any(finding.suspect for finding in self.findings)
+
+    @property
+    def contradictory(self) -> bool:
+        """Whether signals contradict each other or the nominal model, beyond bad samples.
+
+        Spikes and the like cost accuracy; a wrong sign, unit or column costs the truth.
+        """
+        return any(finding.kind in CONTRADICTIONS for finding in self.serious)
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing suspect was found."""
+        return not self.suspect
+
+    @property
+    def serious(self) -> tuple[Finding, ...]:
+        """Return the findings that make the log suspect."""
+        return tuple(finding for finding in self.findings if finding.suspect)
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        n = len(self.serious)
+        if n:
+            names = "; ".join(finding.name for finding in self.serious)
+            return f"Log suspect: {n} {'finding' if n == 1 else 'findings'} ({names})."
+        if not self.relations:
+            return "Nothing wrong was seen in single signals; no equation relates them."
+        return "The signals agree with each other."
+
+    def named(self, kind: str, signal: str | None = None) -> Finding | None:
+        """Return the first finding of a kind, of a signal if given; None if there is none."""
+        for one in self.findings:
+            if one.kind == kind and (signal is None or signal in one.signals):
+                return one
+        return None
+
+    def without(self, kind: str) -> LogCheck:
+        """Return the result without the findings of one kind."""
+        return replace(self, findings=tuple(one for one in self.findings if one.kind != kind))
+
+    def warning(self) -> str:
+        """Return a paragraph to put above a result made from this log; empty if it is ok."""
+        if self.ok:
+            return ""
+        lines = [self.verdict]
+        lines += [f"  - {one.says} Fix: {one.fix}" for one in self.serious]
+        return "\n".join(lines)
+
+    def report(self) -> str:
+        """Return the result in words."""
+        n = len(self.records)
+        lines = [f"Log check of {n} {'record' if n == 1 else 'records'}: {', '.join(self.records)}"]
+        lines += ["", self.verdict]
+        for title, suspect in (("Suspect", True), ("Good to know", False)):
+            chosen = [one for one in self.findings if one.suspect is suspect]
+            if not chosen:
+                continue
+            lines += ["", title]
+            for number, one in enumerate(chosen, start=1):
+                first, *rest = one.lines()
+                where = "" if set(one.records) == set(self.records) else _where(one.records)
+                lines.append(f"{number:3d}. {first}{where}")
+                lines += [f"     {text}" for text in rest]
+        if self.balances:
+            lines += ["", "Equations between signals, and what is left of the left side's changes"]
+            for row in self.balances:
+                after = f", {_share(row.after)} with the findings undone" * self.suspect
+                lines.append(f"     {row.relation}: {_share(row.before)}{after}")
+        if self.unchecked:
+            lines += ["", "What this check cannot tell"]
+            lines += [f"     {text}" for text in self.unchecked]
+        return "\n".join(lines)
+
+    to_dict = as_dict(
+        "verdict", "suspect", "records", "findings", "unchecked",
+        relations="balances", duration_s="duration",
+    )  # fmt: skip
+
+
+def _share(value: float) -> str:
+    return f"{100.0 * value:.2g} %"
+
+
+def _where(records: tuple[str, ...]) -> str:
+    return f" ({', '.join(records)})" if records else ""
+
+
+def interval(size: float, std: float) -> tuple[float, float]:
+    """95 % interval of an estimate with a normal error.
+
+    >>> interval(1.0, 0.1)
+    (0.804, 1.196)
+    """
+    return size - TWO_SIDED_95 * std, size + TWO_SIDED_95 * std

@@ -1,0 +1,371 @@
+r"""Score test: how much each candidate would explain, without refitting.
+
+With innovations ``r`` in units of their standard deviation, their derivatives ``J`` by the
+unknowns of a fit and ``s`` by an absent candidate, along the filtered path,
+
+.. math:: T = \frac{(s' M r)^2}{s' M s}, \qquad M = I - J (J'J)^{-1} J'
+
+is a chi-squared variable where the candidate is absent (Rao 1948), and to first order what
+refitting with it would gain in twice the log-likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from oed_sysid.compiled.filtering import FilterPass
+from oed_sysid.evidence.lines import lines
+from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.physics import Effect
+from oed_sysid.physics.parameters import Parameter
+
+# Values of a shape parameter (a frequency, a time constant) that are tried, of the first and of
+# every other one.
+N_SHAPES, N_OTHER_SHAPES = 11, 3
+# Share of a typical amplitude that stands for its tangent.
+TANGENT = 1e-3
+# What is left of a candidate after projection, below which it is another name for a
+# combination of parameters that are free already.
+ABSORBED = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """Evidence for one absent effect.
+
+    Attributes
+    ----------
+    effect : Effect
+    statistic : float
+        Chi-squared statistic of the amplitudes, best shape.
+    freedom : int
+        Amplitudes, shape parameters, and start values of each record.
+    estimate : dict
+        One-step estimate of amplitudes (and the shape that goes with it).
+    std_errors : dict
+        Standard errors of the amplitudes, over all records.
+    distinct : float
+        Share of the effect's signature that free parameters cannot imitate.
+    signature : ndarray (n_rows, n_amplitudes)
+        Whitened sensitivities with existing unknowns projected out.
+    trials : float
+        Frequencies that the records tell apart, of which the best was taken; 1 where the effect
+        does not swing in time.
+    """
+
+    effect: Effect
+    statistic: float
+    freedom: int
+    estimate: dict[str, float]
+    std_errors: dict[str, float]
+    distinct: float
+    signature: np.ndarray
+    trials: float = 1.0
+
+    @property
+    def apart(self) -> int:
+        """Freedoms that sizes which differ from record to record have beyond shared ones."""
+        return self.signature.shape[1] - len(self.effect.amplitude_names)
+
+    @property
+    def absorbed(self) -> bool:
+        """Whether the free parameters imitate the effect completely."""
+        return self.distinct < ABSORBED
+
+
+@dataclass(frozen=True, eq=False)
+class _Variant:
+    """Columns ``(n_rows, n_amplitudes)`` of one candidate at one shape."""
+
+    effect: Effect
+    amplitudes: tuple[str, ...]
+    shape: dict[str, float]
+    columns: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Innovations of all records in units of their standard deviation, with derivatives.
+
+    ``seen``, ``roots`` (standard deviations), ``passes`` and ``times`` are per record; ``known``
+    are columns of the unknowns of the fit, ``extra`` those of candidates, by name.
+    """
+
+    seen: list[np.ndarray]
+    roots: list[np.ndarray]
+    innovations: list[np.ndarray]
+    passes: list[FilterPass]
+    times: list[np.ndarray]
+    residual: np.ndarray
+    known: np.ndarray
+    extra: dict[str, np.ndarray]
+
+    def spread(self, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """Rows of a quantity ``(n_times, n_outputs)`` per record, in standard deviations."""
+        return np.concatenate(
+            [part[s] / root for part, s, root in zip(parts, self.seen, self.roots, strict=True)]
+        )
+
+    @property
+    def scaled(self) -> list[np.ndarray]:
+        """Innovations ``(n_times, n_outputs)`` per record in standard deviations, NaN if none."""
+        found = []
+        for part, seen, root in zip(self.innovations, self.seen, self.roots, strict=True):
+            whole = np.full(part.shape, np.nan)
+            whole[seen] = part[seen] / root
+            found.append(whole)
+        return found
+
+    def by_record(self, columns: np.ndarray) -> np.ndarray:
+        """A column for every record in place of one for all, ``(n_rows, n_columns*n_records)``."""
+        ends = np.cumsum([len(root) for root in self.roots])
+        apart = np.zeros((*columns.shape, len(ends)))
+        for index, (begin, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
+            apart[begin:end, :, index] = columns[begin:end]
+        return apart.reshape(len(columns), -1)
+
+
+def scores(
+    study: Study, fit: FilteredSolution, candidates: Sequence[Effect]
+) -> tuple[list[Score], np.ndarray]:
+    """Score every candidate at a fit.
+
+    Parameters
+    ----------
+    study : Study
+        Its filter holds the candidates.
+    fit : FilteredSolution
+        Fit of the present model.
+    candidates : sequence of Effect
+        Absent effects.
+
+    Returns
+    -------
+    scores : list of Score
+        Largest statistic first.
+    residual : ndarray (n_rows,)
+        Whitened innovations with the existing unknowns projected out.
+    """
+    candidates = [effect for effect in candidates if effect.amplitude_names]
+    if not candidates:
+        return [], np.zeros(0)
+    smooth = [
+        name
+        for effect in candidates
+        if not effect.shape_names and two_sided(effect)
+        for name in effect.amplitude_names
+    ]
+    rows = _rows(fit, smooth)
+    known = rows.known[:, np.linalg.norm(rows.known, axis=0) > 0]
+    basis, _ = np.linalg.qr(known / np.linalg.norm(known, axis=0))
+    residual = rows.residual - basis @ (basis.T @ rows.residual)
+    best: dict[str, Score] = {}
+    for variant in _variants(study, fit, candidates, rows, smooth):
+        raw = variant.columns
+        projected = raw - basis @ (basis.T @ raw)
+        score = _score(variant, raw, projected, residual, len(rows.seen))
+        score = replace(score, trials=_trials(variant.effect, rows))
+        name = variant.effect.name
+        if name not in best or score.statistic > best[name].statistic:
+            best[name] = score
+    return sorted(best.values(), key=lambda s: -s.statistic), residual
+
+
+def _local_names(effect: Effect) -> tuple[str, ...]:
+    sizes = effect.amplitude_names
+    return tuple(p.name for p in effect.parameters if p.per_record and p.name in sizes)
+
+
+def _rows(fit: FilteredSolution, smooth: Sequence[str]) -> _Rows:
+    """One pass along the filtered path, candidates' columns included."""
+    problem, unknowns = fit.problem, fit.point.unknowns
+    layout = problem.layout
+    names = (*layout.free_names, *smooth)
+    width = layout.n_own + len(layout.free_names)
+    found = problem.passes(unknowns, rows=True, gains=True, names=names)
+    n_known = layout.levels.start
+    seen = [np.isfinite(part.innovations) for part in found]
+    roots = [np.sqrt(part.variances[s]) for part, s in zip(found, seen, strict=True)]
+    sizes = [int(s.sum()) for s in seen]
+    priors = problem.limits.prior_weight[: len(layout.shared)]
+    held = np.flatnonzero(priors > 0)
+    known = np.zeros((sum(sizes) + len(held), n_known))
+    residual = np.zeros(len(known))
+    extra = {name: np.zeros(len(known)) for name in smooth}
+    begin = 0
+    for index, (part, s, root) in enumerate(zip(found, seen, roots, strict=True)):
+        block = slice(begin, begin + len(root))
+        begin = block.stop
+        assert part.rows is not None
+        rows = part.rows[s]
+        columns = layout.record_columns(index)
+        known[block, columns] = -rows[:, :width]
+        known[block, columns[layout.n_own :]] *= layout.slopes(unknowns[columns[layout.n_own :]])
+        residual[block] = part.innovations[s] / root
+        for position, name in enumerate(smooth):
+            extra[name][block] = -rows[:, width + position]
+    for position, column in enumerate(held):
+        known[begin + position, column] = np.sqrt(priors[column])
+        away = problem.limits.prior_mean[column] - unknowns[column]
+        residual[begin + position] = np.sqrt(priors[column]) * away
+    innovations = [part.innovations for part in found]
+    times = [record.times for record in problem.records]
+    return _Rows(seen, roots, innovations, found, times, residual, known, extra)
+
+
+def _score(
+    variant: _Variant,
+    raw: np.ndarray,
+    projected: np.ndarray,
+    residual: np.ndarray,
+    n_records: int,
+) -> Score:
+    effect = variant.effect
+    size = np.linalg.norm(raw, axis=0)
+    left = np.linalg.norm(projected, axis=0)
+    distinct = float(np.min(left / np.where(size > 0, size, np.inf)))
+    local = _local_names(effect)
+    freedom = raw.shape[1] + len(effect.shape_names) + n_records * len(effect.start_names)
+    if distinct < ABSORBED:
+        nothing = dict.fromkeys(variant.amplitudes, 0.0)
+        endless = dict.fromkeys(variant.amplitudes, np.inf)
+        return Score(effect, 0.0, freedom, nothing, endless, distinct, 0 * projected)
+    matrix = projected.T @ projected
+    right = projected.T @ residual
+    inverse = np.linalg.pinv(matrix, rcond=1e-12, hermitian=True)
+    amplitude, errors = inverse @ right, np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    statistic = float(right @ amplitude)
+    if raw.shape[1] > len(variant.amplitudes):  # one amplitude for every record
+        count = raw.shape[1] // len(variant.amplitudes)
+        amplitude = np.array([p.mean() for p in np.split(amplitude, len(variant.amplitudes))])
+        # What a size that all records share would be known to.
+        errors = np.array(
+            [np.sum(p**-2.0) ** -0.5 for p in np.split(errors, len(variant.amplitudes))]
+        )
+        assert local
+        assert count > 1
+    lower = [_parameter(effect, name).lower for name in variant.amplitudes]
+    upper = [_parameter(effect, name).upper for name in variant.amplitudes]
+    if len(amplitude) == 1 and (lower[0] >= 0 > amplitude[0] or upper[0] <= 0 < amplitude[0]):
+        statistic, amplitude = 0.0, np.zeros(1)
+    estimate = dict(zip(variant.amplitudes, np.clip(amplitude, lower, upper), strict=True))
+    return Score(
+        effect,
+        statistic,
+        freedom,
+        {name: float(value) for name, value in (estimate | variant.shape).items()},
+        dict(zip(variant.amplitudes, map(float, errors), strict=True)),
+        distinct,
+        projected,
+    )
+
+
+def _parameter(effect: Effect, name: str) -> Parameter:
+    return next(p for p in effect.parameters if p.name == name)
+
+
+def _variants(
+    study: Study,
+    fit: FilteredSolution,
+    candidates: Sequence[Effect],
+    rows: _Rows,
+    smooth: Sequence[str],
+) -> list[_Variant]:
+    """Columns of every candidate, for every shape it may have."""
+    variants = []
+    for effect in candidates:
+        amplitudes = effect.amplitude_names
+        is_smooth = all(name in smooth for name in amplitudes)
+        for shape in _shapes(effect, rows) if effect.shape_names else [{}]:
+            columns = (
+                np.column_stack([rows.extra[name] for name in amplitudes])
+                if is_smooth
+                else _secant(study, fit, effect, shape, rows)
+            )
+            if columns is not None:
+                columns = rows.by_record(columns) if _local_names(effect) else columns
+                variants.append(_Variant(effect, amplitudes, shape, columns))
+    return variants
+
+
+def two_sided(effect: Effect) -> bool:
+    """Whether amplitudes may have either sign; other effects often have a kink at zero."""
+    return all(_parameter(effect, name).lower < 0 for name in effect.amplitude_names)
+
+
+def _secant(
+    study: Study,
+    fit: FilteredSolution,
+    effect: Effect,
+    shape: dict[str, float],
+    rows: _Rows,
+) -> np.ndarray | None:
+    """Change of the innovations per unit of each amplitude, from nothing to a typical size.
+
+    Small against it where the effect has either sign, so that the change is its tangent.
+    """
+    names = effect.amplitude_names
+    small = TANGENT if two_sided(effect) else 1.0
+    groups = [names] if not two_sided(effect) else [(name,) for name in names]
+    problem, model = fit.problem, fit.problem.model + effect
+    columns = []
+    for group in groups:
+        sizes = {name: small * _parameter(effect, name).magnitude for name in group}
+        trial = Filtered(
+            model.with_values(fit.values | shape | sizes),
+            problem.dataset,
+            problem.levels.starting(fit.noise).held(),
+            kernel=study.kernel,
+        )
+        local = [dict(own) for own in fit.local]
+        point = trial.point(fit.initial, local)
+        found = problem.replayed(trial, point.unknowns, rows.passes)
+        if found is None:
+            return None
+        moved = [still - part for still, part in zip(rows.innovations, found, strict=True)]
+        column = rows.spread(moved) / sum(sizes.values())
+        columns.append(np.concatenate([column, np.zeros(len(rows.residual) - len(column))]))
+    return np.array(columns).T
+
+
+def _swings(effect: Effect, parameter: Parameter) -> bool:
+    """Whether a shape is the frequency of something that swings in time."""
+    return parameter.unit == "rad/s" and "t" in effect.uses()
+
+
+def _trials(effect: Effect, rows: _Rows) -> float:
+    """Frequencies that the longest record tells apart within the bounds of an effect."""
+    longest = max(float(t[-1] - t[0]) for t in rows.times)
+    ranges = [
+        p.upper - p.lower
+        for p in effect.parameters
+        if p.name in effect.shape_names and _swings(effect, p) and np.isfinite(p.upper - p.lower)
+    ]
+    return max(1.0, max(ranges, default=0.0) * longest / (2.0 * np.pi))
+
+
+def _shapes(effect: Effect, rows: _Rows) -> list[dict[str, float]]:
+    """Grid over the bounds of the shape parameters, fine in the first and coarse in others.
+
+    Where a term swings in time, the frequencies at which the innovations do are beside the grid,
+    which is coarser than a long record tells them apart.
+    """
+    axes = []
+    for position, name in enumerate(effect.shape_names):
+        parameter = _parameter(effect, name)
+        low, high = parameter.lower, parameter.upper
+        if not (np.isfinite(low) and np.isfinite(high)):
+            low, high = sorted((0.5 * parameter.value, 2.0 * parameter.value))
+        grid = np.linspace(low, high, N_SHAPES if position == 0 else N_OTHER_SHAPES)
+        if _swings(effect, parameter):
+            grid = np.append(grid, lines(rows.times, rows.scaled, low, high))
+        axes.append(grid)
+    return [
+        dict(zip(effect.shape_names, map(float, point), strict=True)) for point in product(*axes)
+    ]

@@ -1,0 +1,530 @@
+r"""What stays the same while models are compared: records, candidates, noise, one compiled filter.
+
+Every model on the way is a nominal model and some of the candidate effects, fitted by the
+likelihood of :mod:`oed_sysid.likelihood.filtered` with a random force in every equation: a model
+that lacks an effect then admits what it cannot explain, instead of bending its parameters to it.
+One compiled filter of all candidates serves every such model.
+
+On validation records a model is judged by how likely it makes them, given what the training
+records say of its parameters, with start states and noise levels estimated there:
+
+.. math::
+    -2 \log p(y_v | y_t) \approx \min_{\theta, x_0, \eta}
+    \left[ -2 \log L_v + (\theta - \hat\theta)' \Lambda (\theta - \hat\theta) \right]
+    + \log \det(I + \Lambda^{-1} H_v)
+
+with the information :math:`\Lambda` of the training and :math:`H_v` of the validation records
+(Laplace's approximation; Kass & Raftery 1995, *Bayes factors*, J. Am. Stat. Assoc. 90).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.errors import DataError, ModelError, SimulationError
+from oed_sysid.likelihood.disturbances import chosen_places
+from oed_sysid.likelihood.disturbances import places as every_place
+from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
+from oed_sysid.likelihood.input_noise import noisy_inputs, smoothed
+from oed_sysid.likelihood.levels import Levels
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.random_forces import (
+    Start,
+    fit_disturbed,
+    with_colour,
+    with_input_noise,
+    with_own_times,
+)
+from oed_sysid.likelihood.score_test import ScoreTest, score_test
+from oed_sysid.likelihood.setting import Setting
+from oed_sysid.likelihood.shooting import Point, Shooting
+from oed_sysid.likelihood.summary import eliminate, summarise_filtered
+from oed_sysid.physics import Effect
+from oed_sysid.physics.model import Model
+
+# Below this share of a typical magnitude's inverse square, training records say nothing.
+VAGUE = 1e-8
+
+# A fit to white noise, on the way to one with random forces.
+PLAIN = MultipleShooting(max_iterations=15, coloured="never", disturbances="none")
+# Fits of start states on records: a validation, its error and the table of errors ask for the same.
+_ALONE: WeakKeyDictionary[
+    FilteredSolution, list[tuple[Study, Dataset, FilteredSolution | None]]
+] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Records, candidates and the noise setting of one comparison of models.
+
+    Attributes
+    ----------
+    base : Model
+        The nominal model.
+    candidates : tuple of Effect
+        What may be missing, absent.
+    plain_error : float
+        Error of the nominal model fitted without random forces on the training records, over
+        all outputs, in units of the noise.
+    skipped : tuple of str
+        Candidates that do not fit the nominal model.
+    train : Dataset
+    validation : Dataset or None
+    setting : Setting
+    unit : NoiseModel
+        Natural size of every level.
+    kernel : FilterKernel
+        Of the nominal model with all candidates and all disturbances.
+    estimated : ndarray of bool (n_outputs,)
+        Outputs whose noise nobody declared.
+    noisy_inputs : mapping of str to float
+        Level of the white noise that the log of an input shows.
+    smoothed : Dataset or None
+        The training records with these smoothed; None without any.
+    """
+
+    base: Model
+    candidates: tuple[Effect, ...]
+    plain_error: float
+    skipped: tuple[str, ...]
+    train: Dataset
+    validation: Dataset | None
+    setting: Setting
+    unit: NoiseModel
+    kernel: FilterKernel
+    estimated: np.ndarray
+    noisy_inputs: Mapping[str, float] = field(default_factory=dict)
+    smoothed: Dataset | None = None
+
+    @classmethod
+    def begin(
+        cls,
+        model: Model,
+        train: Dataset,
+        validation: Dataset | None,
+        candidates: Sequence[Effect],
+        *,
+        known_noise: bool,
+        disturbances: str | Sequence[str] = "auto",
+    ) -> tuple[Study, FilteredSolution]:
+        """Join model and candidates, and fit the nominal model.
+
+        Parameters
+        ----------
+        model : Model
+        train, validation : Dataset
+        candidates : sequence of Effect
+        known_noise : bool
+            Whether declared levels are right and sensors have no other noise.
+        disturbances : str or sequence of str
+            Where random forces may act: ``"auto"`` or ``"all"`` of the equations, ``"none"`` of
+            them, or those that are named.
+        """
+        levels = given_levels(model.outputs)
+        if known_noise and not np.all(np.isfinite(levels)):
+            unknown = [o.name for o in model.outputs if o.noise_std is None]
+            raise DataError(
+                f"The noise of {', '.join(unknown)} is not declared, so it cannot be taken as "
+                "known. Set noise_std on these outputs, or let the noise be estimated."
+            )
+        floor, _ = credible_levels(train)
+        white = np.where(np.isfinite(levels), levels, floor)
+        try:
+            places = chosen_places(model, "all")
+        except ModelError as error:
+            raise ModelError(
+                f"Model {model.name!r} has no equation with a parameter in which physics could be "
+                "missing."
+            ) from error
+        free = np.full(len(white), not known_noise)
+        tests = train.only_tests
+        if tests:  # no disturbance links one with the next
+            disturbances = "none"
+        inputs = [place for place in every_place(model) if place.stage == "actuator" and not tests]
+        acting = places
+        if disturbances == "none":
+            acting = ()
+        elif disturbances not in ("auto", "all"):
+            acting = chosen_places(model, disturbances)
+        absent = [place.name for place in places if place not in acting]
+        places = tuple(dict.fromkeys((*places, *acting)))
+        # Without random forces, what is slow and far above a sensor's wiggles is structure.
+        setting = Setting.of(
+            train,
+            places,
+            white,
+            free,
+            colour=not known_noise and not tests,
+            inputs=inputs,
+            known=absent,
+            drifting=disturbances != "none",
+        )
+        effects, skipped = fitting_candidates(model, candidates)
+        wide = disturbed_model(model + effects, setting.disturbances)
+        kernel = filter_kernel(wide)
+        plain = PLAIN.fit(model, train)
+        starts = [_nominal_start(model, train, white)]
+        if (end := _end(plain)) is not None:
+            starts.append(end)
+        test = _best_test(model, train, setting, starts, kernel)
+        level = np.where(np.isin(test.noise.places, absent), 0.0, test.noise.force)
+        test = replace(test, noise=replace(test.noise, force=level))
+        noisy = {} if tests else noisy_inputs(train)
+        study = cls(
+            base=model,
+            candidates=effects,
+            plain_error=total_error(np.array(list(plain.rms.values())) / white),
+            skipped=skipped,
+            train=train,
+            validation=validation,
+            setting=setting,
+            unit=test.unit,
+            kernel=kernel,
+            estimated=~np.isfinite(levels),
+            noisy_inputs=noisy,
+            smoothed=smoothed(train, noisy) if noisy else None,
+        )
+        best = fit_disturbed(model, train, setting, starts, test, kernel=kernel, polish=0)
+        if best is None:
+            raise SimulationError(
+                f"Model {model.name!r} diverges on the training records from every start that was "
+                "tried. Check signs and units of its values, or bound its parameters."
+            )
+        return study, best
+
+    def with_candidates(self, effects: Sequence[Effect]) -> Study:
+        """The same study with more candidates, compiled anew."""
+        joined, skipped = fitting_candidates(self.base, (*self.candidates, *effects))
+        wide = disturbed_model(self.base + joined, self.setting.disturbances)
+        kernel = filter_kernel(wide)
+        return replace(self, candidates=joined, skipped=skipped, kernel=kernel)
+
+    # -- fits ------------------------------------------------------------------------
+
+    def problem(
+        self,
+        effects: Sequence[Effect],
+        values: Mapping[str, float],
+        levels: Levels,
+        dataset: Dataset,
+        knowledge: Knowledge | None = None,
+    ) -> Filtered:
+        """Likelihood of the nominal model with some effects."""
+        model = self.model(effects, values)
+        return Filtered(model, dataset, levels, kernel=self.kernel, knowledge=knowledge)
+
+    def model(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Model:
+        """The nominal model with some effects, at those of the values that it knows."""
+        order = {effect.name: i for i, effect in enumerate(self.candidates)}
+        # In the order of the filter's full state.
+        model = self.base + sorted(effects, key=lambda e: order.get(e.name, len(order)))
+        known = set(model.parameter_names)
+        return model.with_values({k: v for k, v in values.items() if k in known})
+
+    def problem_of(self, found: FilteredSolution, levels: Levels) -> Filtered:
+        """The same model on the training records with other unknown levels."""
+        return self.problem(self.effects_of(found), found.values, levels, self.train)
+
+    def effects_of(self, found: FilteredSolution) -> tuple[Effect, ...]:
+        """Effects that a fit has beside those of the nominal model."""
+        return found.problem.model.effects[len(self.base.effects) :]
+
+    def solve(
+        self, problem: Filtered, point: Point, *, max_iterations: int
+    ) -> FilteredSolution | None:
+        """Estimate at frozen gain."""
+        return solve_filtered(
+            problem, point, max_iterations=max_iterations, tolerance=0.01, polish=0
+        )
+
+    def levels(self, noise: NoiseModel, dataset: Dataset) -> Levels:
+        """All levels unknown, begun at a noise model."""
+        return self.setting.as_in(dataset, noise, self.unit)
+
+    def estimate(
+        self,
+        effects: Sequence[Effect],
+        values: Mapping[str, float],
+        start: FilteredSolution | Start,
+        *,
+        update_noise: bool = True,
+        noise: NoiseModel | None = None,
+        max_iterations: int = 12,
+        tolerance: float = 0.01,
+    ) -> FilteredSolution | None:
+        """Estimate the nominal model with some effects on the training records.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+        values : mapping
+            Start values of parameters.
+        start : FilteredSolution or Start
+            Gives start states, values of each record, and the noise to begin with.
+        update_noise : bool
+            Whether levels and times are estimated too.
+        noise : NoiseModel, optional
+            In place of the start's; needed where that has none.
+        max_iterations, tolerance
+            See :func:`~oed_sysid.likelihood.gauss_newton.solve_filtered`.
+
+        Returns
+        -------
+        FilteredSolution or None
+            None where the filter leaves the numbers at the start.
+        """
+        if noise is None:
+            assert isinstance(start, FilteredSolution)
+            noise = start.noise
+        levels = self.levels(noise, self.train)
+        problem = self.problem(
+            effects, values, levels if update_noise else levels.held(), self.train
+        )
+        point = problem.point(start.initial, start.local)
+        return solve_filtered(
+            problem, point, max_iterations=max_iterations, tolerance=tolerance, polish=0
+        )
+
+    def without_forces(
+        self, effects: Sequence[Effect], values: Mapping[str, float]
+    ) -> Start | None:
+        """Where a fit of the nominal model with some effects to white noise ends."""
+        return _end(PLAIN.fit(self.model(effects, values), self.train))
+
+    def settle(self, found: FilteredSolution) -> FilteredSolution:
+        """Estimate once more, colours of sensors and own times of disturbances admitted."""
+        again = solve_filtered(found.problem, found.point, max_iterations=25, polish=0)
+        again = found if again is None or again.objective > found.objective else again
+        again = with_input_noise(with_colour(again, self.setting), self.setting)
+        return with_own_times(again, self.setting)
+
+    def loosened(self, noise: NoiseModel) -> NoiseModel:
+        """Noise levels from which a vanished disturbance can come back."""
+        return replace(noise, force=np.maximum(noise.force, 0.5 * self._natural(noise)))
+
+    def quiet(self, noise: NoiseModel) -> NoiseModel:
+        """The same noise with forces no larger than the records begin to tell."""
+        return replace(noise, force=np.minimum(noise.force, self._natural(noise)))
+
+    def _natural(self, noise: NoiseModel) -> np.ndarray:
+        """Forces of which the records begin to tell, none where none is to be estimated."""
+        known = dict(zip(self.unit.places, self.unit.force, strict=True))
+        return np.array(
+            [0.0 if name in self.setting.known else known.get(name, 0.0) for name in noise.places]
+        )
+
+    def polished(self, found: FilteredSolution) -> FilteredSolution:
+        """A fit at the optimum of the filter as it is, with errors of that."""
+        again = solve_filtered(found.problem, found.point, max_iterations=2, polish=2)
+        return again if again is not None else found
+
+    def result(self, found: FilteredSolution, label: str) -> Fit:
+        """The fit of a model that was found and polished."""
+        fit = summarise_filtered(found, self.estimated, label, found.iterations, perf_counter())
+        return replace(fit, seconds=0.0)
+
+    # -- validation ------------------------------------------------------------------
+
+    def validate(self, found: FilteredSolution, dataset: Dataset | None = None) -> float:
+        """Minus twice the log-likelihood of validation records, the training records known.
+
+        Returns
+        -------
+        float
+            Up to a constant that all models share; infinite where the model cannot be run.
+        """
+        dataset = self.validation if dataset is None else dataset
+        assert dataset is not None
+        layout, limits = found.problem.layout, found.problem.limits
+        shared = np.arange(len(layout.shared))
+        rest = np.arange(len(shared), layout.n_unknowns)
+        matrix = found.matrix + np.diag(limits.prior_weight)
+        known = eliminate(matrix, shared, rest) + np.diag(VAGUE / limits.scale[shared] ** 2)
+        knowledge = Knowledge(found.point.unknowns[shared].copy(), known)
+        noise = found.noise
+        problem = self.problem(
+            self.effects_of(found),
+            found.values,
+            self.levels(self.loosened(noise), dataset),
+            dataset,
+            knowledge,
+        )
+        alone = self.alone(found, dataset)
+        if alone is None:
+            return np.inf
+        point = problem.point(alone.initial, alone.local)
+        solution = solve_filtered(problem, point, max_iterations=20, tolerance=0.01, polish=0)
+        if solution is None:
+            return np.inf
+        total = solution.matrix + np.diag(problem.limits.prior_weight)
+        n = problem.layout.n_unknowns
+        both = eliminate(total, shared, np.arange(len(shared), n))
+        sign, value = np.linalg.slogdet(_scaled(both, limits.scale[shared]))
+        own_sign, own = np.linalg.slogdet(_scaled(known, limits.scale[shared]))
+        occam = value - own if sign > 0 and own_sign > 0 else 0.0
+        return float(solution.objective + max(occam, 0.0))
+
+    def on_records(
+        self, found: FilteredSolution, dataset: Dataset, *, same_forces: bool = False
+    ) -> FilteredSolution | None:
+        """A fit on other records: parameters held, start states and noise levels estimated.
+
+        With ``same_forces`` random forces are as strong and last as long as the fit says; only the
+        sensors' levels are estimated.
+        """
+        noise = found.noise if same_forces else self.loosened(found.noise)
+        levels = self.levels(noise, dataset)
+        problem = self.problem(
+            self.effects_of(found),
+            found.values,
+            levels.holding_forces() if same_forces else levels,
+            dataset,
+        )
+        alone = self.alone(found, dataset)
+        if alone is None:
+            return None
+        shared = np.arange(len(problem.layout.shared))
+        point = problem.point(alone.initial, alone.local)
+        held = problem.holding(shared, point.unknowns[shared])
+        return solve_filtered(held, point, max_iterations=15, tolerance=0.01, polish=0)
+
+    def alone(self, found: FilteredSolution, dataset: Dataset) -> FilteredSolution | None:
+        """A fit on other records: parameters and noise levels held, start states estimated.
+
+        Where levels are estimated too, it is from here that they are: a start state that is far
+        off would be taken for a random force, which it is not.
+        """
+        kept = _ALONE.setdefault(found, [])
+        for study, data, result in kept:
+            if study is self and data is dataset:
+                return result
+        levels = self.levels(found.noise, dataset).held()
+        problem = self.problem(self.effects_of(found), found.values, levels, dataset)
+        start = _nominal_start(problem.model, dataset, found.noise.sensors)
+        shared = np.arange(len(problem.layout.shared))
+        point = problem.point(start.initial, start.local)
+        held = problem.holding(shared, point.unknowns[shared])
+        result = solve_filtered(held, point, max_iterations=15, polish=0)
+        kept.append((self, dataset, result))
+        return result
+
+    def apart(self, one: FilteredSolution, other: FilteredSolution, dataset: Dataset) -> float:
+        """Distance of two models' own runs on records, in noise levels; infinite if one ends."""
+        runs = [run for run in (self.alone(one, dataset), self.alone(other, dataset)) if run]
+        if len(runs) < 2:
+            return np.inf
+        square = 0.0
+        for index, record in enumerate(dataset):
+            ends = [run.problem.alone(run.point.unknowns, index)[0] for run in runs]
+            scaled = ((ends[1] - ends[0]) / one.noise.sensors)[np.isfinite(record.outputs)]
+            square += float(scaled @ scaled)
+        return float(np.sqrt(square)) if np.isfinite(square) else np.inf
+
+    def rms(self, found: FilteredSolution, dataset: Dataset) -> np.ndarray:
+        """Errors of the model on its own, ``(n_outputs,)``, as `compare` finds them.
+
+        Shared parameters are held, start states estimated on each record under the fit's
+        noise model; infinite where the model leaves the numbers.
+        """
+        measured = np.vstack([np.isfinite(record.outputs) for record in dataset]).any(axis=0)
+        alone = self.alone(found, dataset)
+        if alone is None:
+            return np.where(measured, np.inf, np.nan)
+        squares = np.zeros(len(self.base.outputs))
+        count = np.zeros(len(squares))
+        for index, record in enumerate(dataset):
+            outputs, _, ok = alone.problem.alone(alone.point.unknowns, index)
+            residual = record.residuals(outputs)
+            seen = np.isfinite(record.outputs)
+            count += seen.sum(axis=0)
+            with np.errstate(over="ignore", invalid="ignore"):
+                squares += (np.where(seen, residual, 0.0) ** 2).sum(axis=0)
+            if not ok:
+                squares[seen.any(axis=0)] = np.inf
+        with np.errstate(invalid="ignore"):
+            return np.where(count > 0, np.sqrt(squares / np.maximum(count, 1)), np.nan)
+
+
+def total_error(rms: np.ndarray) -> float:
+    """Root mean square over the outputs that were measured."""
+    seen = ~np.isnan(rms)
+    return float(np.sqrt(np.mean(rms[seen] ** 2))) if seen.any() else np.nan
+
+
+def fitting_candidates(
+    base: Model, candidates: Sequence[Effect]
+) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
+    """Candidates that a model can take, absent, and the names of those that it cannot.
+
+    A candidate that acts on signals the model does not have, or that it already holds, is left
+    out.
+    """
+    absent = tuple(effect.absent() for effect in candidates)
+    try:
+        base + absent
+    except ModelError:
+        joined, kept, skipped = base, [], []
+        for effect in absent:
+            try:
+                joined = joined + effect
+            except ModelError:
+                skipped.append(effect.name)
+            else:
+                kept.append(effect)
+        return tuple(kept), tuple(skipped)
+    return absent, ()
+
+
+def _nominal_start(model: Model, dataset: Dataset, white: np.ndarray) -> Start:
+    """A model's own values, and start states from measurements and kinematics."""
+    shooting = Shooting(model, dataset, white)
+    unknowns = shooting.start_unknowns()
+    own = [shooting.initial_state(unknowns, index).copy() for index in range(len(dataset))]
+    local = [{p.name: p.value for p in model.free_parameters if p.per_record} for _ in own]
+    return Start(model.values, own, local)
+
+
+def _end(fit: Fit) -> Start | None:
+    """Where a fit ended, as a start; None where it left the numbers."""
+    if not np.isfinite(fit.cost):
+        return None
+    return Start(fit.model.values, fit.initial_states, fit.local_values)
+
+
+def _best_test(
+    model: Model,
+    train: Dataset,
+    setting: Setting,
+    starts: Sequence[Start],
+    kernel: FilterKernel,
+) -> ScoreTest:
+    """Levels to begin with: from the last start, the fitted one, where the model runs there."""
+    tests = []
+    problem: SimulationError | None = None
+    for start in reversed(starts):
+        at = model.with_values(dict(start.values))
+        try:
+            tests.append(score_test(at, train, setting, start.initial, start.local, kernel))
+        except SimulationError as error:
+            problem = error
+        if tests and np.isfinite(tests[-1].gain):
+            return tests[-1]
+    if not tests:
+        assert problem is not None
+        raise problem
+    return tests[0]
+
+
+def _scaled(matrix: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    return matrix * scale[:, None] * scale

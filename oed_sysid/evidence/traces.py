@@ -1,0 +1,191 @@
+r"""Measured signals of one record, with their noise and with what cannot be used left out.
+
+The noise of a signal is read from its fourth differences, in which every motion that is slow
+against the sampling disappears,
+
+.. math:: \hat\sigma = \operatorname{median} |\Delta^4 y| \,/\, (0.6745 \sqrt{70}),
+
+where 70 is the sum of the squared binomial coefficients and 0.6745 the quartile of a normal
+variable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from oed_sysid.data.record import Record
+from oed_sysid.evidence.relations import STANDARD_UNITS
+
+QUARTILE = 0.6745
+FOURTH_DIFFERENCE = np.sqrt(70.0)
+# A stretch without samples that is bridged by a straight line, in usual spacings of the signal.
+BRIDGED = 4.0
+# Change of an input from sample to sample that is a step, as a share of its range; the largest
+# share of such samples; and how many samples after one the answer may peak.
+STEP, RARE, ANSWERED = 0.1, 0.1, 3
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Signals of one record.
+
+    Parameters
+    ----------
+    name : str
+        Of the record.
+    times : numpy.ndarray
+        Shape ``(n_times,)``, s.
+    values : mapping
+        Signal to series ``(n_times,)``; NaN where there is no usable sample.
+    units : mapping
+        Signal to SI unit.
+    noise : mapping
+        Signal to the standard deviation of its fast noise.
+    step : float
+        Median time step, s; found from the times if not given.
+    pushed : numpy.ndarray of bool
+        Shape ``(n_times,)``: samples right after a step of an input.
+    fast : frozenset of str
+        Signals that answer such a step faster than they are sampled.
+    """
+
+    name: str
+    times: np.ndarray
+    values: dict[str, np.ndarray]
+    units: dict[str, str]
+    noise: dict[str, float] = field(default_factory=dict)
+    step: float = 0.0
+    pushed: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    fast: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        if not self.step:
+            object.__setattr__(self, "step", float(np.median(np.diff(self.times))))
+
+    @classmethod
+    def of(cls, record: Record, spare: Mapping[str, np.ndarray]) -> Trace:
+        """Outputs of a record, and spare signals of its file."""
+        outputs = [o for o in record.channels.outputs if o.name not in record.missing_outputs]
+        values = {o.name: np.array(record.output(o.name)) for o in outputs}
+        units = {o.name: o.unit for o in outputs}
+        values |= {name: np.array(series) for name, series in spare.items()}
+        units |= {name: STANDARD_UNITS[name] for name in spare}
+        noise = {name: fast_noise(series) for name, series in values.items()}
+        pushed = np.zeros(record.times.size, dtype=bool)
+        for column in record.inputs.T:
+            pushed |= after_steps(column)
+        return cls(record.name, record.times, values, units, noise, pushed=pushed)
+
+    def blank(self, rows: Mapping[str, np.ndarray]) -> Trace:
+        """Return the trace without some samples; ``rows`` by signal."""
+        values = dict(self.values)
+        for name, chosen in rows.items():
+            if len(chosen):
+                values[name] = values[name].copy()
+                values[name][chosen] = np.nan
+        return replace(self, values=values)
+
+    def thinned(self, most: int) -> Trace:
+        """Return means over groups of samples so that at most ``most`` are left."""
+        group = -(-self.times.size // most)
+        if group < 2:
+            return self
+        n = self.times.size // group * group
+        with np.errstate(invalid="ignore"):
+            values = {
+                name: _group_means(series[:n].reshape(-1, group))
+                for name, series in self.values.items()
+            }
+        times = self.times[:n].reshape(-1, group).mean(axis=1)
+        noise = {name: std / np.sqrt(group) for name, std in self.noise.items()}
+        pushed = self.pushed
+        if pushed.size:
+            pushed = np.any(pushed[:n].reshape(-1, group), axis=1)
+        return replace(self, times=times, values=values, noise=noise, step=0.0, pushed=pushed)
+
+    def filled(self, names: Iterable[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Series joined by straight lines, and where all of them can be relied on.
+
+        Returns
+        -------
+        series : dict
+            Signal to array ``(n_times,)`` without gaps.
+        usable : ndarray of bool (n_times,)
+            False inside long gaps, before the first or after the last sample, and where a signal
+            is faster than its samples.
+        """
+        series: dict[str, np.ndarray] = {}
+        usable = np.ones(self.times.size, dtype=bool)
+        for name in names:
+            values = self.values[name]
+            if name in self.fast:
+                usable[self.pushed] = False
+            present = np.flatnonzero(np.isfinite(values))
+            if present.size == self.times.size:
+                series[name] = values
+                continue
+            if present.size < 2:
+                return {}, np.zeros_like(usable)
+            series[name] = np.interp(self.times, self.times[present], values[present])
+            steps = np.diff(self.times[present])
+            limit = BRIDGED * max(float(np.median(steps)), self.step)
+            usable[: present[0]] = usable[present[-1] + 1 :] = False
+            for k in np.flatnonzero(steps > limit):
+                usable[present[k] + 1 : present[k + 1]] = False
+        return series, usable
+
+    def pieces(self, usable: np.ndarray, least: int) -> list[slice]:
+        """Stretches of usable samples between gaps in time, of at least ``least`` samples."""
+        steps = np.diff(self.times)
+        if usable.all() and steps.max() <= BRIDGED * self.step:
+            return [slice(0, self.times.size)] if self.times.size >= least else []
+        broken = np.flatnonzero((steps > BRIDGED * self.step) | ~usable[1:] | ~usable[:-1]) + 1
+        edges = [0, *broken.tolist(), self.times.size]
+        whole = (slice(a, b) for a, b in pairwise(edges) if b - a >= least)
+        return [piece for piece in whole if usable[piece].all()]
+
+
+def after_steps(series: np.ndarray) -> np.ndarray:
+    """Samples right after the steps of an input that is mostly held, ``(n_times,)``.
+
+    Examples
+    --------
+    >>> print(after_steps(np.repeat([0.0, 1.0, 1.0, 1.0], 6)).nonzero()[0])
+    [6 7 8]
+    """
+    pushed = np.zeros(series.size, dtype=bool)
+    whole = np.nan_to_num(series)
+    steps = np.flatnonzero(np.abs(np.diff(whole)) > STEP * np.ptp(whole))
+    if not 0 < steps.size < RARE * series.size:
+        return pushed
+    for after in range(1, ANSWERED + 1):
+        pushed[np.minimum(steps + after, series.size - 1)] = True
+    return pushed
+
+
+def fast_noise(values: np.ndarray) -> float:
+    """Standard deviation of the noise that changes from sample to sample.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> t = np.arange(2000) * 0.1
+    >>> print(round(fast_noise(np.sin(t) + 0.02 * rng.standard_normal(2000)), 3))
+    0.02
+    """
+    series = values[np.isfinite(values)]
+    if series.size < 12:
+        return 0.0
+    return float(np.median(np.abs(np.diff(series, 4))) / QUARTILE / FOURTH_DIFFERENCE)
+
+
+def _group_means(groups: np.ndarray) -> np.ndarray:
+    """Mean of each row over its finite samples; NaN where there is none."""
+    present = np.isfinite(groups)
+    counts = present.sum(axis=1)
+    sums = np.where(present, groups, 0.0).sum(axis=1)
+    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)

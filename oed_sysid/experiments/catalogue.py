@@ -1,0 +1,217 @@
+"""Find and load problems: shipped ones by name, any folder by path."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import importlib
+import os
+import sys
+import traceback
+import warnings
+from contextlib import suppress
+from pathlib import Path
+from types import ModuleType
+
+from oed_sysid.errors import ProblemError
+from oed_sysid.experiments.definition import Problem
+from oed_sysid.experiments.soundness import faults
+
+FILE = "problem.py"
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def catalogue_folder() -> Path | None:
+    """Folder of the shipped problems; None if this installation has none.
+
+    A wheel carries them inside the package; a checkout and an editable install
+    have them beside it.
+    """
+    for folder in (_PACKAGE / "_problems", _PACKAGE.parent / "problems"):
+        if folder.is_dir():
+            return folder
+    return None
+
+
+def list_problems() -> tuple[str, ...]:
+    """Names of the shipped problems, in alphabetical order; nothing is executed."""
+    folder = catalogue_folder()
+    if folder is None:
+        return ()
+    return tuple(sorted(file.parent.name for file in folder.glob(f"*/{FILE}")))
+
+
+def load_problem(name_or_folder: str | Path, *, variant: str | None = None) -> Problem:
+    """Load a shipped problem by name, or a problem of your own by folder.
+
+    A plain word is first taken as a shipped name; write ``"./word"`` for a
+    folder of that name. The folder's ``problem.py`` is executed: load only
+    folders that you trust. It may import further modules of its folder as
+    ``from .hull import HULL``.
+
+    Parameters
+    ----------
+    name_or_folder : str or Path
+        Name of a shipped problem, a folder with ``problem.py``, or that file.
+    variant : str, optional
+        Which of the problem's models to believe; see ``problem.variants``.
+
+    Returns
+    -------
+    Problem
+
+    Raises
+    ------
+    ProblemError
+        If nothing is found, or ``problem.py`` fails or does not export
+        ``problem``; the message names the file and the line.
+    """
+    problem = _load(_find(name_or_folder))
+    return problem if variant is None else problem.variant(variant)
+
+
+def _find(name_or_folder: str | Path) -> Path:
+    """Return the ``problem.py`` that is meant."""
+    if not isinstance(name_or_folder, str | os.PathLike) or not str(name_or_folder).strip():
+        raise ProblemError(
+            f"{name_or_folder!r:.60} names no problem. Give the name of a shipped one (see "
+            "oed_sysid.list_problems()) or a folder."
+        )
+    shipped = list_problems()
+    folder = catalogue_folder()
+    if folder is not None and str(name_or_folder) in shipped:
+        return folder / str(name_or_folder) / FILE
+    path = Path(name_or_folder).expanduser()
+    if path.is_file():
+        if path.suffix == ".py":
+            return path
+        raise ProblemError(
+            f"{path} is a file. Give the folder that holds {FILE}; data is read with "
+            "oed_sysid.read_csv(path, problem.channels)."
+        )
+    if (path / FILE).is_file():
+        return path / FILE
+    if path.is_dir():
+        found = ", ".join(sorted(entry.name for entry in path.iterdir())[:8]) or "nothing"
+        raise ProblemError(
+            f"The folder {path} has no {FILE}; it holds {found}. Write one, or start from "
+            "one that works: oed-sysid new FOLDER, in Python oed_sysid.new_problem(folder)."
+        )
+    names = ", ".join(shipped) or "none"
+    near = difflib.get_close_matches(path.name, shipped, n=3, cutoff=0.5)
+    hint = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
+    looked = (
+        f"no folder {path}"
+        if _is_path(name_or_folder)
+        else f"no folder of that name in {Path.cwd()}"
+    )
+    raise ProblemError(
+        f"There is no problem {str(name_or_folder)!r}: it is not shipped, and there is {looked}."
+        f"{hint} Shipped problems: {names}. A folder of your own is made by "
+        "oed-sysid new FOLDER, in Python oed_sysid.new_problem(folder)."
+    )
+
+
+def _is_path(name_or_folder: str | Path) -> bool:
+    text = str(name_or_folder)
+    return isinstance(name_or_folder, Path) or os.sep in text or "/" in text
+
+
+def _load(file: Path) -> Problem:
+    """Execute a ``problem.py`` and return its ``problem``."""
+    file = file.resolve()
+    digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
+    name = f"oed_sysid_problem_{file.parent.name}_{digest}"
+    module = ModuleType(name)
+    module.__file__ = str(file)
+    # A package, so that ``from .hull import HULL`` finds ``hull.py`` in the same folder,
+    # and finds it anew, should it have been edited since.
+    module.__path__ = [str(file.parent)]
+    module.__package__ = name
+    for part in [key for key in sys.modules if key.startswith(f"{name}.")]:
+        del sys.modules[part]
+    importlib.invalidate_caches()
+    # Registered, so that what the file defines can be pickled and inspected.
+    sys.modules[name] = module
+    here, keyboard = os.getcwd(), sys.stdin
+    try:
+        # What the file does to filters and folders stays with it, and it cannot wait for a key.
+        with warnings.catch_warnings(), open(os.devnull) as nothing:
+            sys.stdin = nothing
+            # Compiled here, not imported: no stale bytecode, nothing written into the folder.
+            exec(compile(file.read_bytes(), str(file), "exec"), vars(module))
+    except SyntaxError as error:
+        sys.modules.pop(name, None)
+        if "null bytes" in error.msg and file.read_bytes()[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            raise ProblemError(f"{file} is UTF-16 text. Save it as UTF-8.") from None
+        raise ProblemError(
+            f"{error.filename or file}, line {error.lineno or '?'}: {error.msg}. Correct this line "
+            "of the problem."
+        ) from None
+    except KeyboardInterrupt:
+        raise
+    except SystemExit as error:
+        sys.modules.pop(name, None)
+        raise ProblemError(
+            f"{_place(file, error)}: it ends the program (sys.exit or exit). A problem only "
+            "defines 'problem': put what runs below if __name__ == '__main__'."
+        ) from None
+    except RecursionError as error:
+        sys.modules.pop(name, None)
+        raise ProblemError(
+            f"{_place(file, error)}: it calls or imports itself without end."
+        ) from None
+    except BaseException as error:
+        sys.modules.pop(name, None)
+        raise ProblemError(_fault(file, error)) from None
+    finally:
+        sys.stdin = keyboard
+        with suppress(OSError):
+            os.chdir(here)
+    problem = getattr(module, "problem", None)
+    if isinstance(problem, Problem):
+        unsound = [
+            fault
+            for one in (problem, *problem.others.values())
+            for fault in faults(one.name, one.models, one.effects)
+        ]
+        if unsound:
+            sys.modules.pop(name, None)
+            more = f" ({len(unsound) - 1} more of this kind.)" if len(unsound) > 1 else ""
+            raise ProblemError(f"{file}: {unsound[0]}{more}")
+        return problem
+    sys.modules.pop(name, None)
+    others = [key for key, value in vars(module).items() if isinstance(value, Problem)]
+    if others:
+        found = f"it has a Problem called {others[0]!r}: rename it to 'problem'"
+    elif problem is not None:
+        found = f"its 'problem' is a {type(problem).__name__}: use problem = Problem(...)"
+    else:
+        public = [key for key in vars(module) if not key.startswith("_")]
+        found = f"it defines {', '.join(public) or 'nothing'}: end it with problem = Problem(...)"
+        if b"__main__" in file.read_bytes():
+            found += ", above and outside of if __name__ == '__main__'"
+    raise ProblemError(f"{file} does not export 'problem'; {found}.")
+
+
+def _fault(file: Path, error: BaseException) -> str:
+    """Say where in the problem's own file an exception came from, and what it is."""
+    kind = "" if isinstance(error, ProblemError) else f"{type(error).__name__}: "
+    hint = ""
+    if isinstance(error, ModuleNotFoundError):
+        hint = " Install it, or write 'from .name import ...' for a file of the same folder."
+    elif isinstance(error, TypeError) and "unexpected keyword argument" in str(error):
+        hint = " Check the spelling; help(oed_sysid.Model) and so on list what there is."
+    elif isinstance(error, EOFError):
+        hint = " It waits for something to be typed: write the numbers into the file."
+    return f"{_place(file, error)}: {kind}{str(error) or 'no message'}{hint}"
+
+
+def _place(file: Path, error: BaseException) -> str:
+    """File and line of the problem's own folder that an exception came from."""
+    frames = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if Path(frame.filename).parent == file.parent
+    ]
+    return f"{frames[-1].filename}, line {frames[-1].lineno}" if frames else str(file)

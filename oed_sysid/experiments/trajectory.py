@@ -1,0 +1,265 @@
+"""Trajectories of a model for inputs that are known in advance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from oed_sysid.compiled import graph as graph_module
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.errors import SimulationError
+from oed_sysid.physics.model import Model
+
+# Real-axis limit of stability of the classical Runge-Kutta method.
+_STABLE_PRODUCT = 2.78
+# No vehicle gets there: a state beyond this many of its scales (or of its SI unit, where the scale
+# is smaller) has run away, although it is a number still.
+RUNAWAY = 1e12
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """States and noise-free outputs over time.
+
+    Attributes
+    ----------
+    times : ndarray (n_times,)
+        In s.
+    inputs : ndarray (n_times, n_inputs)
+        Commands.
+    states : ndarray (n_times, n_states)
+        The model's own states, then those that effects add; NaN after a failure.
+    outputs : ndarray (n_times, n_outputs)
+        What the sensors say, without noise; NaN after a failure.
+    input_names, state_names, output_names : tuple of str
+        Names of the columns.
+    failed_at : int
+        First sample that is not finite, or -1.
+    """
+
+    times: np.ndarray = field(repr=False)
+    inputs: np.ndarray = field(repr=False)
+    states: np.ndarray = field(repr=False)
+    outputs: np.ndarray = field(repr=False)
+    input_names: tuple[str, ...]
+    state_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    failed_at: int = -1
+
+    @property
+    def ok(self) -> bool:
+        """Whether the whole trajectory is finite."""
+        return self.failed_at < 0
+
+    def signal(self, name: str) -> np.ndarray:
+        """Return one signal, shape ``(n_times,)``.
+
+        A state goes before an output of the same name, and that before an
+        input: ``signal("z")`` is the true depth, ``output("z")`` the measured.
+        """
+        for names, columns in (
+            (self.state_names, self.states),
+            (self.output_names, self.outputs),
+            (self.input_names, self.inputs),
+        ):
+            if name in names:
+                return columns[:, names.index(name)]
+        known = dict.fromkeys((*self.state_names, *self.output_names, *self.input_names))
+        raise SimulationError(f"There is no signal {name!r}. There are {', '.join(known)}.")
+
+    def output(self, name: str) -> np.ndarray:
+        """Return one noise-free output, shape ``(n_times,)``."""
+        if name not in self.output_names:
+            raise SimulationError(
+                f"There is no output {name!r}. There are {', '.join(self.output_names)}."
+            )
+        return self.outputs[:, self.output_names.index(name)]
+
+    @property
+    def signals(self) -> dict[str, np.ndarray]:
+        """All signals by name, as :meth:`signal` gives them."""
+        names = (*self.state_names, *self.output_names, *self.input_names)
+        return {name: self.signal(name) for name in dict.fromkeys(names)}
+
+
+def simulate_inputs(
+    model: Model,
+    times: ArrayLike,
+    *,
+    inputs: Mapping[str, ArrayLike] | ArrayLike,
+    initial: Mapping[str, float] | ArrayLike | None = None,
+    throw: bool = True,
+) -> Trajectory:
+    """Simulate a model for given inputs, without noise.
+
+    Parameters
+    ----------
+    model : Model
+        The model, at its parameter values.
+    times : array_like (n_times,)
+        Increasing times, s.
+    inputs : array_like (n_times, n_inputs), or mapping of str to array_like
+        Commands; in a mapping each is a number or of shape ``(n_times,)``.
+    initial : mapping of str to float, or array_like (n_own,)
+        Start values of the model's own states; those left out are zero.
+    throw : bool
+        Raise if the trajectory diverges, to no number or beyond 1e12 of a state's scale;
+        otherwise see ``failed_at``.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    SimulationError
+        If inputs or start do not fit, or the trajectory leaves the numbers.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics.channels import Output, State
+    >>> tank = Model("tank", (State("z", "m"),), (), (Output("z", "m"),), {"z": "-0.5*sqrt(z)"})
+    >>> run = simulate_inputs(tank, np.linspace(0, 2, 21), inputs={}, initial={"z": 4.0})
+    >>> print(run.signal("z")[-1].round(6))
+    2.25
+    """
+    moments = np.asarray(times, dtype=float)
+    if moments.ndim != 1 or len(moments) < 2 or not np.all(np.diff(moments) > 0):
+        raise SimulationError("Times have to be two or more, increasing strictly. Sort them.")
+    commands = input_array(model, len(moments), inputs)
+    values = model.value_vector
+    runner = kernel(model)
+    own = start_array(model, initial)
+    z, _ = runner.start(own, commands[0], values, moments[0])
+    run = runner.run(moments, commands, values, z)
+    n_extra = sum(len(effect.states) for effect in model.effects)
+    trajectory = Trajectory(
+        times=moments,
+        inputs=commands,
+        states=run.states[:, : len(model.states) + n_extra],
+        outputs=run.outputs,
+        input_names=model.input_names,
+        state_names=state_names(model),
+        output_names=model.output_names,
+        failed_at=run.failed_at,
+    )
+    if throw:
+        end = _runaway(model, trajectory)
+        if end >= 0:
+            raise SimulationError(_divergence(model, trajectory, end))
+    return trajectory
+
+
+def _scales(model: Model, n_states: int) -> np.ndarray:
+    """Sizes of the states, those of effects 1."""
+    own = [state.scale for state in model.states]
+    return np.array(own + [1.0] * (n_states - len(own)))
+
+
+def _runaway(model: Model, trajectory: Trajectory) -> int:
+    """First sample at which the state is no number, or none that a vehicle has; -1 for none."""
+    states = trajectory.states[: trajectory.failed_at] if not trajectory.ok else trajectory.states
+    beyond = np.abs(states) > RUNAWAY * np.maximum(_scales(model, states.shape[1]), 1.0)
+    found = np.flatnonzero(beyond.any(axis=1))
+    return int(found[0]) if found.size else trajectory.failed_at
+
+
+def state_names(model: Model) -> tuple[str, ...]:
+    """Names of the model's own states, then of those that effects add."""
+    return (*model.state_names, *(s.name for effect in model.effects for s in effect.states))
+
+
+def input_array(
+    model: Model, n_times: int, inputs: Mapping[str, ArrayLike] | ArrayLike
+) -> np.ndarray:
+    """Return inputs as an array ``(n_times, n_inputs)``, or raise."""
+    names = model.input_names
+    if isinstance(inputs, Mapping):
+        unknown, missing = set(inputs) - set(names), set(names) - set(inputs)
+        if unknown or missing:
+            raise SimulationError(
+                f"Model {model.name!r} has the inputs {', '.join(names) or 'none'}; got "
+                f"{', '.join(inputs) or 'none'}. Give a value or an array for each."
+            )
+        columns = [np.broadcast_to(np.asarray(inputs[name], float), n_times) for name in names]
+        commands = np.column_stack(columns) if columns else np.empty((n_times, 0))
+    else:
+        commands = np.asarray(inputs, dtype=float)
+        if commands.ndim == 1 and len(names) == 1:
+            commands = commands[:, np.newaxis]
+        if not names and commands.size == 0:
+            commands = np.empty((n_times, 0))
+    if commands.shape != (n_times, len(names)):
+        raise SimulationError(
+            f"Inputs have shape {commands.shape}; expected time first, ({n_times}, {len(names)}), "
+            f"with the columns {', '.join(names) or 'none'}."
+        )
+    if not np.isfinite(commands).all():
+        row, column = np.argwhere(~np.isfinite(commands))[0]
+        raise SimulationError(
+            f"Input {names[column]!r} is {commands[row, column]} at sample {row}. A command needs "
+            "a value at every sample."
+        )
+    return np.ascontiguousarray(commands)
+
+
+def start_array(model: Model, initial: Mapping[str, float] | ArrayLike | None) -> np.ndarray:
+    """Return the model's own start states ``(n_own,)``, or raise."""
+    names = model.state_names
+    if initial is None:
+        return np.zeros(len(names))
+    if isinstance(initial, Mapping):
+        if unknown := [name for name in initial if name not in names]:
+            raise SimulationError(
+                f"The start names {unknown[0]!r}, but model {model.name!r} has the states "
+                f"{', '.join(names)}."
+            )
+        own = np.array([initial.get(name, 0.0) for name in names], dtype=float)
+    else:
+        own = np.asarray(initial, dtype=float)
+    if own.shape != (len(names),) or not np.isfinite(own).all():
+        raise SimulationError(
+            f"The start state is {own}; expected {len(names)} finite numbers: {', '.join(names)}."
+        )
+    return own
+
+
+def _divergence(model: Model, trajectory: Trajectory, end: int) -> str:
+    """Say which state grew, when, and what to do about it; ``end`` is the first sample lost."""
+    last, is_number = end - 1, end != trajectory.failed_at
+    if last < 0 and not is_number:
+        return (
+            f"The start of model {model.name!r} is not a number. Look for a division by zero or a "
+            "root of a negative number in its equations or initial expressions."
+        )
+    state = trajectory.states[end if is_number else last]
+    worst = int(np.argmax(np.abs(state) / _scales(model, len(state))))
+    value = f"{trajectory.state_names[worst]} = {state[worst]:.4g}"
+    if last < 0:
+        return f"Model {model.name!r} starts with {value}, which no vehicle has. Check its unit."
+    text = f"Model {model.name!r} diverged between t = {trajectory.times[last]:g} and "
+    text += f"{trajectory.times[end]:g} s; the {'latter' if is_number else 'last finite sample'} "
+    text += f"has {value}"
+    fastest = _fastest_mode(model, trajectory)
+    if fastest * model.step > _STABLE_PRODUCT:
+        return (
+            f"{text}. Its fastest motion decays or grows at {fastest:.3g} 1/s, too fast for steps "
+            f"of {model.step:g} s: use replace(model, step={_STABLE_PRODUCT / fastest / 2:.1g})."
+        )
+    return f"{text}. Check signs of damping and stiffness, units, and the start state."
+
+
+def _fastest_mode(model: Model, trajectory: Trajectory) -> float:
+    """Largest magnitude of an eigenvalue of the rates at the first sample, 1/s."""
+    graph = graph_module.build(model)
+    own, first = trajectory.states[0, : graph.n_own], trajectory.inputs[0]
+    values, time = model.value_vector, float(trajectory.times[0])
+    z, _ = kernel(model).start(own, first, values, time)
+    memory = z[graph.n_states : graph.n_states + graph.n_actuator_memory]
+    signals, _ = graph.actuate(memory, first, values, time, model.step)
+    jacobian = graph.rates.jacobian()(trajectory.states[0], signals, values, time, 0)[0]
+    matrix = np.array(jacobian)
+    return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else 0.0

@@ -1,0 +1,75 @@
+"""What a manoeuvre can tell, before any data exist."""
+
+from oed_sysid.information.bound import (
+    Confirmation,
+    confirm_bound,
+    information_of,
+    information_of_each,
+)
+from oed_sysid.information.identifiability import (
+    Structure,
+    Subset,
+    collinear_groups,
+    collinearity_index,
+    identifiable_subset,
+    structural_identifiability,
+)
+from oed_sysid.information.linear import (
+    Bode,
+    Nomoto,
+    Spectrum,
+    Stability,
+    bode,
+    excitation_spectrum,
+    nomoto,
+    nomoto_of,
+    straight_line_stability,
+)
+from oed_sysid.information.noise import SEAS, Noise, fitted_colour, noise_of, sea_noise, sea_words
+from oed_sysid.information.ranking import (
+    Drop,
+    Reduction,
+    Sensitivity,
+    SensitivityRanking,
+    rank_parameters,
+    reduce_model,
+)
+from oed_sysid.information.response import Play, Response, plays, respond
+
+__all__ = [
+    "information_of",
+    "information_of_each",
+    "sea_noise",
+    "sea_words",
+    "SEAS",
+    "Noise",
+    "noise_of",
+    "fitted_colour",
+    "Play",
+    "Response",
+    "plays",
+    "respond",
+    "collinearity_index",
+    "collinear_groups",
+    "identifiable_subset",
+    "Subset",
+    "Structure",
+    "structural_identifiability",
+    "Sensitivity",
+    "SensitivityRanking",
+    "rank_parameters",
+    "Drop",
+    "Reduction",
+    "reduce_model",
+    "Confirmation",
+    "confirm_bound",
+    "Bode",
+    "bode",
+    "Spectrum",
+    "excitation_spectrum",
+    "Stability",
+    "straight_line_stability",
+    "Nomoto",
+    "nomoto",
+    "nomoto_of",
+]

@@ -1,0 +1,503 @@
+"""Information of manoeuvres, before any data exist: the Cramer-Rao bound.
+
+Does the bound hold: repeated simulated experiments, each of them estimated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from joblib import Parallel, delayed
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.special import chdtri
+
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information.noise import Colour, Levels, Noise, noise_of
+from oed_sysid.information.response import Innovations, Play, Response, Run, plays, respond
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict
+
+# Squared conditioning up to which normal equations keep ten digits of the factor.
+_SAFE_SQUARED_CONDITION = 1e5
+_BLOCK = 512  # rows factorised at a time
+
+
+def information_of(
+    model: Model,
+    runs: Run | Dataset | Iterable[Run],
+    *,
+    noise: Levels | NoiseModel | Fit = None,
+    coloured: Colour = None,
+    priors: str | Mapping[str, float] | Information | None = "model",
+    start: str | Mapping[str, float] = "unknown",
+    initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
+    outputs: Sequence[str] | None = None,
+) -> Information:
+    r"""Information that manoeuvres hold on a model's free parameters.
+
+    .. math:: F = \sum_r J_r' \Sigma_r^{-1} J_r + F_0
+
+    with the start states of every run, and parameters that differ from run to
+    run, eliminated: the bound is the one of an estimator that has to find them
+    too. Values of the model are taken as true, noise as Gaussian. Under random
+    forces or coloured sensors (a noise model, or that of a fit) it is the
+    information of the innovations (:mod:`oed_sysid.information.response`):
+    residuals of disturbed records are far from white, and a bound that takes
+    them for white promises errors several times too small.
+
+    Parameters
+    ----------
+    model : Model
+        The model, at the values in question.
+    runs : Experiment, Record, Dataset or iterable of these
+        Planned manoeuvres, records in hand, or both.
+    noise : mapping or sequence of float, NoiseModel or Fit, optional
+        Standard deviations of the outputs' noise, ``noise_std`` by default; or
+        a noise model with random forces, or a fit that found one.
+    coloured : mapping of str to float or sequence of float, optional
+        Autoregression of an output's noise (one number: lag-one correlation);
+        the Jacobian is prewhitened with it.
+    priors : {"model", None}, mapping of str to float, or Information
+        What is known besides: the parameters' own ``prior_std``, nothing,
+        standard deviations, or the information of earlier data.
+    start : {"unknown", "known"} or mapping of str to float
+        Start states are estimated too, exactly known, or known with these
+        standard deviations (those left out are unknown).
+    initial_states : sequence, optional
+        See :func:`~oed_sysid.information.response.plays`.
+    outputs : sequence of str, optional
+        Outputs that are measured; by default all.
+
+    Returns
+    -------
+    Information
+        Of the free parameters that all runs share, in the model's order.
+
+    Raises
+    ------
+    DesignError, SimulationError
+        If noise is not known, or a run diverges.
+
+    Examples
+    --------
+    >>> from oed_sysid import Experiment, Input, Model, Output, Parameter, State
+    >>> from oed_sysid.experiments.manoeuvres import Doublet
+    >>> nomoto = Model(
+    ...     "Nomoto", (State("r", "rad/s"),), (Input("rudder", "rad"),),
+    ...     (Output("r", "rad/s", noise_std=1e-3),), {"r": "(K*rudder - r)/T"},
+    ...     parameters=(Parameter("K", 0.1, "1/s"), Parameter("T", 10.0, "s")),
+    ... )
+    >>> test = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=20.0), duration=80.0)
+    >>> known = information_of(nomoto, test, start="known")
+    >>> print(known.names, known.std_errors.round(5))
+    ('K', 'T') [0.00056 0.08128]
+    """
+    listed = plays(model, runs, initial_states=initial_states)
+    told = _Told(model, noise, coloured, start, outputs)
+    return told.joint([told.factor(play) for play in listed], priors)
+
+
+def information_of_each(
+    model: Model,
+    runs: Iterable[Run],
+    *,
+    noise: Levels | NoiseModel | Fit = None,
+    priors: str | Mapping[str, float] | Information | None = "model",
+    start: str | Mapping[str, float] = "unknown",
+    outputs: Sequence[str] | None = None,
+) -> tuple[Information | None, ...]:
+    """Information of each of many runs alone, the model made ready once.
+
+    Parameters
+    ----------
+    model, runs, noise, priors, start, outputs
+        See :func:`information_of`.
+
+    Returns
+    -------
+    tuple of Information or None
+        One for each run; None where it diverges.
+    """
+    told = _Told(model, noise, None, start, outputs)
+    found: list[Information | None] = []
+    for run in runs:
+        try:
+            (play,) = plays(model, run)
+            found.append(told.joint([told.factor(play)], priors))
+        except OedSysidError:
+            found.append(None)
+    return tuple(found)
+
+
+class _Told:
+    """What is the same for all runs whose information is taken."""
+
+    def __init__(
+        self,
+        model: Model,
+        noise: Levels | NoiseModel | Fit,
+        coloured: Colour,
+        start: str | Mapping[str, float],
+        outputs: Sequence[str] | None,
+    ) -> None:
+        disturbed = disturbed_noise(noise)
+        for name in outputs or ():
+            if name not in model.output_names:
+                raise DesignError(
+                    f"There is no output {name!r} in model {model.name!r}; it has "
+                    f"{', '.join(model.output_names)}."
+                )
+        self._model, self._coloured, self._start, self._outputs = model, coloured, start, outputs
+        self._innovations = None if disturbed is None else Innovations.of(model, disturbed)
+        self._noise = noise.sigma if isinstance(noise, Fit) else noise
+
+    def factor(self, play: Play) -> np.ndarray:
+        """Factor of one run on the shared parameters, ``(n, n_shared)``."""
+        model = self._model
+        if self._innovations is not None:
+            rows, _ = self._innovations.rows(play, outputs=self._outputs)
+            return eliminated(model, rows, self._start)
+        response = respond(model, play)
+        if self._outputs is not None:
+            left_out = [name not in self._outputs for name in model.output_names]
+            response.present[:, left_out] = False
+        sigma = noise_of(model, self._noise, self._coloured, changed=play.noise)  # type: ignore[arg-type]
+        return run_factor(model, response, sigma, self._start)
+
+    def joint(
+        self,
+        factors: Sequence[np.ndarray],
+        priors: str | Mapping[str, float] | Information | None,
+    ) -> Information:
+        """Information of several runs and what is known besides."""
+        shared = [p for p in self._model.free_parameters if not p.per_record]
+        names = tuple(p.name for p in shared)
+        rows = np.vstack([*factors, prior_factor(self._model, names, priors)])
+        scales = np.array([p.magnitude for p in shared])
+        return Information(names, triangle(rows) * scales, scales)
+
+
+def run_factor(
+    model: Model, response: Response, noise: Noise, start: str | Mapping[str, float] = "unknown"
+) -> np.ndarray:
+    """Factor of one run's information on the shared parameters, shape ``(n, n_shared)``.
+
+    Start states and per-record parameters, with their priors, are eliminated
+    by triangularisation with them in front.
+    """
+    white = noise.whiten(response.jacobian, response.present)
+    return eliminated(model, white.reshape(-1, white.shape[2]), start)
+
+
+def disturbed_noise(noise: Levels | NoiseModel | Fit) -> NoiseModel | None:
+    """Noise with random forces or colour, if that is what is given; None for white levels."""
+    found = noise.noise if isinstance(noise, Fit) else noise
+    if not isinstance(found, NoiseModel):
+        return None
+    return None if isinstance(noise, Fit) and found.is_white else found
+
+
+def eliminated(
+    model: Model, white: np.ndarray, start: str | Mapping[str, float] = "unknown"
+) -> np.ndarray:
+    """Factor on the shared parameters of whitened rows, start and own parameters eliminated.
+
+    Parameters
+    ----------
+    model : Model
+    white : ndarray (n_rows, n_own + n_free + n_more)
+        By start states, free parameters, and whatever else is kept, in units of the noise.
+    start
+        See :func:`information_of`.
+
+    Returns
+    -------
+    ndarray (n, n)
+        Upper triangular, by shared parameters and what else is kept.
+    """
+    own_weights = start_weights(model, start)
+    n_own = len(model.states)
+    free = model.free_parameters
+    local = [n_own + i for i, p in enumerate(free) if p.per_record]
+    shared = [n_own + i for i, p in enumerate(free) if not p.per_record]
+    unknown = np.flatnonzero(np.isfinite(own_weights)).tolist()
+    more = range(n_own + len(free), white.shape[1])
+    columns = [*unknown, *local, *shared, *more]
+    # In the usual order nothing has to be copied.
+    ordered = columns == list(range(white.shape[1]))
+    rows = white if ordered else np.ascontiguousarray(white[:, columns])
+    weights = np.zeros(len(columns))
+    weights[: len(unknown)] = own_weights[unknown]
+    for position, index in enumerate(local, start=len(unknown)):
+        std = free[index - n_own].prior_spread
+        weights[position] = 0.0 if std is None else 1.0 / std
+    if weights.any():
+        rows = np.vstack([rows, np.diag(weights)[weights > 0]])
+    n_drop = len(unknown) + len(local)
+    return triangle(rows)[n_drop:, n_drop:]
+
+
+def triangle(rows: np.ndarray) -> np.ndarray:
+    """Upper-triangular ``R`` with ``R'R = rows' rows``, shape ``(n, n)``.
+
+    Well-conditioned rows take the quicker way over the normal equations;
+    others keep all digits in a QR factorisation, so that null directions stay
+    null.
+    """
+    n = rows.shape[1]
+    if n == 0:
+        return np.zeros((0, 0))
+    squares = rows.T @ rows
+    norms = np.sqrt(np.diag(squares))
+    if np.all(norms > 0):
+        equilibrated = squares / norms[:, None] / norms
+        values = np.linalg.eigvalsh(equilibrated)
+        if values[0] * _SAFE_SQUARED_CONDITION > values[-1]:
+            try:
+                return cholesky(equilibrated) * norms
+            except LinAlgError:
+                pass
+    # Householder block by block (a tall factorisation in cache), then once over the triangles.
+    n_blocks = len(rows) // _BLOCK
+    if n_blocks > 1:
+        blocks = rows[: n_blocks * _BLOCK].reshape(n_blocks, _BLOCK, n)
+        triangles = np.asarray(np.linalg.qr(blocks, mode="r")).reshape(-1, n)
+        rows = np.vstack([triangles, rows[n_blocks * _BLOCK :]])
+    if len(rows) < n:
+        rows = np.vstack([rows, np.zeros((n - len(rows), n))])
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def prior_factor(
+    model: Model, names: Sequence[str], priors: str | Mapping[str, float] | Information | None
+) -> np.ndarray:
+    """Factor of what is known besides, shape ``(n_rows, n_names)``."""
+    n = len(names)
+    if priors is None:
+        return np.zeros((0, n))
+    if isinstance(priors, Information):
+        missing = [name for name in priors.names if name not in names]
+        if missing:
+            raise DesignError(
+                f"The prior knows about {', '.join(missing)}, which is not free in model "
+                f"{model.name!r}. Free it, or give information on {', '.join(names)}."
+            )
+        rows = np.zeros((len(priors.factor), n))
+        rows[:, [names.index(name) for name in priors.names]] = priors.factor / priors.scales
+        return rows
+    if isinstance(priors, str):
+        if priors != "model":
+            raise DesignError(
+                f"priors is {priors!r}. Choose 'model', None, standard deviations by name, or an "
+                "Information."
+            )
+        stds = {p.name: p.prior_spread for p in model.free_parameters if p.prior_spread is not None}
+        return np.diag([1.0 / stds[name] if name in stds else 0.0 for name in names])
+    for name, std in priors.items():
+        if name not in names or not std > 0:
+            raise DesignError(
+                f"The prior {name!r}: {std} is of no use. Give a positive standard deviation of "
+                f"one of {', '.join(names)}."
+            )
+    return np.diag([1.0 / priors[name] if name in priors else 0.0 for name in names])
+
+
+def start_weights(model: Model, start: str | Mapping[str, float]) -> np.ndarray:
+    """Weights of the start states: 0 unknown, infinity known, else 1 / std; shape ``(n_own,)``."""
+    names = model.state_names
+    if isinstance(start, str):
+        if start not in ("unknown", "known"):
+            raise DesignError(
+                f"start is {start!r}. Choose 'unknown', 'known', or standard deviations by state."
+            )
+        return np.full(len(names), 0.0 if start == "unknown" else np.inf)
+    for name, std in start.items():
+        if name not in names or not std >= 0:
+            raise DesignError(
+                f"The start deviation {name!r}: {std} is of no use. Give a standard deviation of "
+                f"one of {', '.join(names)}."
+            )
+    with np.errstate(divide="ignore"):
+        return np.array(
+            [np.divide(1.0, start[name]) if name in start else 0.0 for name in names], dtype=float
+        )
+
+
+def rows_to_parameters(factor: np.ndarray, keep: Sequence[int]) -> np.ndarray:
+    """Factor of the information on some unknowns when the others are unknown too."""
+    n = factor.shape[1]
+    rest = [i for i in range(n) if i not in keep]
+    return triangle(factor[:, [*rest, *keep]])[len(rest) :, len(rest) :]
+
+
+def solve_factor(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve ``R' R x = right`` for an upper-triangular ``R``."""
+    inner = solve_triangular(factor, right, trans="T")
+    return np.asarray(solve_triangular(factor, inner))
+
+
+class _Estimator(Protocol):
+    def fit(self, model: Model, dataset: Dataset) -> Fit: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Confirmation:
+    """Predicted and found accuracy of repeated simulated experiments.
+
+    Attributes
+    ----------
+    names : tuple of str
+    predicted : ndarray (n_names,)
+        Standard errors from the Cramer-Rao bound.
+    found : ndarray (n_names,)
+        Root mean square of estimate minus truth.
+    bias : ndarray (n_names,)
+        Mean of estimate minus truth, in predicted standard errors.
+    coverage : ndarray (n_names,)
+        Share of runs whose reported 95 % interval holds the truth.
+    n_runs, n_failed : int
+        Runs, and those whose estimation did not converge (not counted above).
+    """
+
+    names: tuple[str, ...]
+    predicted: np.ndarray
+    found: np.ndarray
+    bias: np.ndarray
+    coverage: np.ndarray
+    n_runs: int
+    n_failed: int
+
+    @property
+    def ratios(self) -> np.ndarray:
+        """Found over predicted error, shape ``(n_names,)``."""
+        return self.found / self.predicted
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Range in which 99 % of the ratios fall if the bound is exact."""
+        n = self.n_runs - self.n_failed
+        low, high = chdtri(n, [0.995, 0.005]) / n
+        return float(np.sqrt(low)), float(np.sqrt(high))
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether all ratios lie in the interval, widened for looking at several."""
+        n = self.n_runs - self.n_failed
+        tail = 0.005 / max(len(self.names), 1)
+        low, high = np.sqrt(chdtri(n, [1 - tail, tail]) / n)
+        return bool(np.all((self.ratios > low) & (self.ratios < high)))
+
+    def report(self) -> str:
+        """Return the comparison as a table."""
+        low, high = self.interval
+        lines = [
+            f"{self.n_runs} simulated experiments, {self.n_failed} not converged; found/predicted "
+            f"lies in {low:.2f} to {high:.2f} with 99 % if the bound is exact: "
+            f"{'confirmed' if self.confirmed else 'NOT confirmed'}",
+            f"{'parameter':<20} {'predicted':>10} {'found':>10} {'ratio':>6} {'bias/se':>8}"
+            f" {'coverage':>8}",
+        ]
+        for i, name in enumerate(self.names):
+            lines.append(
+                f"{name:<20} {self.predicted[i]:>10.3g} {self.found[i]:>10.3g} "
+                f"{self.ratios[i]:>6.2f} {self.bias[i]:>8.2f} {self.coverage[i]:>8.0%}"
+            )
+        return "\n".join(lines)
+
+    to_dict = as_dict(
+        "names", "predicted", "found", "bias", "coverage", "n_runs", "n_failed", "confirmed"
+    )
+
+
+def confirm_bound(
+    model: Model,
+    experiments: Experiment | Iterable[Experiment],
+    *,
+    rng: np.random.Generator,
+    n_runs: int = 50,
+    estimator: _Estimator | None = None,
+    start_model: Model | None = None,
+    n_jobs: int = 1,
+    progress: Callable[[int], None] | None = None,
+) -> Confirmation:
+    """Compare the bound with the errors of actual estimations.
+
+    Each run simulates all experiments with fresh noise and estimates all free
+    parameters and start states from them. Priors are left out: estimates that
+    are drawn to the truth itself would scatter less than any bound says.
+
+    Parameters
+    ----------
+    model : Model
+        The truth; outputs need ``noise_std``.
+    experiments : Experiment or iterable of Experiment
+        What is run.
+    rng : numpy.random.Generator
+        Source of the noise.
+    n_runs : int
+        Repetitions.
+    estimator : Estimator, optional
+        By default :class:`~oed_sysid.likelihood.multiple_shooting.MultipleShooting` with given
+        noise.
+    start_model : Model, optional
+        Start values of the estimation; the truth by default.
+    n_jobs : int
+        Processes.
+    progress : callable, optional
+        Called with the number of runs done (serial runs only).
+    """
+    planned = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    if n_runs < 3:
+        raise DesignError(f"{n_runs} runs cannot confirm anything. Give at least 20.")
+    model = _without_priors(model)
+    started = model if start_model is None else _without_priors(start_model)
+    worker = estimator or MultipleShooting(disturbances="none", noise="given", coloured="never")
+    information = information_of(model, planned)
+    names, truth = information.names, model.values
+    seeds = rng.spawn(n_runs)
+
+    def one(index: int) -> tuple[bool, np.ndarray, np.ndarray]:
+        generator = seeds[index]
+        data = Dataset(tuple(simulate(model, plan, rng=generator) for plan in planned))
+        fit = worker.fit(started, data)
+        if progress is not None and n_jobs == 1:
+            progress(index + 1)
+        errors = np.array([fit.values[name] - truth[name] for name in names])
+        return fit.status.ok, errors, np.array([fit.std_errors[name] for name in names])
+
+    results = Parallel(n_jobs=n_jobs)(delayed(one)(index) for index in range(n_runs))
+    good = [(errors, stated) for ok, errors, stated in results if ok]
+    if len(good) < 3:
+        raise DesignError(
+            f"Only {len(good)} of {n_runs} estimations converged; the experiments do not determine "
+            "the parameters. See information_of(...).null_directions()."
+        )
+    errors = np.array([errors for errors, _ in good])
+    stated = np.array([stated for _, stated in good])
+    predicted = information.std_errors
+    return Confirmation(
+        names=names,
+        predicted=predicted,
+        found=np.sqrt(np.mean(errors**2, axis=0)),
+        bias=errors.mean(axis=0) / predicted,
+        coverage=np.mean(np.abs(errors) < 1.96 * stated, axis=0),
+        n_runs=n_runs,
+        n_failed=n_runs - len(good),
+    )
+
+
+def _without_priors(model: Model) -> Model:
+    for parameter in model.free_parameters:
+        if parameter.prior_std is not None:
+            model = model.with_parameter(replace(parameter, prior_mean=None, prior_std=None))
+    return model

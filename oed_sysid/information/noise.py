@@ -1,0 +1,382 @@
+r"""Measurement noise before there are residuals: levels, and colour as autoregression.
+
+How rough the sea is: random forces before anybody has measured them.
+
+A word stands for forces that, within their time :math:`\tau`, would on their own move each
+velocity by a share :math:`\kappa` of what a reference manoeuvre moves it by:
+
+.. math:: \sigma_j =
+    \frac{\kappa\; \mathrm{rms}(x_j - \bar x_j)}{\tau\; \partial \dot x_j/\partial w_j}
+
+with :math:`\kappa` of 1, 5 and 15 per cent for *calm*, *moderate* and *rough*. This compares the
+sea with the manoeuvre and knows nothing of wave heights: a fit of an earlier record, whose levels
+are estimated, is better wherever there is one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.errors import DesignError
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.information.response import plays
+from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
+from oed_sysid.likelihood.filtered import disturbed_model
+from oed_sysid.likelihood.information import autocorrelation
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+
+Levels = Mapping[str, float] | Sequence[float] | np.ndarray | None
+Colour = Mapping[str, float | Sequence[float]] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    r"""Stationary Gaussian noise of each output, white or autoregressive.
+
+    .. math:: e_k = \sum_i a_i e_{k-i} + \sigma_a \varepsilon_k
+
+    Parameters
+    ----------
+    sigma : ndarray (n_outputs,)
+        Standard deviation of :math:`e`, in the outputs' units.
+    coefficients : tuple of tuple of float
+        Autoregression of each output; empty for white noise.
+    """
+
+    sigma: np.ndarray
+    coefficients: tuple[tuple[float, ...], ...]
+
+    @property
+    def is_white(self) -> bool:
+        """Whether all outputs have white noise."""
+        return not any(self.coefficients)
+
+    def whiten(self, values: np.ndarray, present: np.ndarray) -> np.ndarray:
+        """Turn noise into independent noise of unit variance.
+
+        Parameters
+        ----------
+        values : ndarray (n_times, n_outputs, ...)
+            Residuals, or their derivatives.
+        present : ndarray of bool (n_times, n_outputs)
+            Samples that were measured; the others become zero.
+
+        Returns
+        -------
+        ndarray, shape of ``values``
+
+        Notes
+        -----
+        The first samples, and those after a gap, use the best predictors of
+        lower order, so that the transform is exact for a stationary
+        autoregression without gaps. Across a gap what is left of the
+        correlation is not used, which makes bounds slightly pessimistic.
+        """
+        extra = (1,) * (values.ndim - 2)
+        scaled = values / self.sigma.reshape(1, -1, *extra)
+        if not present.all():
+            scaled = np.where(present.reshape(*present.shape, *extra), scaled, 0.0)
+        if self.is_white:
+            return scaled
+        whitened = scaled.copy()
+        for column, autoregression in enumerate(self.coefficients):
+            if not autoregression:
+                continue
+            predictors, deviations = _predictors(autoregression)
+            before = _samples_before(present[:, column])
+            series = scaled[:, column]
+            for order, (predictor, deviation) in enumerate(
+                zip(predictors, deviations, strict=True)
+            ):
+                last = order == len(predictors) - 1
+                rows = np.flatnonzero(
+                    present[:, column] & (before >= order if last else before == order)
+                )
+                guess = sum(
+                    (a * series[rows - lag] for lag, a in enumerate(predictor, start=1)),
+                    np.zeros_like(series[rows]),
+                )
+                whitened[rows, column] = (series[rows] - guess) / deviation
+        return whitened
+
+
+def noise_of(
+    model: Model,
+    levels: Levels = None,
+    coloured: Colour = None,
+    *,
+    changed: Mapping[str, float] | None = None,
+) -> Noise:
+    """Return the noise of a model's outputs.
+
+    Parameters
+    ----------
+    model : Model
+        Its outputs' ``noise_std`` are the levels unless others are given.
+    levels : mapping or sequence of float, optional
+        Standard deviations, by output or in the outputs' order.
+    coloured : mapping of str to float or sequence of float, optional
+        Autoregression by output; a single number is the lag-one correlation.
+    changed : mapping of str to float, optional
+        Levels of a single experiment.
+
+    Raises
+    ------
+    DesignError
+        If a level is missing or not positive, or an autoregression unstable.
+    """
+    names = model.output_names
+    stds: dict[str, float | None] = {o.name: o.noise_std for o in model.outputs}
+    if isinstance(levels, Mapping):
+        _known(model, levels)
+        stds |= levels
+    elif levels is not None:
+        given = np.asarray(levels, dtype=float)
+        if given.shape != (len(names),):
+            raise DesignError(
+                f"There are {given.size} noise levels for the outputs {', '.join(names)}. "
+                "Give one each."
+            )
+        stds = dict(zip(names, map(float, given), strict=True))
+    stds |= dict(changed or {})
+    for name, std in stds.items():
+        if std is None or not (np.isfinite(std) and std > 0):
+            raise DesignError(
+                f"The noise of {name!r} is {std}. Accuracy cannot be predicted without it: give "
+                f"Output(noise_std=...) or noise={{{name!r}: standard deviation}}."
+            )
+    _known(model, coloured or {})
+    colours = tuple(_autoregression(name, (coloured or {}).get(name, ())) for name in names)
+    return Noise(np.array([stds[name] for name in names], dtype=float), colours)
+
+
+def fitted_colour(
+    residuals: Sequence[np.ndarray], names: Sequence[str], *, order: int = 2
+) -> dict[str, tuple[float, ...]]:
+    """Estimate the autoregression of residuals (Yule-Walker).
+
+    Parameters
+    ----------
+    residuals : sequence of ndarray (n_times, n_outputs)
+        Per record; NaN where nothing was measured.
+    names : sequence of str
+        Outputs.
+    order : int
+        Order of the autoregression.
+
+    Returns
+    -------
+    dict of str to tuple of float
+        For the ``coloured`` argument; outputs with correlations inside the
+        sampling error of white noise are left out.
+    """
+    found: dict[str, tuple[float, ...]] = {}
+    for column, name in enumerate(names):
+        series = [r[:, column] for r in residuals if np.isfinite(r[:, column]).sum() > 10 * order]
+        if not series:
+            continue
+        counts = np.array([np.isfinite(s).sum() for s in series], dtype=float)
+        rho = sum(n * autocorrelation(s, order) for n, s in zip(counts, series, strict=True))
+        rho = np.asarray(rho) / counts.sum()
+        if np.abs(rho[1:]).max() < 3.0 / np.sqrt(counts.sum()):
+            continue
+        lags = np.abs(np.subtract.outer(np.arange(order), np.arange(order)))
+        found[name] = tuple(map(float, np.linalg.solve(rho[lags], rho[1:])))
+    return found
+
+
+def _known(model: Model, given: Mapping[str, object]) -> None:
+    for name in given:
+        if name not in model.output_names:
+            raise DesignError(
+                f"Noise is given for {name!r}, which is no output of model {model.name!r}. It has "
+                f"{', '.join(model.output_names)}."
+            )
+
+
+def _autoregression(name: str, given: float | Sequence[float]) -> tuple[float, ...]:
+    coefficients = (float(given),) if isinstance(given, int | float) else tuple(map(float, given))
+    if coefficients and not np.all(np.abs(_reflections(coefficients)) < 1):
+        raise DesignError(
+            f"The colour of {name!r}, {coefficients}, is not stationary. Correlations have to be "
+            "below one in size."
+        )
+    return () if not any(coefficients) else coefficients
+
+
+def _reflections(coefficients: tuple[float, ...]) -> np.ndarray:
+    """Partial correlations of an autoregression, first lag first (Levinson, downwards)."""
+    present = np.array(coefficients)
+    found = []
+    while len(present):
+        last = present[-1]
+        found.append(last)
+        if abs(last) >= 1:
+            break
+        present = (present[:-1] + last * present[-2::-1]) / (1 - last**2)
+    return np.array(found[::-1])
+
+
+def _predictors(coefficients: tuple[float, ...]) -> tuple[list[np.ndarray], list[float]]:
+    """Best predictors of order 0, 1, ..., and the deviation each leaves (Levinson)."""
+    predictor, variance = np.zeros(0), 1.0
+    predictors, deviations = [predictor], [1.0]
+    for reflection in _reflections(coefficients):
+        predictor = np.append(predictor - reflection * predictor[::-1], reflection)
+        variance *= 1 - reflection**2
+        predictors.append(predictor)
+        deviations.append(float(np.sqrt(variance)))
+    return predictors, deviations
+
+
+def _samples_before(present: np.ndarray) -> np.ndarray:
+    """Number of measured samples directly before each sample."""
+    index = np.arange(len(present))
+    last_gap = np.maximum.accumulate(np.where(present, -1, index))
+    count = index - last_gap - 1
+    return np.where(present, count, 0)
+
+
+SEAS = {"still": 0.0, "calm": 0.01, "moderate": 0.05, "rough": 0.15}
+USUAL_TIME = 2.0
+# Shortest time in samples: forces faster than that are white noise to a record.
+_SHORTEST = 4.0
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+
+
+def sea_noise(
+    model: Model, sea: str, reference: Iterable[Experiment], *, time: float | None = None
+) -> NoiseModel:
+    """Return the noise of a model's sensors, and random forces of a sea.
+
+    Parameters
+    ----------
+    model : Model
+        Its outputs' ``noise_std`` are the white levels.
+    sea : str
+        ``still`` (no forces), ``calm``, ``moderate``, ``rough``; or levels by equation,
+        ``"Z=0.3,M=0.06"`` in N, N m or the state's unit per second. ``time=5`` after either sets
+        the correlation time, s.
+    reference : iterable of Experiment
+        What words are compared with: the manoeuvre that moves a velocity most counts.
+    time : float, optional
+        Correlation time where ``sea`` says nothing, s; 2 s or four samples, whichever is longer.
+
+    Returns
+    -------
+    NoiseModel
+
+    Raises
+    ------
+    DesignError
+        If the words are not understood.
+
+    Examples
+    --------
+    >>> from oed_sysid import Experiment, Input, Model, Output, Parameter, State
+    >>> from oed_sysid.experiments.manoeuvres import Doublet
+    >>> nomoto = Model(
+    ...     "Nomoto", (State("r", "rad/s"),), (Input("rudder", "rad"),),
+    ...     (Output("r", "rad/s", noise_std=1e-3),), {"r": "(K*rudder - r)/T"},
+    ...     parameters=(Parameter("K", 0.1, "1/s"), Parameter("T", 10.0, "s")),
+    ... )
+    >>> test = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=20.0), duration=80.0)
+    >>> noise = sea_noise(nomoto, "moderate", [test])
+    >>> noise.places, noise.force.round(5), noise.force_time
+    (('force r',), array([0.00022]), array([2.]))
+    """
+    runs = tuple(reference)
+    white = noise_of(model).sigma
+    parts = [part.strip() for part in sea.split(",") if part.strip()]
+    word = parts.pop(0) if parts and "=" not in parts[0] else None
+    if word is not None and word not in SEAS:
+        raise DesignError(
+            f"The sea {sea!r} is not understood. Say {', '.join(SEAS)}, or levels by equation "
+            "such as Z=0.3,M=0.06,time=2."
+        )
+    given = dict(_assignment(sea, part) for part in parts)
+    period = given.pop("time", time)
+    if period is None:
+        sample = max((run.sample_time for run in runs), default=0.0)
+        period = max(USUAL_TIME, _SHORTEST * sample)
+    if not period > 0 or any(level < 0 for level in given.values()):
+        raise DesignError(f"The sea {sea!r} has a level below zero or no time. Correct it.")
+    if word is not None and given:
+        raise DesignError(f"Give the sea as a word or as levels, not both: {sea!r}.")
+    if word is None:
+        found = chosen_places(model, tuple(given))
+        levels = np.array(list(given.values()), dtype=float)
+    elif SEAS[word] == 0.0:
+        return NoiseModel.white_only(white, model.output_names)
+    else:
+        found = chosen_places(model, "all")
+        levels = SEAS[word] * natural_forces(model, found, runs) / period
+    return NoiseModel(
+        white, np.zeros_like(white), levels, force_time=period, outputs=model.output_names,
+        places=tuple(place.name for place in found),
+    )  # fmt: skip
+
+
+def natural_forces(
+    model: Model, found: tuple[Place, ...], runs: tuple[Experiment, ...]
+) -> np.ndarray:
+    """Forces that in one second would move each velocity by what manoeuvres move it.
+
+    Returns
+    -------
+    ndarray (n_places,)
+    """
+    if not runs:
+        raise DesignError("A sea in words is compared with a manoeuvre. Give one, or levels.")
+    states = [model.axes.get(p.signal, p.signal) for p in found]
+    motion = np.zeros(len(found))
+    for play in plays(model, runs):
+        run = simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial)
+        motion = np.maximum(motion, [np.std(run.signal(name)) for name in states])
+    names = [disturbance(place).parameters[0].name for place in found]
+    wide = disturbed_model(model, names)
+    step = np.array([0.0, model.step])
+    first = plays(model, runs[0])[0]
+    commands = np.repeat(first.inputs[:1], 2, axis=0)
+    still = simulate_inputs(wide, step, inputs=commands, initial=first.initial)
+    answers = []
+    for name, state in zip(names, states, strict=True):
+        moved = simulate_inputs(
+            wide.with_values({name: 1.0}), step, inputs=commands, initial=first.initial
+        )
+        answers.append((moved.signal(state)[1] - still.signal(state)[1]) / model.step)
+    answer = np.abs(np.array(answers))
+    if not np.all(answer > 0):
+        blind = found[int(np.argmin(answer))].name
+        raise DesignError(f"A random {blind} moves nothing in model {model.name!r}. Give levels.")
+    return motion / answer
+
+
+def sea_words(noise: NoiseModel) -> str:
+    """Return levels and times of the random forces in words.
+
+    >>> sea_words(NoiseModel.white_only(np.ones(1)))
+    'none'
+    """
+    parts = [
+        f"{place.removeprefix('force ')} {level:.3g}"
+        for place, level in zip(noise.places, noise.force, strict=True)
+        if level > 0
+    ]
+    if not parts:
+        return "none"
+    times = np.unique(noise.force_time[noise.force > 0].round(6))
+    return f"{', '.join(parts)} over {', '.join(f'{t:.3g}' for t in times)} s"
+
+
+def _assignment(sea: str, part: str) -> tuple[str, float]:
+    name, equals, number = part.partition("=")
+    if not (equals and name.strip() and _NUMBER.fullmatch(number.strip())):
+        raise DesignError(f"{part!r} in the sea {sea!r} is not understood. Write NAME=NUMBER.")
+    return name.strip(), float(number)

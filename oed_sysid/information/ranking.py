@@ -1,0 +1,452 @@
+"""Which derivatives matter: the literature's index beside the information.
+
+Smaller models: which derivatives can go, and what prediction loses by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.errors import DesignError, SimulationError
+from oed_sysid.experiments.trajectory import state_names
+from oed_sysid.information.bound import information_of
+from oed_sysid.information.noise import Colour, Levels, noise_of
+from oed_sysid.information.response import Play, Run, plays, respond
+from oed_sysid.likelihood.information import Information
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict, plain
+from oed_sysid.runtime.threads import single_threaded
+
+# An error of the estimate beyond this share of the value counts as not determined.
+POOR = 0.5
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """One parameter in both views.
+
+    Attributes
+    ----------
+    name, unit : str
+    value : float
+    output_change : float
+        Relative change of the outputs for a relative change of the parameter,
+        summed over the signals (Perez & Blanke); per change, not per unit change.
+    peak_change : float
+        Relative change of the peaks per relative change of the parameter
+        (Hwang; Rhee & Kim), averaged over the signals.
+    error_alone : float
+        Relative standard error if everything else were known.
+    error : float
+        Relative standard error with all unknowns estimated together.
+    """
+
+    name: str
+    unit: str
+    value: float
+    output_change: float
+    peak_change: float
+    error_alone: float
+    error: float
+
+    @property
+    def inflation(self) -> float:
+        """How much the other unknowns enlarge the error."""
+        return self.error / self.error_alone if self.error_alone > 0 else float("inf")
+
+
+@dataclass(frozen=True)
+class SensitivityRanking:
+    """Parameters of a model by what a manoeuvre tells about them.
+
+    Attributes
+    ----------
+    rows : tuple of Sensitivity
+        Best determined first.
+    change : float
+        Relative change of the parameters behind ``output_change``.
+    signals, runs : tuple of str
+        What was compared, in which manoeuvres.
+    information : Information
+        Behind the errors.
+    """
+
+    rows: tuple[Sensitivity, ...]
+    change: float
+    signals: tuple[str, ...]
+    runs: tuple[str, ...]
+    information: Information
+
+    @property
+    def by_information(self) -> tuple[str, ...]:
+        """Names, best determined first."""
+        return tuple(row.name for row in self.rows)
+
+    @property
+    def by_output_change(self) -> tuple[str, ...]:
+        """Names, largest change of the outputs first."""
+        return tuple(r.name for r in sorted(self.rows, key=lambda r: -r.output_change))
+
+    def row(self, name: str) -> Sensitivity:
+        """Return one parameter."""
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise DesignError(f"{name!r} was not ranked; ranked are {', '.join(self.by_information)}.")
+
+    @property
+    def disagreements(self) -> tuple[str, ...]:
+        """Sentences about parameters on which the two views differ."""
+        n = len(self.rows)
+        if n < 3:
+            return ()
+        change_rank = {name: i for i, name in enumerate(self.by_output_change)}
+        median = float(np.median([row.output_change for row in self.rows]))
+        usual = float(np.median([row.inflation for row in self.rows]))
+        words = []
+        for rank, row in enumerate(self.rows):
+            place = change_rank[row.name]
+            far = abs(rank - place) >= max(2, n // 4)
+            if row.output_change >= median and (row.error > POOR or (far and rank > place)):
+                words.append(
+                    f"{row.name} moves the outputs (place {place + 1}) but its std. error is "
+                    f"still {100 * row.error:.2g} % of its value (place {rank + 1}): other "
+                    f"unknowns mimic it, its error is {row.inflation:.3g} times that of known ones"
+                )
+            elif row.output_change < median and far and rank < place and row.error <= POOR:
+                reason = (
+                    "others mimic it less than usual"
+                    if row.inflation < usual
+                    else "it acts where the noise is low"
+                )
+                words.append(
+                    f"{row.name} moves the outputs little (place {place + 1}) but its std. error "
+                    f"is only {100 * row.error:.2g} % of its value (place {rank + 1}): {reason}"
+                )
+        return tuple(words)
+
+    def report(self) -> str:
+        """Return the ranking as text."""
+        change_rank = {name: i + 1 for i, name in enumerate(self.by_output_change)}
+        lines = [
+            f"Sensitivity of {len(self.rows)} parameters in {', '.join(self.runs)}; signals "
+            f"{', '.join(self.signals)}; index for a change of {self.change:.0%}",
+            f"{'':>3} {'parameter':<20} {'rel. error':>10} {'alone':>9} {'inflation':>9}"
+            f" {'output change':>14} {'place':>5} {'peak index':>10}",
+        ]
+        for rank, row in enumerate(self.rows, start=1):
+            lines.append(
+                f"{rank:>3} {row.name:<20} {row.error:>10.2%} {row.error_alone:>9.2%}"
+                f" {row.inflation:>9.3g} {row.output_change:>14.3g} {change_rank[row.name]:>5}"
+                f" {row.peak_change:>10.3g}"
+            )
+        lines += [f"Disagreement: {text}." for text in self.disagreements]
+        lines += [f"Not determined: {text}." for text in self.information.null_directions()]
+        return "\n".join(lines)
+
+    to_dict = as_dict(
+        "runs", "signals", "change", "by_information", "by_output_change", "disagreements",
+        parameters=lambda self: [plain(row) | {"inflation": row.inflation} for row in self.rows],
+        null_directions=lambda self: self.information.null_directions(),
+    )  # fmt: skip
+
+
+@single_threaded
+def rank_parameters(
+    model: Model,
+    runs: Run | Dataset | Iterable[Run],
+    *,
+    noise: Levels = None,
+    coloured: Colour = None,
+    priors: str | Mapping[str, float] | Information | None = None,
+    start: str | Mapping[str, float] = "unknown",
+    initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
+    signals: Sequence[str] | None = None,
+    change: float = 0.2,
+) -> SensitivityRanking:
+    r"""Rank free parameters by the literature's index and by information.
+
+    The index is the relative change of the outputs when one coefficient is
+    multiplied by :math:`1 + \varepsilon`, inputs unchanged,
+
+    .. math:: S_j = \sum_y \sum_k |y_j(k) - y(k)| \,/\, \sum_k |y(k)| .
+
+    It says what moves the outputs, not what can be told apart: two
+    coefficients with the same effect both look important. The information
+    says with which error each can be estimated, alone and with the others.
+
+    Parameters
+    ----------
+    model, runs, noise, coloured, priors, start, initial_states
+        See :func:`~oed_sysid.information.bound.information_of`.
+    signals : sequence of str, optional
+        Outputs or states in the index; all outputs by default. Leave out
+        positions that start far from zero: they hide every change.
+    change : float
+        Relative change of each coefficient.
+
+    References
+    ----------
+    T. Perez, M. Blanke, Mathematical ship modelling for control applications,
+    Technical University of Denmark (2002): index as used for manoeuvring
+    coefficients; the working form here is the one above.
+    W. Y. Hwang, Application of system identification to ship maneuvering, PhD
+    thesis, MIT (1980), and K. Rhee, K. Kim (1999): relative change of a
+    response per relative change of a coefficient.
+    """
+    if not change or change <= -1:
+        raise DesignError(f"change is {change}. Give a relative change such as 0.2.")
+    played = plays(model, runs, initial_states=initial_states)
+    own = [play.initial for play in played]
+    information = information_of(
+        model, runs, noise=noise, coloured=coloured, priors=priors, start=start, initial_states=own
+    )
+    wanted = tuple(signals) if signals is not None else model.output_names
+    base = [_signals(model, play, wanted) for play in played]
+    alone = np.linalg.norm(information.factor / information.scales, axis=0)
+    errors = information.std_errors
+    rows = []
+    for index, name in enumerate(information.names):
+        parameter = model.parameter(name)
+        size = parameter.reference
+        changed = model.with_values({name: parameter.value + change * (parameter.value or size)})
+        new = [_signals(changed, play, wanted) for play in played]
+        total, peaks = _indices(base, new)
+        rows.append(
+            Sensitivity(
+                name=name,
+                unit=parameter.unit,
+                value=parameter.value,
+                output_change=total,
+                peak_change=peaks / abs(change),
+                error_alone=float(1 / alone[index] / size) if alone[index] > 0 else float("inf"),
+                error=float(errors[index] / size),
+            )
+        )
+    rows.sort(key=lambda row: row.error)
+    return SensitivityRanking(
+        tuple(rows), change, wanted, tuple(play.name for play in played), information
+    )
+
+
+def _signals(model: Model, play: Play, names: Sequence[str]) -> np.ndarray:
+    """Chosen outputs or states of one run, shape ``(n_times, n_names)``."""
+    runner = kernel(model)
+    values = model.value_vector
+    z, _ = runner.start(play.initial, play.inputs[0], values, float(play.times[0]))
+    run = runner.run(play.times, play.inputs, values, z)
+    states = state_names(model)
+    columns = []
+    for name in names:
+        if name in model.output_names:
+            columns.append(run.outputs[:, model.output_names.index(name)])
+        elif name in states:
+            columns.append(run.states[:, states.index(name)])
+        else:
+            raise DesignError(
+                f"Model {model.name!r} has no output or state {name!r}. It has "
+                f"{', '.join(dict.fromkeys((*model.output_names, *states)))}."
+            )
+    return np.column_stack(columns)
+
+
+def _indices(base: list[np.ndarray], new: list[np.ndarray]) -> tuple[float, float]:
+    """Output change summed over signals, and mean relative change of the peaks."""
+    change = sum(np.abs(b - a).sum(axis=0) for a, b in zip(base, new, strict=True))
+    size = sum(np.abs(a).sum(axis=0) for a in base)
+    peaks = np.mean(
+        [
+            np.abs(np.abs(b).max(axis=0) / np.maximum(np.abs(a).max(axis=0), 1e-300) - 1)
+            for a, b in zip(base, new, strict=True)
+        ]
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shares = np.where(np.asarray(size) > 0, np.asarray(change) / np.asarray(size), 0.0)
+    total = float(np.sum(shares))
+    # A diverging variant is a very large change, not a missing number.
+    return (total, float(peaks)) if np.isfinite(total) else (float("inf"), float("inf"))
+
+
+@dataclass(frozen=True)
+class Drop:
+    """One parameter that was set to zero, after those before it.
+
+    Attributes
+    ----------
+    name : str
+    cost : float
+        Increase of the whitened sum of squares by all drops so far, the
+        remaining parameters refitted (linearised): below 2 per dropped
+        parameter the data do not notice (Akaike).
+    predicted_rms : float
+        Root mean square change of the outputs that this means, in noise units.
+    rms : mapping of str to float
+        Change of each output as a share of its own rms deviation from the
+        start value, dropped parameters at zero and the others as they were.
+    """
+
+    name: str
+    cost: float
+    predicted_rms: float
+    rms: Mapping[str, float]
+
+    to_dict = as_dict("name", "cost", "predicted_rms", "rms")
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """A model without the derivatives that a manoeuvre does not notice.
+
+    Attributes
+    ----------
+    model : Model
+        Dropped parameters at zero and fixed; the others unchanged.
+    full : Model
+        The model before.
+    drops : tuple of Drop
+        In order; those beyond ``n_dropped`` show what more would cost.
+    n_dropped : int
+        How many were dropped.
+    n_samples : int
+        Measured samples behind the costs.
+    """
+
+    model: Model
+    full: Model
+    drops: tuple[Drop, ...]
+    n_dropped: int
+    n_samples: int
+
+    @property
+    def dropped(self) -> tuple[str, ...]:
+        """Names of the dropped parameters."""
+        return tuple(drop.name for drop in self.drops[: self.n_dropped])
+
+    def report(self) -> str:
+        """Return the order of dropping and its cost as text."""
+        outputs = self.full.output_names
+        lines = [
+            f"{self.full.name}: {self.n_dropped} of {len(self.drops)} parameters dropped "
+            f"({', '.join(self.dropped) or 'none'})",
+            f"{'':>3} {'dropped':<20} {'chi-square':>11} {'rms/noise':>9}  change of "
+            f"{', '.join(outputs)}, others unchanged",
+        ]
+        for index, drop in enumerate(self.drops, start=1):
+            mark = "" if index <= self.n_dropped else " x"
+            shares = "  ".join(f"{drop.rms[name]:.2%}" for name in outputs)
+            lines.append(
+                f"{index:>3} {drop.name:<20} {drop.cost:>11.3g} {drop.predicted_rms:>9.3g}"
+                f"  {shares}{mark}"
+            )
+        return "\n".join(lines)
+
+    to_dict = as_dict("dropped", "n_samples", model="full.name", steps="drops")
+
+
+def reduce_model(
+    model: Model,
+    runs: Run | Dataset | Iterable[Run],
+    *,
+    noise: Levels = None,
+    coloured: Colour = None,
+    initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
+    keep: Sequence[str] = (),
+    largest_rms: float | None = None,
+) -> Reduction:
+    r"""Drop free parameters one by one, the least missed first.
+
+    With the others refitted, setting the parameters of a set :math:`D` to zero
+    raises the sum of squares by :math:`p_D' C_{DD}^{-1} p_D`, where :math:`C`
+    is the bound. No simulation is needed for the order; each step is then
+    simulated to say what it costs if nothing is refitted.
+
+    Parameters
+    ----------
+    model, runs, noise, coloured, initial_states
+        See :func:`~oed_sysid.information.bound.information_of`; start states
+        are refitted.
+    keep : sequence of str
+        Parameters that stay in any case.
+    largest_rms : float, optional
+        Drop as long as the predicted rms change of the outputs stays below
+        this, in units of the noise; by default as long as the sum of squares
+        grows by less than 2 per dropped parameter.
+    """
+    played = plays(model, runs, initial_states=initial_states)
+    own = [play.initial for play in played]
+    information = information_of(
+        model, runs, noise=noise, coloured=coloured, priors=None, initial_states=own
+    )
+    n_samples = sum(int(play.present.sum()) for play in played)
+    fisher = information.matrix
+    values = np.array([model.values[name] for name in information.names])
+    base = [respond(model, play).outputs for play in played]
+    spans = [noise_of(model, noise, coloured, changed=play.noise).sigma for play in played]
+    gone: list[int] = []
+    rest = [i for i, name in enumerate(information.names) if name not in keep]
+    drops = []
+    n_dropped, open_ended = 0, True
+    while rest:
+        costs = [_cost(fisher, values, [*gone, candidate]) for candidate in rest]
+        best = int(np.argmin(costs))
+        gone.append(rest.pop(best))
+        cost = max(float(costs[best]), 0.0)
+        rms = float(np.sqrt(cost / n_samples))
+        names = [information.names[i] for i in gone]
+        reduced = (
+            model.with_values(dict.fromkeys(names, 0.0)) if _allows_zero(model, names) else None
+        )
+        drops.append(Drop(names[-1], cost, rms, _changes(reduced, model, played, base, spans)))
+        fits = rms <= largest_rms if largest_rms is not None else cost <= 2.0 * len(gone)
+        open_ended = open_ended and fits and reduced is not None
+        n_dropped += open_ended
+    names = [drop.name for drop in drops[:n_dropped]]
+    small = model.with_values(dict.fromkeys(names, 0.0)).fix(*names)
+    return Reduction(replace(small, name=f"{model.name}, reduced"), model, tuple(drops), n_dropped,
+                     n_samples)  # fmt: skip
+
+
+def _cost(fisher: np.ndarray, values: np.ndarray, gone: list[int]) -> float:
+    """Increase of the sum of squares when ``gone`` are zero and the others refitted."""
+    rest = [i for i in range(len(values)) if i not in gone]
+    schur = fisher[np.ix_(gone, gone)]
+    if rest:
+        mixed = fisher[np.ix_(rest, gone)]
+        inner = fisher[np.ix_(rest, rest)]
+        scale = 1 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
+        solved = np.linalg.lstsq(
+            inner * scale[:, None] * scale, mixed * scale[:, None], rcond=1e-13
+        )
+        schur = schur - mixed.T @ (solved[0] * scale[:, None])
+    return float(values[gone] @ schur @ values[gone])
+
+
+def _allows_zero(model: Model, names: Sequence[str]) -> bool:
+    return all(model.parameter(n).lower <= 0.0 <= model.parameter(n).upper for n in names)
+
+
+def _changes(
+    reduced: Model | None,
+    model: Model,
+    played: Sequence[Any],
+    base: Sequence[np.ndarray],
+    spans: Sequence[np.ndarray],
+) -> dict[str, float]:
+    """Relative rms change of each output; infinite where the reduced model diverges."""
+    if reduced is None:
+        return dict.fromkeys(model.output_names, float("inf"))
+    change, size = np.zeros(len(model.outputs)), np.zeros(len(model.outputs))
+    for play, outputs, span in zip(played, base, spans, strict=True):
+        try:
+            new = respond(reduced, play).outputs
+        except SimulationError:
+            return dict.fromkeys(model.output_names, float("inf"))
+        change += ((new - outputs) ** 2).sum(axis=0)
+        size += np.maximum(((outputs - outputs[0]) ** 2).sum(axis=0), len(outputs) * span**2)
+    return dict(zip(model.output_names, map(float, np.sqrt(change / size)), strict=True))

@@ -1,0 +1,419 @@
+r"""What a manoeuvre makes a model do, and how that depends on every unknown.
+
+Information of a run under random forces and coloured sensors, before any data exist.
+
+The likelihood of a disturbed record is that of the innovations of a filter
+(:mod:`oed_sysid.compiled.filtering`). Along the *nominal* trajectory, the one without noise, every
+innovation is zero, and what is left of the filter are its gains and the columns ``X``, derivatives
+of its state by start states and parameters:
+
+.. math::
+    S = h' P h + r, \quad g = P h, \quad
+    \partial e = -(h' X + D), \quad X \leftarrow X + \frac{g}{S}\,\partial e, \quad
+    H = \sum_k \frac{\partial e\,\partial e'}{S}
+
+.. math:: F = H_{pp} - H_{p0} H_{00}^{-1} H_{0p}
+
+``p`` are the parameters that all runs share, ``0`` start states and parameters of the run. Start
+states have a covariance of zero and a column each. Levels and times of the noise are not
+correlated with parameters along the nominal trajectory, where the mean of a disturbance is zero
+whatever its level; derivatives of the gain are left out. The rows of ``H`` are kept and
+triangularised, so that null directions stay null.
+
+Information must not be averaged over noisy filtered paths: their regressors hold noise, which
+counts as information that is not there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from oed_sysid.compiled.filtering import Disturbed, filter_kernel
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.errors import DesignError
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.likelihood.disturbances import chosen_places, disturbance
+from oed_sysid.likelihood.filtered import disturbed_model
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.start_guess import measured_states
+from oed_sysid.physics.model import Model
+
+Run = Experiment | Record
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Outputs of one run and their derivatives.
+
+    Attributes
+    ----------
+    name : str
+        Name of the experiment or record.
+    times : ndarray (n_times,)
+    inputs : ndarray (n_times, n_inputs)
+    initial : ndarray (n_own,)
+        The model's own states at the first sample.
+    outputs : ndarray (n_times, n_outputs)
+        Noise-free outputs.
+    states : ndarray (n_times, n_full)
+        Full states.
+    present : ndarray of bool (n_times, n_outputs)
+        Which samples are (or will be) measured.
+    jacobian : ndarray (n_times, n_outputs, n_own + n_free)
+        Derivatives of the outputs by own start states, then by free parameters.
+    noise : mapping of str to float
+        Noise levels that differ from the model's in this run.
+    """
+
+    name: str
+    times: np.ndarray = field(repr=False)
+    inputs: np.ndarray = field(repr=False)
+    initial: np.ndarray
+    outputs: np.ndarray = field(repr=False)
+    states: np.ndarray = field(repr=False)
+    present: np.ndarray = field(repr=False)
+    jacobian: np.ndarray = field(repr=False)
+    noise: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Play:
+    """Inputs and start of a run, with feedback already resolved.
+
+    Attributes
+    ----------
+    name : str
+    times : ndarray (n_times,)
+    inputs : ndarray (n_times, n_inputs)
+    initial : ndarray (n_own,)
+    present : ndarray of bool (n_times, n_outputs)
+    noise : mapping of str to float
+    """
+
+    name: str
+    times: np.ndarray
+    inputs: np.ndarray
+    initial: np.ndarray
+    present: np.ndarray
+    noise: Mapping[str, float] = field(default_factory=dict)
+
+
+def plays(
+    model: Model,
+    runs: Run | Dataset | Iterable[Run],
+    *,
+    initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
+) -> tuple[Play, ...]:
+    """Return what is commanded in each run, and from which start.
+
+    The commands of an experiment with feedback are those of a run of this
+    model without noise; afterwards they are a given history, as they are for
+    an estimator that gets the logged commands.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    runs : Experiment, Record, Dataset or iterable of these
+        What is to be run, or was run.
+    initial_states : sequence of mapping or ndarray (n_own,), optional
+        Start states per run; by default those of the experiment, or the
+        smoothed first measurements of a record.
+    """
+    listed = (runs,) if isinstance(runs, Experiment | Record) else tuple(runs)
+    if not listed:
+        raise DesignError("There is no experiment or record. Give at least one.")
+    if initial_states is not None and len(initial_states) != len(listed):
+        raise DesignError(
+            f"There are {len(initial_states)} start states for {len(listed)} runs. Give one each."
+        )
+    found = []
+    for index, run in enumerate(listed):
+        play = _played(model, run) if isinstance(run, Experiment) else _recorded(model, run)
+        if initial_states is not None:
+            play = replace(play, initial=_own(model, initial_states[index], play.initial))
+        found.append(play)
+    return tuple(found)
+
+
+def respond(model: Model, play: Play) -> Response:
+    """Simulate one run with derivatives.
+
+    Raises
+    ------
+    SimulationError
+        If the trajectory diverges, with the state that grew.
+    """
+    runner = kernel(model)
+    values = model.value_vector
+    z, dz = runner.start(play.initial, play.inputs[0], values, float(play.times[0]))
+    run = runner.run(play.times, play.inputs, values, z, sensitivities=True)
+    if not run.ok or run.output_sensitivities is None:
+        # The simulator says in words which state grew and what to do.
+        simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial)
+        raise DesignError(f"The sensitivities of run {play.name!r} are not finite. Shorten it.")
+    return Response(
+        name=play.name,
+        times=play.times,
+        inputs=play.inputs,
+        initial=play.initial,
+        outputs=run.outputs,
+        states=run.states,
+        present=play.present,
+        jacobian=by_unknowns(run.output_sensitivities, dz, runner.n_own),
+        noise=play.noise,
+    )
+
+
+def by_unknowns(by_start: np.ndarray, dz: np.ndarray, n_own: int) -> np.ndarray:
+    """Chain derivatives by a full state with those of that state by the unknowns.
+
+    Parameters
+    ----------
+    by_start : ndarray (n_times, n_outputs, n_full + n_free)
+        From a kernel.
+    dz : ndarray (n_full, n_own + n_free)
+        Derivatives of the full state.
+    n_own : int
+        Number of the model's own states.
+
+    Returns
+    -------
+    ndarray (n_times, n_outputs, n_own + n_free)
+    """
+    n_full = len(dz)
+    n_times, n_outputs, n_columns = by_start.shape
+    if np.array_equal(dz, np.eye(*dz.shape)):
+        return by_start  # the full state is the model's own, the usual case without memory
+    flat = by_start.reshape(-1, n_columns)
+    jacobian = flat[:, :n_full] @ dz
+    jacobian[:, n_own:] += flat[:, n_full:]
+    return jacobian.reshape(n_times, n_outputs, -1)
+
+
+def _played(model: Model, experiment: Experiment) -> Play:
+    record = simulate(model, experiment, noise=False)
+    return Play(
+        name=experiment.name,
+        times=record.times,
+        inputs=record.inputs,
+        initial=_own(model, experiment.initial, np.zeros(len(model.states))),
+        present=np.ones(record.outputs.shape, dtype=bool),
+        noise=dict(experiment.noise),
+    )
+
+
+def _recorded(model: Model, record: Record) -> Play:
+    if record.channels.input_names != model.input_names or (
+        record.channels.output_names != model.output_names
+    ):
+        raise DesignError(
+            f"Record {record.name!r} holds other signals than model {model.name!r} has. Read it "
+            "with the model's channels."
+        )
+    own = np.zeros(len(model.states))
+    for position, series in measured_states(model, record).items():
+        own[position] = series[0]
+    return Play(record.name, record.times, record.inputs, own, np.isfinite(record.outputs))
+
+
+def _own(model: Model, given: Mapping[str, float] | np.ndarray, base: np.ndarray) -> np.ndarray:
+    if not isinstance(given, Mapping):
+        return np.asarray(given, dtype=float)
+    own = base.copy()
+    for name, value in given.items():
+        own[model.state_names.index(name)] = value
+    return own
+
+
+# Size of a change that is put through the filter, in noise units.
+_SMALL = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    """A model under random forces, made ready once for any number of runs.
+
+    Attributes
+    ----------
+    model : Model
+    noise : NoiseModel
+        Sensors in the order of the model's outputs.
+    wide : Model
+        The model with its disturbances.
+    disturbances : tuple of str
+        Their parameters in the wide model.
+    """
+
+    model: Model
+    noise: NoiseModel
+    wide: Model
+    disturbances: tuple[str, ...]
+
+    @classmethod
+    def of(cls, model: Model, noise: NoiseModel) -> Innovations:
+        """Return what is the same for all runs.
+
+        Raises
+        ------
+        DesignError
+            If the noise does not fit the model.
+        """
+        noise = checked_noise(model, noise)
+        acting = noise.force > 0
+        found = chosen_places(model, [p for p, a in zip(noise.places, acting, strict=True) if a])
+        names = tuple(disturbance(place).parameters[0].name for place in found)
+        return cls(model, noise, disturbed_model(model, names), names)
+
+    def rows(
+        self,
+        play: Play,
+        *,
+        outputs: Sequence[str] | None = None,
+        changes: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the innovations of one run; see :func:`innovation_rows`."""
+        model, noise, wide = self.model, self.noise, self.wide
+        acting = noise.force > 0
+        white = noise.white.copy()
+        for name, std in play.noise.items():
+            white[model.output_names.index(name)] = std
+        coloured = np.flatnonzero(noise.colour > 0)
+        random = Disturbed(
+            self.disturbances,
+            noise.force[acting] ** 2,
+            noise.force_time[acting],
+            white**2,
+            coloured,
+            noise.colour[coloured] ** 2,
+            noise.colour_time[coloured],
+        )
+        kernel = filter_kernel(wide)
+        free = tuple(name for name in model.free_names if name not in self.disturbances)
+        values = wide.value_vector
+        nominal, _, ok = kernel.simulate(play.times, play.inputs, values, play.initial)
+        if not ok:
+            raise DesignError(
+                f"Run {play.name!r} diverges under model {model.name!r}. Make it smaller or "
+                "shorter."
+            )
+        measured = np.where(play.present, nominal, np.nan)
+        if outputs is not None:
+            measured[:, [name not in outputs for name in model.output_names]] = np.nan
+        swept = kernel.filter(
+            play.times,
+            play.inputs,
+            values,
+            play.initial,
+            measured,
+            random,
+            names=free,
+            rows=True,
+            gains=changes is not None,
+        )
+        if not swept.ok or swept.rows is None:
+            raise DesignError(
+                f"The filter of run {play.name!r} leaves the numbers. Check levels and times of "
+                "the random forces, or shorten the run."
+            )
+        n_columns = len(model.states) + len(free)
+        seen = np.isfinite(measured)
+        rows = swept.rows[seen][:, :n_columns]
+        if changes is None or swept.gains is None:
+            return rows, nominal
+        roots = np.sqrt(swept.variances[seen])
+        moved = np.empty((len(rows), changes.shape[2]))
+        for position in range(changes.shape[2]):
+            change = changes[:, :, position]
+            # Small, so that the filter stays on the nominal trajectory, where it is linear.
+            share = _SMALL / max(float(np.abs(change / white).max()), 1.0)
+            innovations, _ = kernel.replay(
+                play.times, play.inputs, values, play.initial, measured + share * change, random,
+                swept.gains,
+            )  # fmt: skip
+            # A model that had the change would lower the innovations by it.
+            moved[:, position] = -innovations[seen] / share / roots
+        return np.hstack([rows, moved]), nominal
+
+
+def innovation_rows(
+    model: Model,
+    play: Play,
+    noise: NoiseModel,
+    *,
+    outputs: Sequence[str] | None = None,
+    changes: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the innovations of one run, in units of their standard deviations.
+
+    Parameters
+    ----------
+    model : Model
+        At the values in question, without disturbances of its own or with them.
+    play : Play
+        Inputs and start of the run.
+    noise : NoiseModel
+        Levels and times of sensors and forces; sensors in the order of the model's outputs.
+    outputs : sequence of str, optional
+        Outputs that are measured; by default all.
+    changes : ndarray (n_times, n_outputs, n_changes), optional
+        What else may move the outputs; each is put through the same filter.
+
+    Returns
+    -------
+    rows : ndarray (n_rows, n_own + n_free + n_changes)
+        By own start states, free parameters and changes; samples that are not measured left out.
+    nominal : ndarray (n_times, n_outputs)
+        Outputs without noise.
+
+    Raises
+    ------
+    DesignError
+        If the noise does not fit the model, or the run diverges.
+    """
+    return Innovations.of(model, noise).rows(play, outputs=outputs, changes=changes)
+
+
+def checked_noise(model: Model, noise: NoiseModel) -> NoiseModel:
+    """Return the noise model with its sensors in the order of a model's outputs.
+
+    Raises
+    ------
+    DesignError
+        If sensors are missing, have no level, or a place is none of the model.
+    """
+    names = model.output_names
+    if noise.outputs and tuple(noise.outputs) != names:
+        missing = [name for name in names if name not in noise.outputs]
+        if missing:
+            raise DesignError(
+                f"The noise says nothing of the output(s) {', '.join(missing)} of model "
+                f"{model.name!r}; it knows {', '.join(noise.outputs)}. Add their levels."
+            )
+        order = [noise.outputs.index(name) for name in names]
+        noise = NoiseModel(
+            noise.white[order], noise.colour[order], noise.force, noise.colour_time[order],
+            noise.force_time, names, noise.places,
+        )  # fmt: skip
+    if len(noise.white) != len(names):
+        raise DesignError(
+            f"The noise has {len(noise.white)} sensors, model {model.name!r} has {len(names)} "
+            "outputs. Give one level each."
+        )
+    if len(noise.places) != len(noise.force):
+        raise DesignError(
+            f"The noise has {len(noise.force)} random forces at {len(noise.places)} places. Name "
+            "the place of each, such as 'force Z'."
+        )
+    if not np.all(noise.white > 0):
+        poor = [n for n, level in zip(names, noise.white, strict=True) if not level > 0]
+        raise DesignError(
+            f"The white noise of {', '.join(poor)} is not above zero. Accuracy cannot be predicted "
+            "without it: give its standard deviation."
+        )
+    return noise

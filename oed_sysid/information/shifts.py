@@ -1,0 +1,292 @@
+r"""What absent effects would do to a run, beside what the parameters do.
+
+An effect of amplitudes :math:`a` (in units of the size that counts) moves the outputs by
+:math:`\sum_k a_k d_k`, the parameters by :math:`J\,\Delta\theta`, both in units of the noise
+(whitened, or as innovations under random forces). With start states and parameters of the run
+eliminated, all runs together hold
+
+.. math::
+    \mathcal M = \sum_r \begin{pmatrix} J_r' M_r J_r & J_r' M_r d_r \\
+    d_r' M_r J_r & d_r' M_r d_r \end{pmatrix}, \qquad M_r = I - J_{0r}(J_{0r}'J_{0r})^+J_{0r}'
+
+and the Schur complement :math:`G` of the parameters in it is what they cannot imitate:
+:math:`a'Ga` is the non-centrality of the score test of the effect
+(:mod:`oed_sysid.evidence.score`), the expected gain of twice the log-likelihood by adding it.
+
+``d`` is a derivative at zero where an amplitude may have either sign, else the change from nothing
+to the whole size: play and dead bands have a kink at zero. Shape parameters (a frequency, a time)
+are at their values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import Kernel, kernel
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.errors import DesignError, SimulationError
+from oed_sysid.information.bound import eliminated
+from oed_sysid.information.noise import Colour, Levels, noise_of
+from oed_sysid.information.response import Play, Run, innovation_rows, plays, respond
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics import Effect
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
+
+# Share of the size that stands for a tangent.
+TANGENT = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Columns of one effect, or of a rival model.
+
+    Attributes
+    ----------
+    name : str
+    columns : ndarray of int
+        Positions among the shifts.
+    weight : ndarray (n_columns, n_columns)
+        Non-centrality is the trace of this times the Gram matrix: of known amplitudes their
+        products, of unknown ones the mean over directions.
+    freedom : int
+        Amplitudes and shapes that a fit would estimate.
+    sizes : mapping of str to float
+        Amplitudes that count as one, SI units.
+    """
+
+    name: str
+    columns: np.ndarray
+    weight: np.ndarray
+    freedom: int
+    sizes: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Shifts:
+    """Models that each differ in one respect from the nominal one.
+
+    Attributes
+    ----------
+    models : tuple of Model
+        One for each column.
+    kernels : tuple of Kernel
+        Of these models.
+    factors : ndarray (n_columns,)
+        From the difference of the outputs to the column.
+    groups : tuple of Group
+    """
+
+    models: tuple[Model, ...]
+    kernels: tuple[Kernel, ...]
+    factors: np.ndarray
+    groups: tuple[Group, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects or rival models."""
+        return tuple(group.name for group in self.groups)
+
+    def __len__(self) -> int:
+        return len(self.models)
+
+    @classmethod
+    def of(cls, nominal: Model, rivals: Sequence[Effect | Model], *, size: float = 1.0) -> Shifts:
+        """Return the shifts by effects and rival models.
+
+        Parameters
+        ----------
+        nominal : Model
+        rivals : sequence of Effect or Model
+            Effects count at their amplitudes, or at a share of their scale where these are zero;
+            models as they are.
+        size : float
+            That share.
+
+        Raises
+        ------
+        DesignError
+            If a rival model has other channels, or an effect has no amplitude.
+
+        Examples
+        --------
+        >>> from oed_sysid import load_problem
+        >>> problem = load_problem("remus_diving_plane")
+        >>> drag, wave = problem.effect("fin_stall"), problem.effect("wave_heave_force")
+        >>> found = Shifts.of(problem.model, [drag, wave])
+        >>> len(found), [group.freedom for group in found.groups]
+        (3, [1, 3])
+        """
+        effects = tuple(r for r in rivals if isinstance(r, Effect))
+        fresh = tuple(e.absent() for e in effects if e.name not in nominal.effect_names)
+        # One structure for all: compiled once, values are arguments.
+        wide = nominal + fresh if fresh else nominal
+        shared = kernel(wide)
+        models: list[Model] = []
+        kernels: list[Kernel] = []
+        factors: list[float] = []
+        groups: list[Group] = []
+        for rival in rivals:
+            first = len(models)
+            if isinstance(rival, Model):
+                # Levels of noise may differ: those of the nominal model count.
+                if (rival.input_names, rival.output_names) != (
+                    nominal.input_names,
+                    nominal.output_names,
+                ):
+                    raise DesignError(
+                        f"The rival {rival.name!r} has other inputs or outputs than "
+                        f"{nominal.name!r}. Give it the same channels."
+                    )
+                models.append(rival)
+                kernels.append(kernel(rival))
+                factors.append(1.0)
+                groups.append(Group(rival.name, np.array([first]), np.eye(1), 1, {}))
+                continue
+            sizes = _sizes(rival, size)
+            base = wide if rival.name not in nominal.effect_names else (
+                nominal.without(rival.name) + rival.absent()
+            )  # fmt: skip
+            parts = [sizes]
+            smooth = two_sided(rival) and base is wide
+            if smooth:
+                parts = [{name: value} for name, value in sizes.items()]
+            share = TANGENT if smooth else 1.0
+            shapes = {p.name: p.value for p in rival.parameters if p.name not in sizes}
+            for part in parts:
+                models.append(
+                    base.with_values(shapes | {n: share * value for n, value in part.items()})
+                )
+                kernels.append(shared if base is wide else kernel(base))
+                factors.append(1.0 / share)
+            n = len(parts)
+            given = np.array([float(p.value != 0) for p in rival.parameters if p.name in sizes])
+            weight = np.outer(given, given) if given.any() and n > 1 else np.eye(n) / n
+            groups.append(
+                Group(rival.name, np.arange(first, first + n), weight,
+                      len(sizes) + len(rival.shape_names), sizes)
+            )  # fmt: skip
+        return cls(tuple(models), tuple(kernels), np.array(factors), tuple(groups))
+
+    def columns(self, play: Play, outputs: np.ndarray) -> np.ndarray:
+        """Changes of the outputs in one run, ``(n_times, n_outputs, n_columns)``.
+
+        Parameters
+        ----------
+        play : Play
+        outputs : ndarray (n_times, n_outputs)
+            Of the nominal model.
+
+        Raises
+        ------
+        SimulationError
+            If the vehicle with an effect diverges.
+        """
+        found = np.empty((*outputs.shape, len(self)))
+        for position, (rival, runner) in enumerate(zip(self.models, self.kernels, strict=True)):
+            values = rival.value_vector
+            z, _ = runner.start(play.initial, play.inputs[0], values, float(play.times[0]))
+            run = runner.run(play.times, play.inputs, values, z)
+            if not run.ok:
+                name = next(g.name for g in self.groups if position in g.columns)
+                raise SimulationError(
+                    f"With {name} of its size run {play.name!r} diverges. Make the run gentler, "
+                    "or give the effect a smaller amplitude."
+                )
+            found[:, :, position] = self.factors[position] * (run.outputs - outputs)
+        return found
+
+
+def two_sided(effect: Effect) -> bool:
+    """Whether amplitudes may have either sign; other effects often have a kink at zero."""
+    return all(p.lower < 0 for p in effect.parameters if p.name in effect.amplitude_names)
+
+
+def _sizes(effect: Effect, size: float) -> dict[str, float]:
+    if not effect.amplitude_names:
+        raise DesignError(
+            f"The effect {effect.name!r} has no amplitude, so that its size cannot be said. Name "
+            "one: amplitudes=('E_...',)."
+        )
+    chosen = [p for p in effect.parameters if p.name in effect.amplitude_names]
+    # Beside a known amplitude the others give directions only, whose length is no matter.
+    share = TANGENT * size if any(p.value for p in chosen) else size
+    return {p.name: p.value or _signed(p, share) for p in chosen}
+
+
+def _signed(parameter: Parameter, size: float) -> float:
+    """Typical amplitude of a sign that the bounds allow, and within them."""
+    value = size * parameter.magnitude
+    if parameter.upper < value:
+        value = max(-value, parameter.lower) if parameter.upper <= 0 else parameter.upper
+    return value
+
+
+def joint_information(
+    model: Model,
+    runs: Run | Dataset | Iterable[Run],
+    shifts: Shifts,
+    *,
+    noise: Levels | NoiseModel = None,
+    coloured: Colour = None,
+    start: str | Mapping[str, float] = "unknown",
+    initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
+    outputs: Sequence[str] | None = None,
+) -> np.ndarray:
+    """Information of runs on the shared parameters and on absent effects together.
+
+    Parameters
+    ----------
+    model : Model
+        The nominal one.
+    runs, noise, coloured, start, initial_states, outputs
+        See :func:`~oed_sysid.information.information_of`; no prior is added.
+    shifts : Shifts
+
+    Returns
+    -------
+    ndarray (n_shared + n_columns, n_shared + n_columns)
+        Parameters in SI units, effects in units of their size.
+
+    Raises
+    ------
+    DesignError, SimulationError
+        If noise is not known, or a run diverges, with an effect or without.
+    """
+    n_free = len(model.free_parameters)
+    n_own = len(model.states)
+    n = sum(not p.per_record for p in model.free_parameters) + len(shifts)
+    total = np.zeros((n, n))
+    for play in plays(model, runs, initial_states=initial_states):
+        response = respond(model, play)
+        moved = shifts.columns(play, response.outputs)
+        if isinstance(noise, NoiseModel) and not noise.is_white:
+            rows, _ = innovation_rows(model, play, noise, outputs=outputs, changes=moved)
+        else:
+            levels = noise.sensors if isinstance(noise, NoiseModel) else noise
+            present = response.present.copy()
+            if outputs is not None:
+                present[:, [name not in outputs for name in model.output_names]] = False
+            sigma = noise_of(model, levels, coloured, changed=play.noise)
+            both = np.concatenate([response.jacobian, moved], axis=2)
+            rows = sigma.whiten(both, present).reshape(-1, n_own + n_free + len(shifts))
+        factor = eliminated(model, rows, start)
+        total += factor.T @ factor
+    return total
+
+
+def joint_prior(known: np.ndarray, n_columns: int) -> np.ndarray:
+    """Information on parameters put beside effects of which nothing is known.
+
+    Parameters
+    ----------
+    known : ndarray (n_shared, n_shared)
+    n_columns : int
+    """
+    n = len(known)
+    full = np.zeros((n + n_columns, n + n_columns))
+    full[:n, :n] = known
+    return full

@@ -1,0 +1,214 @@
+r"""Errors of estimates from what records say apart from one another.
+
+Residuals of one record tell how noise moves an estimate, not what differs from record to record and
+no parameter says: a term that is missing acts in a weak zigzag otherwise than in a strong one,
+loading and water change from day to day. The scatter between records holds both. With information
+:math:`H_i` and score :math:`g_i` of record *i* at the optimum, its start states and own parameters
+eliminated, the estimate without this record is to first order
+
+.. math::
+    \hat p_{(i)} = \hat p - (H - H_i)^{-1} g_i, \qquad H = \sum_i H_i + \text{priors},
+
+and the delete-one jackknife over *n* records is
+
+.. math::
+    C_r = \frac{n-1}{n} \sum_i (\hat p_{(i)} - \bar p)(\hat p_{(i)} - \bar p)'
+        + H^{-1} \Lambda H^{-1}, \qquad \bar p = \frac1n \sum_i \hat p_{(i)},
+
+priors of information :math:`\Lambda` being as uncertain as they say.
+
+It is the covariance that is robust to correlation within clusters, CR3, with records as clusters.
+It asks of records only that they are independent of one another: colour, forces and missing
+structure may be what they are. Intervals are those of Student's distribution with :math:`n - 1`
+degrees of freedom. What all records share, such as the scale of the one sensor, it cannot hold.
+
+If noise alone acted, and as the information says, its expectation would be
+
+.. math:: E_r = \frac{n-1}{n} \sum_i (H - H_i)^{-1} H_i H^{-1} + H^{-1} \Lambda H^{-1},
+
+which is :math:`H^{-1}` for records that tell the same and more for unequal ones. Records differ by
+more than the stated errors say where the diagonal of :math:`C_r` exceeds that of :math:`E_r`, this
+multiplied by stated variance over :math:`H^{-1}`, by more than chance: a variable of
+:math:`\chi^2_\nu / \nu` with :math:`\nu = (\sum_i w_i)^2 / \sum_i w_i^2 - 1` and :math:`w_i`
+the terms of the sum.
+
+References
+----------
+Bell & McCaffrey (2002), Bias reduction in standard errors for linear regression with multi-stage
+samples, Survey Methodology 28(2).
+MacKinnon, Nielsen & Webb (2023), Fast and reliable jackknife and bootstrap methods for
+cluster-robust inference, J. Appl. Econometrics 38.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtrc, stdtrit
+
+from oed_sysid.likelihood.agreement import Sources
+
+# Records from which on their scatter tells something: three degrees of freedom.
+FEWEST_RECORDS = 4
+# Chance that a fit whose errors are right is told that its records differ.
+CHANCE = 0.01
+# Errors that are too small by less are not worth a word.
+WORTH_TELLING = 1.5
+# Scaled information below this share of the largest is none.
+NOTHING = 1e-12
+# Squared part in an unseen direction from which on an unknown is not determined.
+PART = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class RecordScatter:
+    """How estimates scatter between records, to first order.
+
+    Attributes
+    ----------
+    covariance : ndarray (n_shared, n_shared)
+        Jackknife covariance :math:`C_r`; infinite on the diagonal where one record alone tells of
+        a parameter.
+    expected : ndarray (n_shared,)
+        Diagonal of :math:`E_r`: what noise alone would give it.
+    freedom : ndarray (n_shared,)
+        Degrees of freedom of the comparison.
+    n_records : int
+    """
+
+    covariance: np.ndarray
+    expected: np.ndarray
+    freedom: np.ndarray
+    n_records: int
+
+    def exceeds(self, stated: np.ndarray, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """By what factor the scatter exceeds stated errors, and where chance seldom does that.
+
+        Parameters
+        ----------
+        stated : ndarray (n_shared,)
+            Stated variances.
+        white : ndarray (n_shared,)
+            Diagonal of the inverse information.
+
+        Returns
+        -------
+        factor : ndarray (n_shared,)
+            Of standard errors; one where nothing can be compared.
+        clear : ndarray of bool (n_shared,)
+        """
+        factor, clear = np.ones(len(stated)), np.zeros(len(stated), dtype=bool)
+        found = np.diag(self.covariance)
+        usable = np.isfinite(found) & np.isfinite(stated) & np.isfinite(white)
+        usable &= (stated > 0) & (white > 0) & (self.expected > 0)
+        due = self.expected[usable] * stated[usable] / white[usable]
+        ratio = found[usable] / due
+        freedom = self.freedom[usable]
+        factor[usable] = np.sqrt(ratio)
+        chance = chdtrc(freedom, freedom * ratio) * max(len(ratio), 1)
+        clear[usable] = (chance < CHANCE) & (np.sqrt(ratio) > WORTH_TELLING)
+        return factor, clear
+
+    def half_width(self, level: float = 0.95) -> np.ndarray:
+        """Half width of intervals of the parameters, of Student's distribution."""
+        errors = np.sqrt(np.diag(self.covariance))
+        return float(stdtrit(self.n_records - 1, 0.5 + level / 2)) * errors
+
+
+def record_scatter(
+    matrices: Sequence[np.ndarray] | np.ndarray,
+    scores: Sequence[np.ndarray] | np.ndarray,
+    prior: np.ndarray,
+    *,
+    gradient: np.ndarray | None = None,
+) -> RecordScatter | None:
+    """Scatter of estimates by leaving out one record after the other, to first order.
+
+    Parameters
+    ----------
+    matrices : sequence of ndarray (n_shared, n_shared)
+        Information of each record.
+    scores : sequence of ndarray (n_shared,)
+        Slope of each record's log-likelihood.
+    prior : ndarray (n_shared, n_shared)
+        Information that is there without records.
+    gradient : ndarray (n_shared,), optional
+        Slope of the whole where it is not zero, because scores are approximate; the scatter is
+        taken about where it would be.
+
+    Returns
+    -------
+    RecordScatter or None
+        None for fewer than four records, or where nothing is to be estimated.
+
+    Examples
+    --------
+    The mean of four numbers has the standard error of the textbook:
+
+    >>> numbers = (1.0, -2.0, 3.0, -2.0)
+    >>> one = np.eye(1)
+    >>> found = record_scatter([one] * 4, [np.array([x]) for x in numbers], np.zeros((1, 1)))
+    >>> round(float(found.covariance[0, 0]), 9), float(np.var(numbers, ddof=1) / 4)
+    (1.5, 1.5)
+    >>> float(found.expected[0]), float(found.freedom[0])  # four numbers of variance one
+    (0.25, 3.0)
+    """
+    n, size = len(matrices), len(prior)
+    if n < FEWEST_RECORDS or not size:
+        return None
+    whole = prior + np.sum(matrices, axis=0)
+    scale = np.sqrt(np.maximum(np.diag(whole), 0.0))
+    alone = scale == 0
+    scale = np.where(alone, 1.0, scale)
+    inverse, _ = _inverse(whole, scale)
+    step = np.zeros(size) if gradient is None else inverse @ gradient
+    moved, shares = np.empty((n, size)), np.empty((n, size))
+    for index, (matrix, score) in enumerate(zip(matrices, scores, strict=True)):
+        without, blind = _inverse(whole - matrix, scale)
+        alone |= blind
+        moved[index] = without @ (score - matrix @ step)
+        shares[index] = np.diag(without @ matrix @ inverse)
+    moved -= moved.mean(axis=0)
+    assumed = inverse @ prior @ inverse
+    covariance = (n - 1) / n * moved.T @ moved + assumed
+    covariance[alone, :] = covariance[:, alone] = 0.0
+    covariance[alone, alone] = np.inf
+    shares = np.maximum(shares, 0.0)
+    total = shares.sum(axis=0)
+    squares = np.where(total > 0, (shares**2).sum(axis=0), 1.0)
+    freedom = np.clip(total**2 / squares - 1.0, 1.0, n - 1.0)
+    return RecordScatter(covariance, (n - 1) / n * total + np.diag(assumed), freedom, n)
+
+
+def scatter_of(sources: Sources) -> RecordScatter | None:
+    """Scatter between the records of a fit; None for fewer than four."""
+    gradient = sources.scores.sum(axis=0)
+    return record_scatter(
+        sources.matrices[1:], sources.scores[1:], sources.matrices[0], gradient=gradient
+    )
+
+
+def eliminate_own(
+    matrix: np.ndarray, right: np.ndarray, kept: np.ndarray, others: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Information and score of some unknowns of a record, its other ones estimated along."""
+    inner = matrix[np.ix_(others, others)]
+    size = np.sqrt(np.maximum(np.diag(inner), 0.0))
+    seen = size > 0
+    others, size = others[seen], size[seen]
+    scaled = matrix[np.ix_(others, others)] / size[:, None] / size
+    inverse = np.linalg.pinv(scaled, rcond=NOTHING, hermitian=True) / size[:, None] / size
+    gain = matrix[np.ix_(kept, others)] @ inverse
+    information = matrix[np.ix_(kept, kept)] - gain @ matrix[np.ix_(others, kept)]
+    return information, right[kept] - gain @ right[others]
+
+
+def _inverse(matrix: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inverse, and which unknowns have a part in directions that the matrix does not see."""
+    values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
+    clear = values > NOTHING * max(float(values[-1]), 0.0)
+    inner = vectors[:, clear] / scale[:, None]
+    blind = (vectors[:, ~clear] ** 2).sum(axis=1) > PART
+    return (inner / values[clear]) @ inner.T, blind

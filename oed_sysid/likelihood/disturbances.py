@@ -1,0 +1,157 @@
+"""Every place of the signal chain at which something may be wrong, as a disturbance.
+
+command -> actuator -> flow -> force -> kinematics -> sensor: at each place an
+unknown signal can be let in, and the linear deviations say what it does to the
+outputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from oed_sysid.errors import ModelError
+from oed_sysid.physics import Actuator, Effect, Environment, Force, Sensor
+from oed_sysid.physics.channels import Input
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.text import expressions
+
+DISTURBANCE = "disturbance_"
+# ... and where it is a signal.
+WAVE = "wave_"
+
+
+def disturbed_equations(model: Model) -> tuple[str, ...]:
+    """Equations in which a force may be missing: axes, or states whose rate is no identity."""
+    if model.axes:
+        return tuple(model.axes)
+    parameters = set(model.parameter_names)
+    return tuple(
+        state for state, rate in model.kinematics.items() if expressions.names(rate) & parameters
+    )
+
+
+@dataclass(frozen=True)
+class Place:
+    """One place of the chain.
+
+    Attributes
+    ----------
+    stage : str
+        ``actuator``, ``flow``, ``force``, ``kinematics`` or ``sensor``.
+    signal : str
+        Which actuator signal, flow signal, equation, state or output.
+    unit : str
+        Unit of the disturbance, where it can be told.
+    channel : str
+        Input from which an actuator's signal comes: its name, or the expression that it is.
+    """
+
+    stage: str
+    signal: str
+    unit: str = ""
+    channel: str = ""
+
+    @property
+    def name(self) -> str:
+        """Key, for instance ``"force Z"``."""
+        return f"{self.stage} {self.signal}"
+
+
+def places(model: Model) -> tuple[Place, ...]:
+    """Places of a model, from command to measurement."""
+    equations = disturbed_equations(model)
+    state_units = {state.name: state.unit for state in model.states}
+    input_units = {channel.name: channel.unit for channel in model.inputs}
+    found = [
+        Place("actuator", signal, input_units.get(text, ""), text)
+        for signal, text in model.actuator_signals.items()
+    ]
+    found += [
+        Place("flow", signal, state_units.get(text, "")) for signal, text in model.signals.items()
+    ]
+    found += [Place("force", name, _force_unit(model, name, state_units)) for name in equations]
+    found += [
+        Place("kinematics", name, _rate(state_units[name]))
+        for name in model.kinematics
+        if name not in equations
+    ]
+    found += [Place("sensor", output.name, output.unit) for output in model.outputs]
+    return tuple(found)
+
+
+def _force_unit(model: Model, name: str, state_units: dict[str, str]) -> str:
+    if name not in model.axes:
+        return _rate(state_units[name])
+    return "N m" if name in ("K", "M", "N") else "N"
+
+
+def _rate(unit: str) -> str:
+    """Unit of the rate of change of a quantity."""
+    if not unit:
+        return "1/s"
+    head, slash, denominator = unit.partition("/")
+    if denominator == "s":
+        return f"{head}/s^2"
+    return f"{unit}/s" if not slash else f"{head}/({denominator} s)"
+
+
+def disturbance(place: Place) -> Effect:
+    """The disturbance of a place as an effect, with one parameter of its own name."""
+    name = f"{DISTURBANCE}{place.stage}_{place.signal}"
+    return replace(_let_in(place, name), parameters=(Parameter(name, 0.0),))
+
+
+def with_disturbance_inputs(model: Model, places: Sequence[Place]) -> Model:
+    """The model with the disturbances of some places as further inputs, in their order."""
+    inputs = tuple(Input(f"{WAVE}{p.stage}_{p.signal}", p.unit) for p in places)
+    # A model that names its actuator signals knows its inputs through them alone.
+    signals = {**model.actuators, **{i.name: i.name for i in inputs}} if model.actuators else {}
+    wide = replace(model, actuators=signals, inputs=(*model.inputs, *inputs))
+    return wide + [_let_in(p, i.name) for p, i in zip(places, inputs, strict=True)]
+
+
+def _let_in(place: Place, name: str) -> Effect:
+    """A signal that is let in at a place, as an effect of its name."""
+    kind: dict[str, type[Effect]] = {
+        "actuator": Actuator,
+        "flow": Environment,
+        "force": Force,
+        "kinematics": Force,
+        "sensor": Sensor,
+    }
+    text = name if kind[place.stage] is Force else f"{place.signal} + {name}"
+    return kind[place.stage](name, {place.signal: text})
+
+
+def chosen_places(model: Model, names: Sequence[str] | str) -> tuple[Place, ...]:
+    """Places that a user names.
+
+    Parameters
+    ----------
+    model : Model
+    names : str or sequence of str
+        ``"all"`` for a force in every equation that may lack one; an equation or a state
+        (``"Z"``); or a place in full (``"actuator fin"``, ``"flow u"``, ``"sensor q"``).
+    """
+    known = places(model)
+    if isinstance(names, str) and names == "all":
+        found = tuple(place for place in known if place.stage == "force")
+        if not found:
+            raise ModelError(
+                f"Model {model.name!r} has no equation with a parameter in which a force could "
+                "act. Name the states that are disturbed, such as disturbances=('r',)."
+            )
+        return found
+    result = []
+    for name in [names] if isinstance(names, str) else names:
+        fits = [p for p in known if p.name == name]
+        fits = fits or [p for p in known if p.signal == name and p.stage in ("force", "kinematics")]
+        if not fits:
+            raise ModelError(
+                f"There is no place {name!r} for a disturbance in model {model.name!r}. Places "
+                f"are: {', '.join(p.name for p in known)}."
+            )
+        result.append(fits[0])
+    return tuple(dict.fromkeys(result))

@@ -1,0 +1,283 @@
+"""What an estimation found, in numbers: values, their uncertainty, residuals and a status."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri
+
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.frames import frame
+from oed_sysid.errors import DataError
+from oed_sysid.likelihood.agreement import Sources
+from oed_sysid.likelihood.between_records import FEWEST_RECORDS, RecordScatter
+from oed_sysid.likelihood.information import Information, Whiteness, whiteness
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+
+
+@dataclass(frozen=True)
+class Status:
+    """How an estimation ended, and what to do about it.
+
+    ``code`` is one of ``converged``, ``stalled``, ``iterations``,
+    ``interrupted``, ``infeasible``, ``diverged``; or, where the iterations ended
+    at values that must not be used, ``runaway``, ``integration``, ``degenerate``
+    (:mod:`oed_sysid.likelihood.judgement`) or ``inconsistent`` (a filter whose errors
+    are far from those it states).
+    """
+
+    code: str
+    advice: str
+
+    @property
+    def ok(self) -> bool:
+        """Whether the values can be used."""
+        return self.code == "converged"
+
+    def __str__(self) -> str:
+        return f"{self.code}: {self.advice}" if self.advice else self.code
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Numbers of a :class:`oed_sysid.likelihood.fit.Fit`; see there for the attributes."""
+
+    model: Model
+    dataset: Dataset
+    estimator: str
+    names: tuple[str, ...]
+    estimates: np.ndarray
+    information: Information
+    covariance: np.ndarray
+    coloured: bool
+    sigma: np.ndarray
+    sigma_estimated: np.ndarray
+    predictions: tuple[np.ndarray, ...]
+    residuals: tuple[np.ndarray, ...]
+    states: tuple[np.ndarray, ...]
+    initial_states: tuple[np.ndarray, ...]
+    local_values: tuple[Mapping[str, float], ...]
+    cost: float
+    status: Status
+    iterations: int
+    seconds: float
+    extras: Mapping[str, Any] = field(default_factory=dict)
+    noise: NoiseModel = None  # type: ignore[assignment]  # white, unless given
+    noise_std: Mapping[str, float] = field(default_factory=dict)
+    innovations: tuple[np.ndarray, ...] | None = None
+    innovation_std: tuple[np.ndarray, ...] | None = None
+    start_states: tuple[Mapping[str, tuple[float, float]], ...] = ()
+    record_scatter: RecordScatter | None = None
+    sources: Sources | None = None
+
+    def __post_init__(self) -> None:
+        if self.noise is None:
+            white = NoiseModel.white_only(self.sigma, self.model.output_names)
+            object.__setattr__(self, "noise", white)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Estimated value by name."""
+        return dict(zip(self.names, map(float, self.estimates), strict=True))
+
+    @property
+    def std_errors(self) -> dict[str, float]:
+        """Standard error by name."""
+        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return dict(zip(self.names, map(float, errors), strict=True))
+
+    @property
+    def record_errors(self) -> dict[str, float]:
+        """Standard error by name from the scatter between records; empty for fewer than four.
+
+        To first order; see :mod:`oed_sysid.likelihood.between_records`.
+        """
+        if self.record_scatter is None:
+            return {}
+        errors = np.sqrt(np.diag(self.record_scatter.covariance))
+        return dict(zip(self.names, map(float, errors), strict=True))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Correlation of the estimates, shape ``(n_free, n_free)``."""
+        errors = np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            result = self.covariance / errors[:, None] / errors
+        return np.where(np.isfinite(result), result, 0.0)
+
+    @property
+    def n_observations(self) -> int:
+        """Number of measured samples, over all outputs."""
+        return int(sum(np.isfinite(residual).sum() for residual in self.residuals))
+
+    @property
+    def log_likelihood(self) -> float:
+        """Gaussian log-likelihood at the reported noise model."""
+        total = 0.0
+        for errors, std in self._one_step:
+            present = np.isfinite(errors)
+            scaled = np.where(present, errors, 0.0) / std
+            total -= 0.5 * float(np.sum(scaled**2))
+            total -= float(np.sum(np.where(present, np.log(std * np.sqrt(2 * np.pi)), 0.0)))
+        return total
+
+    @property
+    def _one_step(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Errors that should be white, and their standard deviations, per record."""
+        if self.innovations is None or self.innovation_std is None:
+            return [(part, np.broadcast_to(self.sigma, part.shape)) for part in self.residuals]
+        return list(zip(self.innovations, self.innovation_std, strict=True))
+
+    @property
+    def whitened(self) -> tuple[np.ndarray, ...]:
+        """One-step errors in units of their standard deviation, NaN where missing, per record.
+
+        White and of unit variance, if model and noise model are right.
+        """
+        return tuple(errors / std for errors, std in self._one_step)
+
+    @property
+    def tests_alone(self) -> bool:
+        """Whether there are independent tests only, whose signals are those of a towed model."""
+        return self.dataset.only_tests
+
+    @property
+    def series(self) -> tuple[np.ndarray, ...]:
+        """As :attr:`whitened`, NaN throughout records whose samples have no order."""
+        return tuple(
+            np.full(part.shape, np.nan) if record.independent else part
+            for record, part in zip(self.dataset, self.whitened, strict=True)
+        )
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of estimated values: parameters, initial states, noise levels."""
+        local = sum(len(values) for values in self.local_values)
+        states = sum(len(own) for own in self.initial_states)
+        states -= sum(std == 0.0 for known in self.start_states for _, std in known.values())
+        levels = int(np.sum(self.sigma_estimated)) if self.innovations is None else 0
+        return len(self.names) + states + local + levels + len(self.noise_std)
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion; takes residuals as independent."""
+        return 2.0 * self.n_unknowns - 2.0 * self.log_likelihood
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's information criterion; takes residuals as independent."""
+        return self.n_unknowns * float(np.log(self.n_observations)) - 2.0 * self.log_likelihood
+
+    @property
+    def rms(self) -> dict[str, float]:
+        """Root mean square residual of each output over all records, in its unit."""
+        stacked = np.vstack(self.residuals)
+        count = np.isfinite(stacked).sum(axis=0)
+        squares = np.where(count > 0, np.nansum(stacked**2, axis=0) / np.maximum(count, 1), np.nan)
+        return dict(zip(self.model.output_names, map(float, np.sqrt(squares)), strict=True))
+
+    @property
+    def normalised_rms(self) -> float:
+        """Root mean square residual over all outputs, in units of the noise."""
+        stacked = np.vstack(self.residuals) / self.sigma
+        present = np.isfinite(stacked)
+        return float(np.sqrt(np.mean(stacked[present] ** 2))) if present.any() else np.nan
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval of one parameter from its standard error.
+
+        Normal; log-normal where the parameter was estimated as its logarithm.
+        """
+        half = float(ndtri(0.5 + level / 2)) * self.std_errors[name]
+        return self._about(name, half)
+
+    def record_interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """Confidence interval of one parameter from the scatter between records.
+
+        Of Student's distribution with one degree of freedom less than there are records.
+
+        Raises
+        ------
+        DataError
+            If there are fewer than four records.
+        """
+        half = checked_scatter(self).half_width(level)[self.names.index(name)]
+        return self._about(name, float(half))
+
+    def _about(self, name: str, half: float) -> tuple[float, float]:
+        """Values at either side of an estimate."""
+        if self.model.parameter(name).log:
+            factor = np.exp(half / self.values[name])
+            return float(self.values[name] / factor), float(self.values[name] * factor)
+        return float(self.values[name] - half), float(self.values[name] + half)
+
+    def whiteness(self) -> dict[str, tuple[Whiteness, ...]]:
+        """Whiteness of the one-step errors, by output, one entry per record that measured it."""
+        return {
+            name: tuple(
+                whiteness(residual[:, column])
+                for residual in self.series
+                if np.isfinite(residual[:, column]).sum() > 10
+            )
+            for column, name in enumerate(self.model.output_names)
+        }
+
+    def effective_samples(self) -> dict[str, tuple[float, int]]:
+        """Effective and actual number of samples of each output; independent tests count whole."""
+        alone = np.zeros(len(self.model.outputs), dtype=int)
+        for record, residual in zip(self.dataset, self.residuals, strict=True):
+            if record.independent:
+                alone += np.isfinite(residual).sum(axis=0)
+        return {
+            name: (
+                float(sum(test.effective_samples for test in tests)) + float(count),
+                int(sum(test.n_samples for test in tests)) + int(count),
+            )
+            for (name, tests), count in zip(self.whiteness().items(), alone, strict=True)
+        }
+
+    def to_dataframe(self) -> Any:
+        """Estimates as a pandas data frame, one row per parameter.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index: the names. Columns ``value``, ``std_error``, ``low`` and ``high`` (95 %
+            interval), ``unit``.
+
+        Raises
+        ------
+        DataError
+            If pandas is not installed.
+        """
+        limits = np.array([self.interval(name) for name in self.names]).reshape(-1, 2)
+        columns: dict[str, Any] = {
+            "parameter": list(self.names),
+            "value": self.estimates,
+            "std_error": list(self.std_errors.values()),
+            "low": limits[:, 0],
+            "high": limits[:, 1],
+            "unit": [self.model.parameter(name).unit for name in self.names],
+        }
+        return frame(columns).set_index("parameter")
+
+
+def checked_scatter(fit: Estimate) -> RecordScatter:
+    """Scatter between records of a fit that has one.
+
+    Raises
+    ------
+    DataError
+        If it has none.
+    """
+    if fit.record_scatter is None:
+        raise DataError(
+            f"This fit of {len(fit.dataset)} records does not tell how they scatter. Fit "
+            f"{FEWEST_RECORDS} records or more by MultipleShooting, or refit without each of them "
+            "by jackknife()."
+        )
+    return fit.record_scatter

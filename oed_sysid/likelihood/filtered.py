@@ -1,0 +1,510 @@
+r"""Maximum likelihood with random forces: the problem that the iterates evaluate.
+
+.. math::
+    -2 \log L(p, x_0, \eta) = \sum_k \frac{e_k^2}{S_k} + \log S_k + \text{priors}
+
+with innovations ``e`` and variances ``S`` of an extended Kalman filter, one scalar measurement
+at a time (:mod:`oed_sysid.compiled.filtering`). Unknown together are parameters ``p``, start
+states and parameters of each record, and levels and times ``eta`` of the noise. Two gradients
+serve: along the filtered path at frozen gain, cheap and nearly exact for ``p``; and that of the
+filter as it is, by differences of whole filters, for the last steps and for the errors.
+
+The covariance of start states is zero, and columns carry them instead: what is known of them
+enters as a prior.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oed_sysid.compiled.filtering import (
+    WHITE_VARIANCE,
+    Disturbed,
+    FilterKernel,
+    FilterPass,
+    filter_kernel,
+)
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.likelihood.disturbances import DISTURBANCE, Place, disturbance
+from oed_sysid.likelihood.levels import Levels
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.shooting import Point
+from oed_sysid.likelihood.unknowns import KnownStarts, Layout, Limits
+from oed_sysid.physics import Effect
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.threads import both_cores
+
+# Step of differences of whole filters, in standard deviations of the unknown, others known: a
+# smaller one says no more of a smooth model, and drowns in rounding that an unstable one amplifies.
+DIFFERENCE = 1.0
+# Most that a variance clear of zero by so many standard deviations, or a time, grows or shrinks in
+# one step.
+FARTHEST, CLEAR_OF_ZERO, LONGER = 10.0, 1.0, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """What other records say about the shared parameters.
+
+    Attributes
+    ----------
+    mean : ndarray (n_shared,)
+    information : ndarray (n_shared, n_shared)
+    """
+
+    mean: np.ndarray
+    information: np.ndarray
+
+
+class Filtered:
+    """Likelihood of one model, data set and noise model.
+
+    Parameters
+    ----------
+    model : Model
+        Free parameters are unknown; its values are the start values.
+    dataset : Dataset
+    levels : Levels
+        What of the noise is unknown, and all of its values.
+    kernel : FilterKernel, optional
+        Of a larger model that holds this one; by default of the model with its disturbances.
+    known_starts : KnownStarts, optional
+        Start states that are held or known with a stated error; by default all are free.
+    knowledge : Knowledge, optional
+        Joint normal prior of the shared parameters, as another fit left it.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        dataset: Dataset,
+        levels: Levels,
+        *,
+        kernel: FilterKernel | None = None,
+        known_starts: KnownStarts | None = None,
+        knowledge: Knowledge | None = None,
+    ) -> None:
+        self.model, self.dataset, self.levels = model, dataset, levels
+        self.knowledge = knowledge
+        self.records: tuple[Record, ...] = tuple(dataset)
+        self.kernel = kernel or filter_kernel(disturbed_model(model, levels.disturbances))
+        self.layout = Layout.of(model, len(self.records), len(levels))
+        self.known_starts = known_starts
+        self.limits = _limits(model, self.layout, levels, known_starts)
+        if knowledge is not None:  # what other records say already holds these priors
+            self.limits.prior_weight[: len(self.layout.shared)] = 0.0
+        wide = self.kernel.model
+        positions = {name: i for i, name in enumerate(wide.parameter_names)}
+        self._base = wide.value_vector
+        for name, value in model.values.items():
+            self._base[positions[name]] = value
+        self._free = np.array([positions[name] for name in model.free_names], dtype=int)
+        self.own = active_components(wide, model)
+        self.active, self.passing = self.own, np.zeros(0, dtype=int)
+        if self.own is not None:
+            both = active_components(wide, model, passing=True)
+            if any(name.startswith(f"{DISTURBANCE}actuator_") for name in levels.disturbances):
+                self.active = both  # what an uncertain command is remembered as is uncertain
+            elif both is not None:
+                self.passing = np.setdiff1d(both, self.own)
+        self._columns = tuple(self.layout.record_columns(i) for i in range(len(self.records)))
+
+    # -- points --------------------------------------------------------------------
+
+    def values(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """Values of all parameters of the kernel's model for one record."""
+        values = self._base.copy()
+        values[self._free] = self.layout.parameters(unknowns, record)
+        return values
+
+    def initial_state(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """The model's own initial states of one record, shape ``(n_own,)``."""
+        return unknowns[self._columns[record][: self.layout.n_own]]
+
+    def alone(self, unknowns: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Outputs, full states and success of the undisturbed model along one record."""
+        run = self.records[record]
+        values, own = self.values(unknowns, record), self.initial_state(unknowns, record)
+        return self.kernel.simulate(run.times, run.inputs, values, own)
+
+    def noise(self, unknowns: np.ndarray) -> NoiseModel:
+        """Noise model at a point."""
+        return self.levels.at(unknowns[self.layout.levels])
+
+    def point(
+        self,
+        initial: Sequence[np.ndarray],
+        local: Sequence[Mapping[str, float]] | None = None,
+        noise: NoiseModel | None = None,
+    ) -> Point:
+        """Point at the model's values.
+
+        Parameters
+        ----------
+        initial : sequence of ndarray (n_own,)
+            Start states, per record.
+        local : sequence of mapping, optional
+            Values of per-record parameters.
+        noise : NoiseModel, optional
+            By default the one the levels begin with.
+        """
+        unknowns = np.zeros(self.layout.n_unknowns)
+        values = self.model.values
+        for index, columns in enumerate(self._columns):
+            own = values | dict(local[index] if local else {})
+            free = np.array([own[name] for name in self.layout.free_names])
+            unknowns[columns] = [*initial[index], *self.layout.inward(free)]
+        unknowns[self.layout.levels] = self.levels.vector(noise)
+        return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), ())
+
+    def move(
+        self,
+        point: Point,
+        maps: Sequence[np.ndarray],
+        offsets: Sequence[np.ndarray],
+        step: np.ndarray,
+        length: float,
+    ) -> Point:
+        """Return the point after a step; its map says how levels follow times, see `maps`."""
+        unknowns = point.unknowns + length * step
+        block = self.layout.levels
+        unknowns[block] = self.levels.moved(point.unknowns[block], length * step[block], maps[0])
+        return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), ())
+
+    def trusted(
+        self, unknowns: np.ndarray, matrix: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of a step within which the equations at a point still tell something of levels.
+
+        A variance that stands clear of zero goes to a tenth or ten times of itself at most.
+        """
+        block = self.layout.levels
+        here = unknowns[block]
+        variance = self.levels.are_variances
+        clear = variance & (here * np.sqrt(np.diag(matrix)[block]) > CLEAR_OF_ZERO)
+        lower, upper = lower.copy(), upper.copy()
+        least = np.where(clear, (1.0 / FARTHEST - 1.0) * here, -np.inf)
+        most = np.where(clear, (FARTHEST - 1.0) * here, np.inf)
+        least = np.where(variance, least, -np.log(LONGER))
+        most = np.where(variance, most, np.log(LONGER))
+        lower[block] = np.maximum(lower[block], least)
+        upper[block] = np.minimum(upper[block], most)
+        return lower, upper
+
+    def prior_cost(self, unknowns: np.ndarray) -> float:
+        """Half the weighted sum of squares of the departures from the priors."""
+        cost = 0.5 * float(self.limits.prior_weight @ (unknowns - self.limits.prior_mean) ** 2)
+        if self.knowledge is not None:
+            away = unknowns[: len(self.layout.shared)] - self.knowledge.mean
+            cost += 0.5 * float(away @ self.knowledge.information @ away)
+        return cost
+
+    def _add_knowledge(self, unknowns: np.ndarray, matrix: np.ndarray, right: np.ndarray) -> None:
+        if self.knowledge is not None:
+            n = len(self.layout.shared)
+            matrix[:n, :n] += self.knowledge.information
+            right[:n] += self.knowledge.information @ (self.knowledge.mean - unknowns[:n])
+
+    def maps(self, point: Point, matrix: np.ndarray) -> tuple[np.ndarray, ...]:
+        """How variances follow their times at a point with given equations."""
+        block = self.layout.levels
+        return (self.levels.following(matrix[block, block], point.unknowns[block]),)
+
+    def holding(self, positions: np.ndarray, values: np.ndarray) -> Filtered:
+        """Return the same problem with some unknowns held at given values."""
+        lower, upper = self.limits.lower.copy(), self.limits.upper.copy()
+        lower[positions] = upper[positions] = values
+        other = copy.copy(self)
+        other.limits = replace(self.limits, lower=lower, upper=upper)
+        return other
+
+    @property
+    def state_scale(self) -> np.ndarray:
+        """Typical magnitudes of the own states."""
+        return np.array([state.scale for state in self.model.states])
+
+    # -- evaluation ----------------------------------------------------------------
+
+    def passes(
+        self,
+        unknowns: np.ndarray,
+        *,
+        columns: bool = True,
+        levels_only: bool = False,
+        rows: bool = False,
+        gains: bool = False,
+        names: Sequence[str] | None = None,
+        measured: Sequence[np.ndarray] | None = None,
+    ) -> list[FilterPass]:
+        """Filter every record.
+
+        Parameters
+        ----------
+        unknowns : ndarray (n_unknowns,)
+        columns : bool
+            Whether derivatives are wanted.
+        levels_only : bool
+            Whether by the levels of the noise alone.
+        rows : bool
+            Whether these of every innovation.
+        gains : bool
+            Whether gains are kept, for :meth:`replayed`.
+        names : sequence of str, optional
+            Columns of parameters; by default all free ones.
+        measured : sequence of ndarray, optional
+            Measurements in place of those of the records.
+        """
+        noise = self.levels.disturbed(self.noise(unknowns))
+        if not columns or levels_only:
+            names = ()
+        elif names is None:
+            names = self.layout.free_names
+
+        def one(index: int) -> FilterPass:
+            record = self.records[index]
+            part = self.kernel.filter(
+                record.times,
+                record.inputs,
+                self.values(unknowns, index),
+                self.initial_state(unknowns, index),
+                record.outputs if measured is None else measured[index],
+                self._noise_in(index, noise),
+                names=names,
+                own_columns=columns and not levels_only,
+                active=self.active,
+                passing=self.passing,
+                levels=self.levels.entries if columns else (),
+                rows=rows,
+                gains=gains,
+            )
+            return _white_alone(part, self.levels.entries) if record.independent else part
+
+        return both_cores(one, range(len(self.records)))
+
+    def _noise_in(self, index: int, noise: Disturbed) -> Disturbed:
+        """Noise of one record: white alone where nothing links its samples."""
+        if not self.records[index].independent:
+            return noise
+        return replace(
+            noise,
+            variance=np.zeros_like(noise.variance),
+            colour_variance=np.zeros_like(noise.colour_variance),
+        )
+
+    def replayed(
+        self,
+        wide: Filtered,
+        unknowns: np.ndarray,
+        found: Sequence[FilterPass],
+    ) -> list[np.ndarray] | None:
+        """Innovations of a larger model at the gains of passes of this one.
+
+        Parameters
+        ----------
+        wide : Filtered
+            Problem of the larger model, of the same kernel and noise.
+        unknowns : ndarray (n_unknowns,)
+            Of that problem.
+        found : sequence of FilterPass
+            Passes of this one that kept their gains.
+
+        Returns
+        -------
+        list of ndarray (n_times, n_outputs) or None
+            Per record; None where the larger model leaves the numbers.
+        """
+        noise = wide.levels.disturbed(wide.noise(unknowns))
+
+        def one(index: int) -> tuple[np.ndarray, bool]:
+            record, part = self.records[index], found[index]
+            assert part.gains is not None
+            return wide.kernel.replay(
+                record.times,
+                record.inputs,
+                wide.values(unknowns, index),
+                wide.initial_state(unknowns, index),
+                record.outputs,
+                self._noise_in(index, noise),
+                part.gains,
+                active=self.active,
+            )
+
+        results = both_cores(one, range(len(self.records)))
+        return [part for part, _ in results] if all(ok for _, ok in results) else None
+
+    def objective(self, unknowns: np.ndarray) -> float:
+        """Minus twice the log-likelihood with priors, up to a constant."""
+        found = self.passes(unknowns, columns=False)
+        return 2.0 * self.prior_cost(unknowns) + sum(part.objective for part in found)
+
+    def gathered(
+        self, unknowns: np.ndarray, found: Sequence[FilterPass]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix and right-hand side from passes with columns, priors excluded."""
+        n, levels = self.layout.n_unknowns, self.layout.levels
+        matrix, right = np.zeros((n, n)), np.zeros(n)
+        scale = self.levels.scale
+        tail = np.arange(levels.start, levels.stop)
+        for columns, part in zip(self._columns, found, strict=True):
+            where = np.concatenate([columns, tail])
+            slopes = self.layout.slopes(unknowns[columns[self.layout.n_own :]])
+            size = np.concatenate([np.ones(self.layout.n_own), slopes, scale])
+            matrix[np.ix_(where, where)] += part.gram[:-1, :-1] * size[:, None] * size
+            right[where] -= part.gram[:-1, -1] * size
+            matrix[levels, levels] += part.level_information * scale[:, None] * scale
+            right[levels] -= part.level_slope * scale
+        self._add_knowledge(unknowns, matrix, right)
+        return matrix, right
+
+    def differentiated(
+        self, unknowns: np.ndarray, base: Sequence[FilterPass], std: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix and right-hand side of the filter as it is, by differences of whole filters.
+
+        Parameters
+        ----------
+        unknowns : ndarray (n_unknowns,)
+        base : sequence of FilterPass
+            Passes there, with the derivatives of every innovation.
+        std : ndarray (n_unknowns,)
+            Sizes of the differences, in hundreds.
+        """
+        n, layout = self.layout.n_unknowns, self.layout
+        n_own, n_levels = layout.n_own, len(self.levels)
+        width = n_own + len(layout.free_names)
+        tail = np.arange(layout.levels.start, layout.levels.stop)
+        matrix, right = np.zeros((n, n)), np.zeros(n)
+        moved = self._moved(unknowns, std)
+        for index, (columns, part) in enumerate(zip(self._columns, base, strict=True)):
+            where = np.concatenate([columns, tail])
+            seen = np.isfinite(part.innovations)
+            root = np.sqrt(part.variances[seen])
+            white = part.innovations[seen] / root
+            assert part.rows is not None
+            rows = part.rows[seen]
+            size = np.concatenate([np.ones(width), self.levels.scale])
+            slope = rows[:, : width + n_levels] * size
+            spread = np.zeros_like(slope)
+            spread[:, width:] = rows[:, width + n_levels :] * self.levels.scale
+            for position, column in enumerate(columns[n_own:], start=n_own):
+                other, length = moved[column][index], DIFFERENCE * std[column]
+                slope[:, position] = (other.innovations[seen] - part.innovations[seen]) / (
+                    root * length
+                )
+                spread[:, position] = np.log(other.variances[seen] / part.variances[seen]) / length
+            matrix[np.ix_(where, where)] += slope.T @ slope + 0.5 * spread.T @ spread
+            right[where] -= slope.T @ white + 0.5 * spread.T @ (1.0 - white**2)
+        self._add_knowledge(unknowns, matrix, right)
+        return matrix, right
+
+    def _moved(self, unknowns: np.ndarray, std: np.ndarray) -> dict[int, dict[int, FilterPass]]:
+        """Passes with each parameter moved, by unknown and record."""
+        noise = self.levels.disturbed(self.noise(unknowns))
+        jobs = [
+            (int(column), index)
+            for index, columns in enumerate(self._columns)
+            for column in columns[self.layout.n_own :]
+        ]
+
+        def one(job: tuple[int, int]) -> FilterPass:
+            column, index = job
+            shifted = unknowns.copy()
+            shifted[column] += DIFFERENCE * std[column]
+            record = self.records[index]
+            return self.kernel.filter(
+                record.times,
+                record.inputs,
+                self.values(shifted, index),
+                self.initial_state(shifted, index),
+                record.outputs,
+                self._noise_in(index, noise),
+                own_columns=False,
+                active=self.active,
+                passing=self.passing,
+            )
+
+        found: dict[int, dict[int, FilterPass]] = {}
+        for (column, index), part in zip(jobs, both_cores(one, jobs), strict=True):
+            found.setdefault(column, {})[index] = part
+        return found
+
+
+def _white_alone(part: FilterPass, entries: Sequence[tuple[int, int]]) -> FilterPass:
+    """A pass that tells nothing of levels but those of white noise."""
+    n_levels = len(part.level_slope)
+    absent = np.array([kind != WHITE_VARIANCE for kind, _ in entries[:n_levels]], dtype=bool)
+    if not absent.any():
+        return part
+    gone = len(part.gram) - 1 - n_levels + np.flatnonzero(absent)
+    gram, rows = part.gram.copy(), part.rows
+    gram[gone] = gram[:, gone] = 0.0
+    if rows is not None:
+        rows = rows.copy()
+        rows[..., gone] = rows[..., gone + n_levels] = 0.0
+    return replace(
+        part,
+        gram=gram,
+        rows=rows,
+        level_slope=np.where(absent, 0.0, part.level_slope),
+        level_information=part.level_information * np.outer(~absent, ~absent),
+    )
+
+
+def disturbed_model(model: Model, disturbances: Sequence[str]) -> Model:
+    """The model with disturbances as free parameters, all else as it is.
+
+    Random effects that the model holds already are only let loose.
+    """
+    effects: list[Effect] = []
+    present = [name for name in disturbances if name in model.parameter_names]
+    if present:  # a model that is built anew is checked anew
+        model = model.free(*present)
+    for name in disturbances:
+        if name in present:
+            continue
+        stage, _, signal = name.removeprefix("disturbance_").partition("_")
+        effects.append(disturbance(Place(stage, signal)))
+    return model + effects
+
+
+def active_components(wide: Model, model: Model, *, passing: bool = False) -> np.ndarray | None:
+    """Components of the wide model's full state that a smaller model has; None for all.
+
+    With ``passing`` the one memory of an absent actuator effect counts among them: where a
+    command stands still, derivatives pass an absent play through what it remembers.
+    """
+    if set(wide.effect_names) - set(model.effect_names) <= {
+        e.name for e in wide.effects if not (e.states or e.memory)
+    }:
+        return None
+    own = set(model.effect_names)
+    kept, position = list(range(len(wide.states))), len(wide.states)
+
+    def extend(parts: Sequence[tuple[str, int]], *, single: bool = False) -> None:
+        nonlocal position
+        for name, count in parts:
+            if name in own or (passing and single and count == 1):
+                kept.extend(range(position, position + count))
+            position += count
+
+    extend([(e.name, len(e.states)) for e in wide.effects])
+    for stage in ("actuator", "sensor"):
+        memories = [(e.name, len(e.memory)) for e in wide.effects if e.stage == stage]
+        extend(memories, single=stage == "actuator")
+    return np.array(kept, dtype=int)
+
+
+def _limits(
+    model: Model,
+    layout: Layout,
+    levels: Levels,
+    starts: KnownStarts | None,
+) -> Limits:
+    limits = Limits.of(model, layout, starts)
+    for name in ("lower", "upper", "prior_mean", "prior_weight"):
+        getattr(limits, name)[layout.levels] = getattr(levels, name)
+    return limits

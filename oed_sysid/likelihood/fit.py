@@ -1,0 +1,424 @@
+"""The result of an estimation: values that are never without their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.likelihood.agreement import Sources
+from oed_sysid.likelihood.archive import encode
+from oed_sysid.likelihood.between_records import RecordScatter
+from oed_sysid.likelihood.disturbances import places
+from oed_sysid.likelihood.estimate import Estimate, Status, checked_scatter
+from oed_sysid.likelihood.explained import grave
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.judgement import Concern, judge
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.prediction import Initial, Prediction, predict
+from oed_sysid.likelihood.saved import check_fit, decode_result, made_by, write_result
+from oed_sysid.physics import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
+from oed_sysid.physics.base import RandomProcess
+from oed_sysid.physics.channels import Channels, Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.runtime.display import as_dict, as_html
+from oed_sysid.text.callables import Function
+from oed_sysid.text.units import shown_unit
+
+# Residuals that count fewer independent samples than this share are coloured.
+COLOUR_LIMIT = 0.8
+# What stands behind +/- is half of a 95 % interval, in standard errors.
+TWO_SIDED_95 = 1.96
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(Estimate):
+    """Estimated parameters with uncertainty, residuals and a status that advises.
+
+    Attributes
+    ----------
+    model : Model
+        The model at the estimated values.
+    dataset : Dataset
+        What it was fitted to.
+    estimator : str
+        Name and settings of the estimator.
+    names : tuple of str
+        Estimated parameters.
+    estimates : ndarray (n_free,)
+        Their values.
+    information : Information
+        Of the estimated parameters, initial states eliminated, as if the
+        residuals were white.
+    covariance : ndarray (n_free, n_free)
+        The covariance that is reported: the inverse information, or the
+        sandwich covariance where residuals are coloured.
+    coloured : bool
+        Whether the sandwich is in use.
+    sigma : ndarray (n_outputs,)
+        Noise standard deviations, given or estimated.
+    sigma_estimated : ndarray of bool (n_outputs,)
+        Which of them were estimated.
+    predictions, residuals : tuple of ndarray (n_times, n_outputs)
+        Model outputs, and measured minus model, per record.
+    states : tuple of ndarray (n_times, n_full)
+        State trajectories, per record.
+    initial_states : tuple of ndarray (n_own,)
+        Estimated initial states, per record.
+    local_values : tuple of mapping
+        Values of per-record parameters, per record.
+    cost : float
+        Half the sum of squares of the one-step errors in units of their standard
+        deviation, priors included.
+    status : Status
+        How the estimation ended.
+    iterations : int
+    seconds : float
+    noise : NoiseModel
+        All that is random: white levels as in ``sigma``, colour, random forces.
+    noise_std : mapping
+        Standard errors of the estimated levels and times, by ``(name, "level" or "time")``;
+        of levels relative.
+    innovations, innovation_std : tuple of ndarray (n_times, n_outputs), or None
+        One-step prediction errors of the filter and their standard deviations, per
+        record, where the noise is not white; else None and ``residuals`` say the same.
+    start_states : tuple of mapping
+        Start states that were not free, per record: value and standard error, zero
+        where the state was held. Empty where all were free.
+    record_scatter : RecordScatter, or None
+        How the estimates scatter between records, to first order; None for fewer than four, or
+        where the estimator does not tell. :attr:`record_errors` and :meth:`record_interval` are
+        of it.
+    sources : Sources, or None
+        What priors and each record say of the shared parameters, apart from one another; None
+        where the estimator does not tell. See :mod:`oed_sysid.likelihood.agreement`.
+    """
+
+    @cached_property
+    def concerns(self) -> tuple[Concern, ...]:
+        """What speaks against the fit; see :mod:`oed_sysid.likelihood.judgement`."""
+        return judge(self)
+
+    @cached_property
+    def grave(self) -> tuple[Concern, ...]:
+        """Why the values must not be used although the fit converged; see :mod:`.explained`."""
+        return grave(self, self.concerns)
+
+    @property
+    def caveat(self) -> str:
+        """What to add to every interval that follows from the standard errors; often empty."""
+        if not any(concern.kind == "records_differ" for concern in self.concerns):
+            return ""
+        return (
+            "Records of the fit differ by more than its standard errors say, so these intervals "
+            "are too narrow: predict from fit.with_record_errors()."
+        )
+
+    def predict(self, dataset: Dataset, *, initial: Initial = "fit") -> Prediction:
+        """Predict other records; see :func:`oed_sysid.likelihood.prediction.predict`.
+
+        Parameters
+        ----------
+        dataset : Dataset
+            Records with the model's channels.
+        initial : str or mapping
+            ``"fit"`` estimates the initial states on each record with all
+            shared parameters held, ``"first"`` takes the first measurements,
+            a mapping gives the states, as numbers or as pairs ``(value, std)``.
+        """
+        shared = [p.name for p in self.model.free_parameters if not p.per_record]
+        covariance = np.zeros((len(shared), len(shared)))
+        known = [i for i, name in enumerate(shared) if name in self.names]
+        columns = [self.names.index(shared[i]) for i in known]
+        covariance[np.ix_(known, known)] = self.covariance[np.ix_(columns, columns)]
+        found = predict(self.model, dataset, covariance, self.noise, initial=initial)
+        return replace(found, caveat=self.caveat)
+
+    def with_record_errors(self) -> Fit:
+        """Return the same fit, its covariance that of the scatter between records.
+
+        Standard errors, predictions and what is drawn from the fit (turning circles) then hold what
+        differs from record to record. Parameters that one record alone tells keep their own.
+
+        Raises
+        ------
+        DataError
+            If there are fewer than four records.
+        """
+        scatter = checked_scatter(self)
+        found = np.diag(scatter.covariance)
+        covariance = np.where(np.isfinite(scatter.covariance), scatter.covariance, 0.0)
+        alone = ~np.isfinite(found)
+        covariance[alone, alone] = np.diag(self.covariance)[alone]
+        return replace(self, covariance=covariance)
+
+    def save(self, path: str | Path, **made: Any) -> None:
+        """Write the fit, its model and its data to a JSON file; :meth:`load` reads it.
+
+        The file appears whole or not at all. ``command=`` and ``settings=`` say how the
+        fit was made; see :func:`oed_sysid.likelihood.saved.made_by`.
+        """
+        settings = {"estimator": self.estimator, **made.pop("settings", {})}
+        made_of = made_by([self.dataset], settings=settings, **made)
+        write_result(path, "fit", encode(self), made_of)
+
+    @staticmethod
+    def load(path: str | Path) -> Fit:
+        """Read a fit that :meth:`save` wrote, also of an older version."""
+        fit = decode_result(path, "fit", ARCHIVED)
+        check_fit(fit, str(path))
+        return fit
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        return (
+            f"<Fit of {self.model.name!r}: {self.status.code}, {len(self.names)} parameters, "
+            f"residuals {self.normalised_rms:.3g} x noise>"
+        )
+
+    # -- words ---------------------------------------------------------------------
+
+    def report(self) -> str:
+        """Return the fit as text that can be pasted into a paper."""
+        lines = [
+            *(f"Do not use these values: {concern.text}" for concern in self.grave),
+            f"{self.model.name} fitted by {self.estimator}",
+            f"  records       {', '.join(self._record_words())}",
+            f"  observations  {self.n_observations}",
+            f"  status        {self.status} ({self.iterations} iterations, {self.seconds:.2g} s)",
+            f"  misfit        {self.normalised_rms:.3f} x noise over all outputs",
+            "",
+            *self._parameter_table(),
+            *self._local_lines(),
+            *self._start_lines(),
+            "",
+            *self._output_table(),
+            *self._captive_lines(),
+            *self._noise_lines(),
+        ]
+        lines += self._warnings()
+        return "\n".join(lines)
+
+    def _record_words(self) -> list[str]:
+        """Names of the records; of many independent tests the first and the last."""
+        words = [record.name for record in self.dataset if not record.independent]
+        tests = [record for record in self.dataset if record.independent]
+        if tests:
+            measured = (np.isfinite(record.outputs).any(axis=1) for record in tests)
+            count = sum(int(rows.sum()) for rows in measured)
+            span = tests[0].name if len(tests) == 1 else f"{tests[0].name} to {tests[-1].name}"
+            words.append(f"{span} ({count} {'test' if count == 1 else 'tests'})")
+        return words
+
+    def _captive_lines(self) -> list[str]:
+        """Forces at given motion that were fitted along, one line each."""
+        errors: Mapping[str, float] = self.extras.get("captive", {})
+        sizes: Mapping[str, float] = self.extras.get("captive_misfit", {})
+        lines = [
+            f"  captive {axis}: error {sizes[axis]:.3g} x noise"
+            + (f", {100 * error:.3g} % of its rms" if np.isfinite(error) else "")
+            for axis, error in errors.items()
+            if np.isfinite(sizes.get(axis, np.nan))
+        ]
+        if self.extras.get("tests_scatter"):
+            lines.append(
+                "  Forces of the captive tests scatter more than their noise allows: their part "
+                "of the standard errors is from their residuals, in whatever order."
+            )
+        return lines
+
+    def _parameter_table(self) -> list[str]:
+        if not self.names:
+            return ["  no free parameter: initial states only"]
+        # A column of its own where the stated errors do not hold what differs between records.
+        differ = bool(self.caveat)
+        scattered = self.record_errors
+        head = ("std. error", "between records") if differ else ("std. error",)
+        rows = [("parameter", "value", *head, "rel. %", "unit", "")]
+        errors = self.std_errors
+        for name, value in self.values.items():
+            parameter = self.model.parameter(name)
+            relative = 100 * errors[name] / abs(value) if value else np.inf
+            note = ""
+            if value <= parameter.lower or value >= parameter.upper:
+                note = "at bound"
+            elif not np.isfinite(errors[name]):
+                note = "not identifiable"
+            rows.append(
+                (
+                    name,
+                    f"{value:.6g}",
+                    f"{errors[name]:.2g}",
+                    *((f"{scattered[name]:.2g}",) if differ else ()),
+                    f"{relative:.2g}",
+                    parameter.unit,
+                    note,
+                )
+            )
+        return [f"  {line}" for line in align(rows)]
+
+    def _local_lines(self) -> list[str]:
+        """Values of per-record parameters, one line each."""
+        lines = []
+        for name in self.local_values[0] if self.local_values else ():
+            pairs = zip(self.dataset.names, self.local_values, strict=True)
+            listed = ", ".join(f"{record} {values[name]:.4g}" for record, values in pairs)
+            lines.append(
+                f"  {name} per record: {listed} {self.model.parameter(name).unit}".rstrip()
+            )
+        return lines
+
+    def _start_lines(self) -> list[str]:
+        """Start states that were not free, one line per record."""
+        lines = []
+        for record, known in zip(self.dataset, self.start_states, strict=False):
+            if record.independent:
+                continue
+            words = [
+                f"{name} {value:.4g} held"
+                if std == 0.0
+                else f"{name} {value:.4g} +/- {TWO_SIDED_95 * std:.2g}"
+                for name, (value, std) in known.items()
+            ]
+            if words:
+                lines.append(f"  start of {record.name} given: {', '.join(words)} (95 %)")
+        return lines
+
+    def _output_table(self) -> list[str]:
+        rows = [("output", "rms residual", "noise", "", "eff. samples", "of", "unit")]
+        effective = self.effective_samples()
+        rms = self.rms
+        for output, sigma, estimated in zip(
+            self.model.outputs, self.sigma, self.sigma_estimated, strict=True
+        ):
+            count, total = effective[output.name]
+            if not total and self.tests_alone:
+                continue
+            factor, unit = shown_unit(output.unit)  # angles are read in degrees
+            rows.append(
+                (
+                    output.name,
+                    f"{factor * rms[output.name]:.3g}",
+                    f"{factor * sigma:.3g}",
+                    ("estimated" if estimated else "given") if total else "not measured",
+                    f"{count:.0f}",
+                    f"{total}",
+                    unit,
+                )
+            )
+        return [f"  {line}" for line in align(rows)]
+
+    def _noise_lines(self) -> list[str]:
+        """Random forces and coloured sensors, one line each."""
+        noise = self.noise
+        if noise.is_white:
+            return []
+        units = {place.name: place.unit for place in places(self.model)}
+        rows: list[tuple[str, ...]] = [("random", "level", "95 %", "time [s]", "unit")]
+        for name, level, time in zip(noise.places, noise.force, noise.force_time, strict=True):
+            rows.append(self._noise_row(name, level, time, units.get(name, "")))
+        for output, level, time in zip(
+            self.model.outputs, noise.colour, noise.colour_time, strict=True
+        ):
+            if level > 0:
+                rows.append(self._noise_row(f"colour of {output.name}", level, time, output.unit))
+        return ["", *(f"  {line}" for line in align(rows))]
+
+    def _noise_row(self, name: str, level: float, time: float, unit: str) -> tuple[str, ...]:
+        if level <= 0:
+            return name, "absent", "", "", unit
+        share = self.noise_std.get(f"{name} level")
+        spread = "" if share is None else f"+/- {1.96 * share * level:.2g}"
+        return name, f"{level:.3g}", spread, f"{time:.2g}", unit
+
+    def _warnings(self) -> list[str]:
+        said = self.status.advice
+        said_first = {said, *(concern.text for concern in self.grave)}
+        lines = [f"  {one.text}" for one in self.concerns if one.text not in said_first]
+        commands = np.vstack([record.inputs for record in self.dataset])
+        for channel, series in zip(self.model.inputs, commands.T, strict=True):
+            if np.ptp(series) == 0.0 and not self.tests_alone:
+                lines.append(
+                    f"  Input {channel.name} never moves in any record: what it does cannot be "
+                    "told from what else is constant."
+                )
+        if self.coloured:
+            lines.append(
+                "  Residuals are correlated in time (see eff. samples): standard errors are from "
+                "the sandwich covariance."
+            )
+        lines += [f"  Not identifiable: {text}." for text in self.information.null_directions()]
+        if bounded := [r.split()[0] for r in self._parameter_table() if r.endswith("at bound")]:
+            lines.append(
+                f"  {', '.join(bounded)} at bound: widen it if it may be wrong. A log that counts "
+                "an angle the other way does this too: Input(..., sign=-1)."
+            )
+        correlation = self.correlation
+        pairs = [
+            (abs(correlation[i, j]), self.names[i], self.names[j], correlation[i, j])
+            for i in range(len(self.names))
+            for j in range(i)
+            if abs(correlation[i, j]) > 0.95
+        ]
+        for _, first, second, value in sorted(pairs, reverse=True)[:6]:
+            lines.append(f"  Correlation of {first} and {second}: {value:+.3f}.")
+        return ["", *lines] if lines else []
+
+    to_dict = as_dict(
+        "estimator", "iterations", "seconds", "cost", "normalised_rms", "covariance", "rms",
+        "noise_std", "concerns", "grave", "status",
+        model="model.name", records="dataset.names", coloured_residuals="coloured",
+        # Null where nothing tells: three records or fewer, another estimator.
+        parameters=lambda self: [
+            {
+                "name": name,
+                "value": value,
+                "std_error": self.std_errors[name],
+                "record_error": self.record_errors.get(name),
+                "unit": self.model.parameter(name).unit,
+            }
+            for name, value in self.values.items()
+        ],
+        noise=lambda self: dict(zip(self.model.output_names, self.sigma, strict=True)),
+        effective_samples=lambda self: self.effective_samples(), noise_model="noise",
+    )  # fmt: skip
+
+
+def align(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lay rows of text out in columns; the first column flush left, the others right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return [
+        "  ".join(
+            cell.ljust(width) if i == 0 else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+# Everything that a saved fit is made of.
+ARCHIVED: tuple[type, ...] = (
+    *(
+        Fit,
+        Status,
+        Information,
+        NoiseModel,
+        RecordScatter,
+        Sources,
+        Model,
+        Function,
+        Parameter,
+        Dataset,
+        Record,
+        Channels,
+    ),
+    *(State, Input, Output, Actuator, Environment, Force, Inertia, Sensor, ExtraState, Memory),
+    RandomProcess,
+)

@@ -1,0 +1,26 @@
+r"""What disturbs a vehicle and its sensors.
+
+A record is the output of
+
+.. math::
+    \dot x = f(x, u, p) + G(x)\, w, \qquad y_k = h(x_k, p) + c_k + v_k
+
+with first-order Gauss-Markov disturbances ``w`` (level :math:`\sigma_j`, time :math:`\tau_j`),
+coloured errors ``c`` and white errors ``v`` of the sensors.
+
+=============================== ===========================================================
+module                          question
+=============================== ===========================================================
+``model``                       which levels and times there are: :class:`~.model.NoiseModel`
+``levels``                      which of them are unknown, as what: :class:`~.levels.Levels`
+``realisation``                 what a sea does to one simulated record
+``disturbances``                at which places of the chain something may act
+``linearisation``               linear dynamics along the smoothed path
+``kalman``, ``smoother``        innovations and smoothed disturbances of linear deviations
+``restricted_likelihood``       the likelihood of a noise model, unknowns projected out
+=============================== ===========================================================
+
+Linear deviations along the smoothed path say *where* a model fails; parameters and their errors
+come from the filtered path (:mod:`oed_sysid.likelihood.filtered`), because regressors along a
+smoothed path hold the noise.
+"""

@@ -1,0 +1,361 @@
+"""Multiple shooting as a nonlinear program for IPOPT.
+
+The same problem as :mod:`oed_sysid.likelihood.gauss_newton` solves, with every node an
+unknown and continuity an equality constraint, so that the exact Hessian can be
+used and the user may add constraints among parameters. It is slower and needs
+no condensing; see Waechter & Biegler (2006) for the solver.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from oed_sysid.compiled.graph import Graph, build
+from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.gauss_newton import Progress, Solution
+from oed_sysid.likelihood.losses import huber, student
+from oed_sysid.likelihood.shooting import Point, Shooting
+from oed_sysid.physics.model import Model
+from oed_sysid.text import expressions
+
+_REASONS = {
+    "Solve_Succeeded": "converged",
+    "Solved_To_Acceptable_Level": "converged",
+    "Feasible_Point_Found": "converged",
+    "Maximum_Iterations_Exceeded": "iterations",
+    "Maximum_CpuTime_Exceeded": "iterations",
+    "Maximum_WallTime_Exceeded": "iterations",
+    "User_Requested_Stop": "interrupted",
+    "Infeasible_Problem_Detected": "infeasible",
+}
+# Loss and weight of squared-residual losses, as functions of the scaled residual.
+_LOSSES: dict[Any, Callable[[ca.MX], tuple[ca.MX, ca.MX]]] = {
+    None: lambda r: (r**2, ca.MX.ones(r.shape)),
+    huber: lambda r: _huber(r, 1.345),
+    student: lambda r: (5.0 * ca.log1p(r**2 / 4.0), 1.25 / (1.0 + r**2 / 4.0)),
+}
+
+
+def _huber(r: ca.MX, threshold: float) -> tuple[ca.MX, ca.MX]:
+    size = ca.fabs(r)
+    outside = size > threshold
+    return (
+        ca.if_else(outside, threshold * (2 * size - threshold), r**2),
+        ca.if_else(outside, threshold / ca.fmax(size, threshold), 1.0),
+    )
+
+
+class NonlinearProgram:
+    """The estimation problem as IPOPT sees it.
+
+    Parameters
+    ----------
+    shooting : Shooting
+        Cut into intervals of equal numbers of samples; the last may be shorter.
+    hessian : str
+        ``"exact"`` or ``"gauss-newton"``.
+    constraints : sequence of str
+        Inequalities or equations among parameters, such as ``"M_uq < 0"``.
+    """
+
+    def __init__(
+        self, shooting: Shooting, *, hessian: str = "exact", constraints: Sequence[str] = ()
+    ) -> None:
+        self._graph = build(shooting.model)
+        self._length = shooting.interval_samples
+        self._intervals: dict[tuple[int, int, bool], ca.Function] = {}
+        layout = shooting.layout
+        self._scale = np.concatenate(
+            [
+                shooting.limits.scale,
+                *(np.tile(shooting.state_scale, k - 1) for k in shooting.interval_counts),
+            ]
+        )
+        scaled = ca.MX.sym("unknowns", len(self._scale))
+        unknowns = scaled * self._scale
+        inverse_sigma = ca.MX.sym("inverse_sigma", len(shooting.sigma))
+        residuals, jumps, extra = [], [], []
+        user = _Constraints(shooting.model, constraints)
+        position = layout.n_unknowns
+        for index in range(layout.n_records):
+            columns = layout.record_columns(index)
+            own = unknowns[columns[: layout.n_own].tolist()]
+            free = unknowns[columns[layout.n_own :].tolist()]
+            if layout.logged is not None:
+                logged = np.flatnonzero(layout.logged).tolist()
+                free[logged] = ca.exp(free[logged])
+            values = self._values(shooting, free)
+            n_nodes = shooting.interval_counts[index] - 1
+            n_entries = n_nodes * self._graph.n_full
+            nodes = ca.reshape(
+                unknowns[position : position + n_entries], self._graph.n_full, n_nodes
+            )
+            position += n_entries
+            part, defects = self._record(shooting, index, own, values, nodes, inverse_sigma)
+            residuals.append(part)
+            jumps.append(defects)
+            extra.append(user.function(values))
+        residual = ca.vertcat(*residuals)
+        loss, weight = _LOSSES[shooting.loss](residual)
+        weighted = np.flatnonzero(shooting.limits.prior_weight).tolist()
+        prior = (unknowns[weighted] - shooting.limits.prior_mean[weighted]) * np.sqrt(
+            shooting.limits.prior_weight[weighted]
+        )
+        cost = 0.5 * (ca.sum1(loss) + ca.sumsqr(prior))
+        jump = ca.vertcat(*jumps)
+        limits = ca.vertcat(jump, *extra)
+        self._n_jumps = jump.shape[0]
+        zeros = np.zeros(self._n_jumps)
+        self._lower_g = np.concatenate([zeros, np.tile(user.lower, layout.n_records)])
+        self._upper_g = np.concatenate([zeros, np.tile(user.upper, layout.n_records)])
+        self._problem = {"x": scaled, "p": inverse_sigma, "f": cost, "g": limits}
+        self._options: dict[str, Any] = {}
+        if hessian == "gauss-newton":
+            jacobian = ca.jacobian(ca.vertcat(residual, prior), scaled)
+            root = ca.vertcat(ca.sqrt(weight), ca.MX.ones(prior.shape))
+            rows = ca.mtimes(ca.diag(root), jacobian) if shooting.loss else jacobian
+            factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", limits.shape)
+            self._options["hess_lag"] = ca.Function(
+                "hess_lag",
+                [scaled, inverse_sigma, factor, multipliers],
+                [ca.triu(factor * ca.mtimes(rows.T, rows))],
+                ["x", "p", "lam_f", "lam_g"],
+                ["triu_hess_gamma_x_x"],
+            )
+
+    def _values(self, shooting: Shooting, free: ca.MX) -> ca.MX:
+        """All parameter values, the free ones as unknowns."""
+        order = list(range(len(shooting.model.all_parameters)))
+        for position, parameter in enumerate(self._graph.free_indices):
+            order[parameter] = len(order) + position
+        return ca.vertcat(ca.DM(shooting.model.value_vector), free)[order]
+
+    def _record(
+        self,
+        shooting: Shooting,
+        index: int,
+        own: ca.MX,
+        values: ca.MX,
+        nodes: ca.MX,
+        inverse_sigma: ca.MX,
+    ) -> tuple[ca.MX, ca.MX]:
+        """Scaled residuals of one record and the scaled jumps at its nodes."""
+        record = shooting.records[index]
+        z0 = self._graph.start(own, record.inputs[0], values, record.times[0])
+        starts = ca.horzcat(z0, nodes)
+        data, steps = _samples(shooting, index)
+        n, length = data.shape[1], self._length
+        n_whole = n // length
+        residuals, ends = [], []
+        uneven = bool(np.ptp(steps) > 0)
+        groups = [(0, n_whole, length)]
+        if n % length:
+            groups.append((n_whole, 1, n % length))
+        for first, count, size in groups:
+            if not count:
+                continue
+            function = self._interval(size, int(steps.max()), uneven)
+            part = data[:, first * length : first * length + count * size]
+            # One column per interval, the samples below each other.
+            stacked = part.T.reshape(count, -1).T
+            called = function.map(count)(
+                starts[:, first : first + count], ca.repmat(values, 1, count), ca.DM(stacked)
+            )
+            ends.append(called[0])
+            residuals.append(ca.vec(called[1]))
+        residual = ca.vertcat(*residuals) * ca.repmat(inverse_sigma, n, 1)
+        end = ca.horzcat(*ends)[:, : nodes.shape[1]]
+        scale = ca.repmat(ca.DM(shooting.state_scale), 1, nodes.shape[1])
+        return residual, ca.vec((end - nodes) / scale)
+
+    def _interval(self, length: int, n_steps: int, uneven: bool) -> ca.Function:
+        """One interval: ``(z, values, data) -> (z at its end, weighted residuals)``."""
+        key = (length, n_steps, uneven)
+        if key not in self._intervals:
+            step = _step(self._graph, n_steps, uneven)
+            n_data = step.size1_in(2)
+            z = ca.MX.sym("z", self._graph.n_full)
+            values = ca.MX.sym("values", step.size1_in(1))
+            data = ca.MX.sym("data", n_data * length)
+            states, residuals = step.mapaccum(length)(
+                z, ca.repmat(values, 1, length), ca.reshape(data, n_data, length)
+            )
+            self._intervals[key] = ca.Function(
+                "interval", [z, values, data], [states[:, -1], ca.vec(residuals)]
+            )
+        return self._intervals[key]
+
+    def solve(
+        self,
+        shooting: Shooting,
+        point: Point,
+        *,
+        max_iterations: int = 200,
+        tolerance: float = 1e-6,
+        callback: Callable[[Progress], None] | None = None,
+    ) -> Solution | None:
+        """Minimise with IPOPT; see :func:`~oed_sysid.likelihood.gauss_newton.solve`.
+
+        ``shooting`` may differ from the one at construction in its noise levels.
+        """
+        watcher = _Watcher(self._problem, self._n_jumps, callback) if callback else None
+        options: dict[str, Any] = {
+            **self._options,
+            "print_time": False,
+            "error_on_fail": False,
+            "show_eval_warnings": False,
+            "ipopt.print_level": 0,
+            "ipopt.sb": "yes",
+            "ipopt.max_iter": max_iterations,
+            "ipopt.tol": min(1e-8, tolerance),
+            "ipopt.bound_relax_factor": 0.0,
+            **({"iteration_callback": watcher} if watcher else {}),
+        }
+        solver = ca.nlpsol("estimation", "ipopt", self._problem, options)
+        n_nodes = sum(nodes.size for nodes in point.nodes)
+        free = np.full(n_nodes, np.inf)
+        limits = shooting.limits
+        start = np.concatenate([point.unknowns, *(nodes.ravel() for nodes in point.nodes)])
+        result = solver(
+            x0=start / self._scale,
+            p=1.0 / shooting.sigma,
+            lbx=np.concatenate([limits.lower, -free]) / self._scale,
+            ubx=np.concatenate([limits.upper, free]) / self._scale,
+            lbg=self._lower_g,
+            ubg=self._upper_g,
+        )
+        stats = solver.stats()
+        found = np.asarray(result["x"]).ravel() * self._scale
+        if not np.isfinite(found).all():
+            return None
+        found_point = _point(shooting, found)
+        lin = shooting.linearise(found_point)
+        if lin is None:
+            return None
+        cost = shooting.cost(lin, found_point.unknowns)
+        reason = _REASONS.get(stats["return_status"], "stalled")
+        return Solution(found_point, lin, cost, int(stats["iter_count"]), reason)
+
+
+class _Constraints:
+    """The user's constraints as one function of all parameter values."""
+
+    def __init__(self, model: Model, texts: Sequence[str]) -> None:
+        values = ca.SX.sym("values", len(model.all_parameters))
+        scope = dict(zip(model.parameter_names, ca.vertsplit(values), strict=True))
+        differences, lower, upper = [], [], []
+        for text in texts:
+            try:  # an equation is allowed here, in expressions it is not
+                tree = ast.parse(text, mode="eval").body
+            except (SyntaxError, ValueError, MemoryError, RecursionError):
+                tree = None
+            if not isinstance(tree, ast.Compare) or len(tree.ops) != 1:
+                raise ModelError(
+                    f"Constraint {text!r} is not one comparison. Write for instance 'M_uq < 0'."
+                )
+            left, right = ast.unparse(tree.left), ast.unparse(tree.comparators[0])
+            for side in (left, right):
+                expressions.check(side, model.parameter_names, where="Constraint")
+            difference = expressions.to_casadi(left, scope) - expressions.to_casadi(right, scope)
+            differences.append(difference)
+            kind = type(tree.ops[0])
+            lower.append(-np.inf if kind in (ast.Lt, ast.LtE) else 0.0)
+            upper.append(np.inf if kind in (ast.Gt, ast.GtE) else 0.0)
+            if not ca.depends_on(difference, values):
+                raise ModelError(f"Constraint {text!r} holds no parameter.")
+        self.lower, self.upper = np.array(lower), np.array(upper)
+        self.function = ca.Function("constraints", [values], [ca.vertcat(*differences)])
+
+
+class _Watcher(ca.Callback):
+    """Reports IPOPT's iterations."""
+
+    def __init__(
+        self, problem: dict[str, ca.MX], n_jumps: int, report: Callable[[Progress], None]
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._n_x, self._n_g = problem["x"].shape[0], problem["g"].shape[0]
+        self._n_p, self._n_jumps = problem["p"].shape[0], n_jumps
+        self._report, self._count, self._last = report, 0, np.inf
+        self.construct("watcher", {})
+
+    def get_n_in(self) -> int:
+        return ca.nlpsol_n_out()
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return ca.nlpsol_out(i)
+
+    def get_name_out(self, i: int) -> str:
+        return "ret"
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        sizes = {"x": self._n_x, "lam_x": self._n_x, "g": self._n_g, "lam_g": self._n_g}
+        sizes |= {"f": 1, "lam_p": self._n_p}
+        return ca.Sparsity.dense(sizes[ca.nlpsol_out(i)], 1)
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
+        cost, jumps = float(arguments[1]), np.asarray(arguments[2]).ravel()[: self._n_jumps]
+        decrement = self._last - cost
+        self._report(Progress(self._count, cost, float(np.abs(jumps).sum()), decrement))
+        self._count, self._last = self._count + 1, cost
+        return [0]
+
+
+def _step(graph: Graph, n_steps: int, uneven: bool) -> ca.Function:
+    """From one sample to the next: ``(z, values, data) -> (next z, weighted residuals)``.
+
+    ``data`` stacks the inputs at the start and end, time, duration, number of
+    integration steps, time since the previous sample, measurement and weight.
+    """
+    n_inputs, n_outputs = len(graph.model.inputs), len(graph.model.outputs)
+    z, values = ca.SX.sym("z", graph.n_full), ca.SX.sym("values", len(graph.model.all_parameters))
+    sizes = (n_inputs, n_inputs, 1, 1, 1, 1, n_outputs, n_outputs)
+    symbols = [ca.SX.sym(f"d{i}", size) for i, size in enumerate(sizes)]
+    begin, end, time, duration, count, since, measured, weight = symbols
+    outputs, state = graph.sample(z, begin, values, time, since)
+    h = duration / count
+    slope = ca.DM([float(linear) for linear in graph.linear_inputs]) * (end - begin) / count
+    for i in range(n_steps):
+        after = graph.advance(
+            state, begin + i * slope, begin + (i + 1) * slope, values, time + i * h, h
+        )
+        state = ca.if_else(i < count, after, state) if uneven and i else after
+    return ca.Function(
+        "step", [z, values, ca.vertcat(*symbols)], [state, weight * (measured - outputs)]
+    )
+
+
+def _samples(shooting: Shooting, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """Data of each sample as :func:`_step` takes it, ``(n_data, n_times)``; integration steps."""
+    record, model = shooting.records[index], shooting.model
+    durations = np.diff(record.times)
+    # Nothing follows the last sample; a repeated step keeps the numbers finite.
+    ahead, since = np.append(durations, durations[-1]), np.insert(durations, 0, durations[0])
+    steps = np.maximum(1, np.ceil(ahead / model.step - 1e-9))
+    following = np.vstack([record.inputs[1:], record.inputs[-1:]])
+    present = np.isfinite(record.outputs)
+    rows = (
+        *(record.inputs.T, following.T, record.times[None], ahead[None], steps[None], since[None]),
+        *(np.where(present, record.outputs, 0.0).T, present.T.astype(float)),
+    )
+    return np.vstack(rows), steps
+
+
+def _point(shooting: Shooting, found: np.ndarray) -> Point:
+    """Split the unknowns of the program into those of the condensed problem and nodes."""
+    n = shooting.layout.n_unknowns
+    limits = shooting.limits
+    nodes, position = [], n
+    for count in shooting.interval_counts:
+        size = (count - 1) * shooting.kernel.n_full
+        nodes.append(found[position : position + size].reshape(count - 1, shooting.kernel.n_full))
+        position += size
+    return Point(np.clip(found[:n], limits.lower, limits.upper), tuple(nodes))

@@ -1,0 +1,423 @@
+"""Multiple shooting, condensed: the engine under the estimators.
+
+A record is cut into intervals. The state at the start of each interval is a
+*node*; continuity of the trajectory is a constraint. Because nothing but the
+nodes links the intervals, the linearised constraints express every node by
+the record's own initial state and the parameters, and the least-squares
+problem shrinks to these few unknowns (Bock 1987). The cost of one iteration
+is linear in the length of the records.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import Kernel, Run, kernel
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.likelihood.start_guess import (
+    check_channels,
+    cut,
+    kinematic_states,
+    measured_columns,
+    measured_states,
+    state_series,
+)
+from oed_sysid.likelihood.unknowns import KnownStarts, Layout, Limits, node_maps, on_its_turn
+from oed_sysid.physics.model import Model
+
+Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """One iterate: unknowns and nodes.
+
+    Attributes
+    ----------
+    unknowns : ndarray (n_unknowns,)
+        As laid out by :class:`~oed_sysid.likelihood.unknowns.Layout`.
+    nodes : tuple of ndarray (n_segments - 1, n_full)
+        State at the start of every interval but the first, per record.
+    """
+
+    unknowns: np.ndarray
+    nodes: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Residuals, defects and their derivatives at one point.
+
+    Attributes
+    ----------
+    residuals : tuple of ndarray (n_times, n_outputs)
+        Measured minus model, per record; NaN where nothing was measured.
+    jacobians : tuple of ndarray (n_times, n_outputs, n_own + n_free)
+        Derivative of the outputs with continuity already imposed.
+    offsets : tuple of ndarray (n_times, n_outputs)
+        First-order change of the outputs when the defects are closed.
+    node_maps, node_offsets : tuples of ndarrays
+        Change of the nodes per unknown, and when the defects are closed.
+    defects : tuple of ndarray (n_segments - 1, n_full)
+        Jump of the trajectory at each node.
+    """
+
+    residuals: tuple[np.ndarray, ...]
+    jacobians: tuple[np.ndarray, ...]
+    offsets: tuple[np.ndarray, ...]
+    node_maps: tuple[np.ndarray, ...]
+    node_offsets: tuple[np.ndarray, ...]
+    defects: tuple[np.ndarray, ...]
+
+
+class Shooting:
+    """Least squares over multiple-shooting trajectories of one model and data set.
+
+    Parameters
+    ----------
+    model : Model
+        Its values are the start values.
+    dataset : Dataset
+        Measured records, with the model's channels.
+    sigma : ndarray (n_outputs,)
+        Standard deviation of the noise of each output.
+    interval : float or None
+        Length of a shooting interval, s; ``None`` cuts each record into about
+        thirty, infinity into one (single shooting).
+    loss : callable or None
+        Robust loss ``scaled residuals -> (loss, weights)``; ``None`` is the square.
+    initial_states : sequence of mapping, optional
+        Start guesses of states, per record; by default from the measurements.
+    known_starts : KnownStarts, optional
+        Start states that are held or known with a stated error; by default all are free.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        dataset: Dataset,
+        sigma: np.ndarray,
+        *,
+        interval: float | None = None,
+        loss: Loss | None = None,
+        initial_states: Sequence[Mapping[str, float]] | None = None,
+        known_starts: KnownStarts | None = None,
+    ) -> None:
+        check_channels(model, dataset)
+        self.model = model
+        self.dataset = dataset
+        self.records: tuple[Record, ...] = tuple(dataset)
+        self.kernel: Kernel = kernel(model)
+        self.sigma = np.asarray(sigma, dtype=float)
+        self.loss = loss
+        self.layout = Layout.of(model, len(self.records))
+        self.known_starts = known_starts
+        self.limits = Limits.of(model, self.layout, known_starts)
+        names = model.parameter_names
+        self._free_index = np.array([names.index(n) for n in model.free_names], dtype=int)
+        self._base_values = model.value_vector
+        self._starts = tuple(cut(record, interval) for record in self.records)
+        self._guesses = tuple(
+            {name: on_its_turn(model, record, name, value) for name, value in guess.items()}
+            for record, guess in zip(
+                self.records, initial_states or ({},) * len(self.records), strict=True
+            )
+        )
+        self._columns = tuple(self.layout.record_columns(i) for i in range(len(self.records)))
+        extra = self.kernel.n_full - self.kernel.n_own
+        self.state_scale = np.array([*(state.scale for state in model.states), *np.ones(extra)])
+        self._guess_states()
+
+    def _guess_states(self) -> None:
+        """Series of states from measurements, and how far to trust them."""
+        series, stds = [], np.full((len(self.records), self.kernel.n_full), np.nan)
+        columns = measured_columns(self.model)
+        for index, record in enumerate(self.records):
+            measured = measured_states(self.model, record)
+            stds[index, list(measured)] = [self.sigma[columns[state]] for state in measured]
+            if len(measured) < self.layout.n_own:
+                guesses = kinematic_states(self.model, record, measured)
+                stds[index, list(guesses)] = [guess.std for guess in guesses.values()]
+                measured |= {state: guess.series for state, guess in guesses.items()}
+            series.append(measured)
+        self._series = tuple(series)
+        # Standard deviation of the guesses ``(n_records, n_full)``, NaN where simulated.
+        self.guess_std = stds
+
+    # -- points --------------------------------------------------------------------
+
+    def values(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """Values of all parameters for one record, shape ``(n_parameters,)``."""
+        values = self._base_values.copy()
+        free = unknowns[self._columns[record][self.layout.n_own :]]
+        values[self._free_index] = self.layout.natural(free)
+        return values
+
+    def initial_state(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """The model's own initial states of one record, shape ``(n_own,)``."""
+        return unknowns[self._columns[record][: self.layout.n_own]]
+
+    def full_start(self, unknowns: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray]:
+        """Full state at a record's first sample, and its derivatives by the unknowns."""
+        data = self.records[record]
+        own, values = self.initial_state(unknowns, record), self.values(unknowns, record)
+        z0, dz0 = self.kernel.start(own, data.inputs[0], values, data.times[0])
+        slopes = self.slopes(unknowns, record)
+        if slopes is not None:
+            dz0[:, self.layout.n_own :] *= slopes
+        return z0, dz0
+
+    def slopes(self, unknowns: np.ndarray, record: int) -> np.ndarray | None:
+        """Derivatives of a record's parameters by their unknowns; None where all are one."""
+        if self.layout.logged is None:
+            return None
+        return self.layout.slopes(unknowns[self._columns[record][self.layout.n_own :]])
+
+    def start_unknowns(self) -> np.ndarray:
+        """Start values: parameters of the model, initial states from the data."""
+        unknowns = np.zeros(self.layout.n_unknowns)
+        names = self.model.state_names
+        for index, columns in enumerate(self._columns):
+            own = np.zeros(self.layout.n_own)
+            for position, series in self._series[index].items():
+                own[position] = series[0]
+            for name, value in self._guesses[index].items():
+                own[names.index(name)] = value
+            if self.known_starts is not None:
+                known = np.isfinite(self.known_starts.std[index])
+                own[known] = self.known_starts.mean[index][known]
+            unknowns[columns] = [*own, *self.layout.inward(self._base_values[self._free_index])]
+        return unknowns
+
+    def state_guess(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """Full state at every sample, measured where possible, ``(n_times, n_full)``."""
+        values, (z0, _) = self.values(unknowns, record), self.full_start(unknowns, record)
+        measured, data = self._series[record], self.records[record]
+        return state_series(self.kernel, data, values, z0, self.state_scale, measured)
+
+    def start_point(self, unknowns: np.ndarray | None = None) -> Point:
+        """Nodes from the measurements where a state is measured, else by simulation.
+
+        Parameters
+        ----------
+        unknowns : ndarray (n_unknowns,), optional
+            Start values; by default :meth:`start_unknowns`.
+        """
+        if unknowns is None:
+            unknowns = self.start_unknowns()
+        nodes = tuple(
+            self.state_guess(unknowns, index)[starts[1:]]
+            for index, starts in enumerate(self._starts)
+        )
+        return Point(unknowns.copy(), nodes)
+
+    def continuous(self, unknowns: np.ndarray) -> Point:
+        """Return the point whose nodes lie on the simulated trajectory."""
+        nodes = []
+        for index, record in enumerate(self.records):
+            values, (z0, _) = self.values(unknowns, index), self.full_start(unknowns, index)
+            run = self.kernel.run(record.times, record.inputs, values, z0)
+            nodes.append(run.states[self._starts[index][1:]])
+        return Point(unknowns, tuple(nodes))
+
+    def move(
+        self,
+        point: Point,
+        maps: Sequence[np.ndarray],
+        offsets: Sequence[np.ndarray],
+        step: np.ndarray,
+        length: float,
+    ) -> Point:
+        """Return the point after a step of the unknowns and the step this implies for nodes.
+
+        ``maps`` and ``offsets`` are those of a :class:`Linearisation`.
+        """
+        nodes = []
+        for index, columns in enumerate(self._columns):
+            change = maps[index] @ step[columns] + offsets[index]
+            nodes.append(point.nodes[index] + length * change)
+        unknowns = point.unknowns + length * step
+        return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), tuple(nodes))
+
+    # -- evaluation ----------------------------------------------------------------
+
+    def linearise(self, point: Point) -> Linearisation | None:
+        """Residuals and condensed derivatives, or None where a trajectory diverges."""
+        parts = []
+        for index in range(len(self.records)):
+            part = self._linearise_record(point, index)
+            if part is None:
+                return None
+            parts.append(part)
+        return Linearisation(*(tuple(column) for column in zip(*parts, strict=True)))
+
+    def _linearise_record(self, point: Point, index: int) -> tuple[np.ndarray, ...] | None:
+        record, starts = self.records[index], self._starts[index]
+        values = self.values(point.unknowns, index)
+        z0, dz0 = self.full_start(point.unknowns, index)
+        nodes = np.vstack([z0[None], point.nodes[index]])
+        run = self.kernel.run(
+            record.times, record.inputs, values, nodes, starts=starts, sensitivities=True
+        )
+        dy, dends = run.output_sensitivities, run.end_sensitivities
+        if not run.ok or dy is None or dends is None or not np.isfinite(run.ends[:-1]).all():
+            return None
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._condense(index, run, nodes, dz0, self.slopes(point.unknowns, index))
+
+    def _condense(
+        self,
+        index: int,
+        run: Run,
+        nodes: np.ndarray,
+        dz0: np.ndarray,
+        slopes: np.ndarray | None,
+    ) -> tuple[np.ndarray, ...] | None:
+        """Express a record's outputs by its unknowns alone; None where this overflows."""
+        record, starts = self.records[index], self._starts[index]
+        dy, dends = run.output_sensitivities, run.end_sensitivities
+        assert dy is not None
+        assert dends is not None
+        n_full = self.kernel.n_full
+        defects = run.ends[:-1] - nodes[1:]
+        maps = node_maps(dends, defects, dz0, self.layout.n_own, slopes)
+        n_outputs = dy.shape[1]
+        condensed = np.empty((*run.outputs.shape, maps.shape[2]))
+        flat = condensed.reshape(-1, maps.shape[2])
+        rows = dy.reshape(-1, dy.shape[2])
+        edges = np.append(starts, len(record.times)) * n_outputs
+        for i, (first, stop) in enumerate(pairwise(edges)):
+            np.matmul(rows[first:stop], maps[i], out=flat[first:stop])
+        if not np.isfinite(condensed).all():
+            return None
+        return (
+            record.outputs - run.outputs,
+            condensed[:, :, :-1],
+            condensed[:, :, -1],
+            maps[1:, :n_full, :-1],
+            maps[1:, :n_full, -1],
+            defects,
+        )
+
+    def normal_equations(self, lin: Linearisation) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton matrix and right-hand side, priors excluded.
+
+        Returns
+        -------
+        matrix : ndarray (n_unknowns, n_unknowns)
+        right : ndarray (n_unknowns,)
+        """
+        n = self.layout.n_unknowns
+        matrix, right = np.zeros((n, n)), np.zeros(n)
+        for index, columns in enumerate(self._columns):
+            scaled, weights = self.scaled(lin.residuals[index])
+            root = np.sqrt(weights)
+            target = root * (scaled - lin.offsets[index] / self.sigma)
+            jacobian = lin.jacobians[index] * (root / self.sigma)[:, :, None]
+            flat = jacobian.reshape(-1, jacobian.shape[2])
+            matrix[np.ix_(columns, columns)] += flat.T @ flat
+            right[columns] += flat.T @ target.ravel()
+        return matrix, right
+
+    def scaled(self, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals in units of noise (0 where missing) and their weights."""
+        present = np.isfinite(residual)
+        scaled = np.where(present, residual, 0.0) / self.sigma
+        weights = present.astype(float)
+        if self.loss is not None:
+            weights *= self.loss(scaled)[1]
+        return scaled, weights
+
+    def _misfit(self, residual: np.ndarray) -> float:
+        """Half the (robust) sum of squares of one record's residuals."""
+        scaled = np.where(np.isfinite(residual), residual, 0.0) / self.sigma
+        if self.loss is not None:
+            return 0.5 * float(np.sum(self.loss(scaled)[0]))
+        return 0.5 * float(np.vdot(scaled, scaled))
+
+    def prior_cost(self, unknowns: np.ndarray) -> float:
+        """Half the weighted sum of squares of the departures from the priors."""
+        return 0.5 * float(self.limits.prior_weight @ (unknowns - self.limits.prior_mean) ** 2)
+
+    def cost(self, lin: Linearisation, unknowns: np.ndarray) -> float:
+        """Half the (robust) sum of squares of residuals and priors; defects excluded."""
+        return self.prior_cost(unknowns) + sum(map(self._misfit, lin.residuals))
+
+    def predicted_cost(self, lin: Linearisation, unknowns: np.ndarray, step: np.ndarray) -> float:
+        """Cost of the linearised problem after a full step, defects closed."""
+        total = self.prior_cost(unknowns + step)
+        for index, columns in enumerate(self._columns):
+            change = lin.offsets[index] + lin.jacobians[index] @ step[columns]
+            total += self._misfit(lin.residuals[index] - change)
+        return total
+
+    def defect(self, lin: Linearisation) -> float:
+        """Sum of the scaled jumps at all nodes."""
+        return float(sum(np.abs(d / self.state_scale).sum() for d in lin.defects))
+
+    # -- the same problem, slightly changed ------------------------------------------
+
+    def _with(self, **changes: object) -> Shooting:
+        other = copy.copy(self)
+        other.__dict__.update(changes)
+        return other
+
+    def with_intervals(self, n_samples: int) -> Shooting:
+        """Return the same problem cut into intervals of ``n_samples`` samples."""
+        starts = (np.arange(0, len(r.times), n_samples, dtype=np.intc) for r in self.records)
+        return self._with(_starts=tuple(starts))
+
+    def with_loss(self, loss: Loss | None) -> Shooting:
+        """Return the same problem with another loss."""
+        return self._with(loss=loss)
+
+    def with_sigma(self, sigma: np.ndarray) -> Shooting:
+        """Return the same problem with other noise levels."""
+        return self._with(sigma=np.asarray(sigma, dtype=float))
+
+    def holding(self, positions: np.ndarray, values: np.ndarray) -> Shooting:
+        """Return the same problem with some unknowns held at given values."""
+        lower, upper = self.limits.lower.copy(), self.limits.upper.copy()
+        lower[positions] = upper[positions] = values
+        return self._with(limits=replace(self.limits, lower=lower, upper=upper))
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns without start states of independent tests, which have none."""
+        tests = sum(record.independent for record in self.records)
+        return self.layout.n_unknowns - tests * self.layout.n_own
+
+    @property
+    def starts(self) -> tuple[np.ndarray, ...]:
+        """Index of the first sample of every interval, per record."""
+        return self._starts
+
+    @property
+    def interval_counts(self) -> tuple[int, ...]:
+        """Number of intervals of each record."""
+        return tuple(len(starts) for starts in self._starts)
+
+    @property
+    def interval_samples(self) -> int:
+        """Longest interval, in samples."""
+        return max(
+            int(np.diff([*starts, len(record.times)]).max())
+            for starts, record in zip(self._starts, self.records, strict=True)
+        )
+
+
+def replace_values(model: Model, shooting: Shooting, unknowns: np.ndarray) -> Model:
+    """Return the model at the estimated values; local parameters take their mean."""
+    layout = shooting.layout
+    free = np.array([layout.parameters(unknowns, i) for i in range(layout.n_records)])
+    means = np.clip(
+        free.mean(axis=0),
+        [p.lower for p in model.free_parameters],
+        [p.upper for p in model.free_parameters],
+    )
+    return model.with_values(dict(zip(layout.free_names, map(float, means), strict=True)))

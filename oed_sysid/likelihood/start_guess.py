@@ -1,0 +1,354 @@
+"""States that no sensor measures, guessed from those that sensors do measure.
+
+A measured pitch angle has a slope, and ``theta' = q`` turns it into a pitch
+rate; a measured depth and ``z' = -u sin(theta) + w cos(theta)`` give a heave
+velocity. Equations that hold whatever the unknown parameters are (kinematics,
+and outputs that are functions of several states) are solved sample by sample.
+The result only starts an estimation; it never enters its result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import Kernel
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.physics.model import Model
+from oed_sysid.text import expressions
+
+WINDOWS = (5, 9, 17, 33, 65)
+# What is known of a state before anything is measured, in units of its scale.
+VAGUE = 10.0
+NEWTON_STEPS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """Series of one state, shape ``(n_times,)``, and roughly how far it may be off.
+
+    ``std`` is that of the median sample, ``rms`` of all samples: a speed that follows from
+    ``z' = -u sin(theta)`` is good while the vehicle pitches and worthless where it is level.
+    """
+
+    series: np.ndarray
+    std: float
+    rms: float
+
+
+Equation = tuple[Callable[[dict[str, np.ndarray]], np.ndarray], frozenset[str], np.ndarray, float]
+
+
+def kinematic_states(
+    model: Model, record: Record, measured: Mapping[int, np.ndarray]
+) -> dict[int, Guess]:
+    """Guess unmeasured states from parameter-free equations.
+
+    Parameters
+    ----------
+    model : Model
+        The model; only its kinematics, signals and outputs are used.
+    record : Record
+        What was measured.
+    measured : mapping
+        Position of a state to its series ``(n_times,)``, free of gaps.
+
+    Returns
+    -------
+    dict
+        Position of an unmeasured state to its :class:`Guess`; states about
+        which the equations say nothing are left out.
+    """
+    names = model.state_names
+    if len(measured) == len(names):
+        return {}
+    known = {names[position]: series for position, series in measured.items()}
+    slopes = {name: slope(record.times, series) for name, series in known.items()}
+    guesses: dict[int, Guess] = {}
+    # States found in one round have slopes in the next: a position gives a
+    # velocity, and a velocity whatever its own parameter-free equation holds.
+    for _ in range(2):
+        wanted = [name for name in names if name not in known]
+        found = _solve(model, record, known, slopes, wanted) if wanted else {}
+        for name, guess in found.items():
+            guesses[names.index(name)] = guess
+            known[name] = guess.series
+            slopes[name] = slope(record.times, guess.series)
+        if not found:
+            break
+    return guesses
+
+
+def slope(times: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, float]:
+    """Time derivative of a noisy series and its typical error.
+
+    Local parabolas over a window; of several windows the one with the least
+    sum of noise (from third differences) and bias (from the window before).
+    """
+    # Here, not above: it takes longer to import than the whole package, and with every
+    # state measured nothing is guessed.
+    from scipy.signal import savgol_filter
+
+    n = len(series)
+    step = np.gradient(times)
+    noise = np.median(np.abs(np.diff(series, 3))) / 0.6745 / np.sqrt(20.0) if n > 8 else 0.0
+    best, least = np.gradient(series, times), np.inf
+    before = None
+    for window in WINDOWS:
+        if window > n:
+            break
+        # The ends of all but the first are replaced below: there any of the cheap ways will do.
+        ends = "interp" if before is None else "nearest"
+        trial = savgol_filter(series, window, 2, deriv=1, mode=ends) / step
+        variance = float(12.0 * noise**2 / window**3 / np.median(step) ** 2)
+        bias = 0.0
+        if before is not None:
+            # At the ends a long window looks one way only; the shorter one is less biased.
+            half = window // 2
+            trial[:half], trial[-half:] = before[0][:half], before[0][-half:]
+            spread = float(np.mean((trial - before[0]) ** 2))
+            bias = max(spread - (before[1] - variance), 0.0)
+        if bias + variance < least:
+            best, least = trial, bias + variance
+        before = trial, variance
+    floor = 1e-3 * float(np.std(best)) + 1e-12
+    return best, float(np.sqrt(least)) + floor if np.isfinite(least) else floor
+
+
+def _solve(
+    model: Model,
+    record: Record,
+    known: dict[str, np.ndarray],
+    slopes: Mapping[str, tuple[np.ndarray, float]],
+    wanted: list[str],
+) -> dict[str, Guess]:
+    """Gauss-Newton at every sample at once, on all wanted states that occur."""
+    equations = _equations(model, record, known, slopes)
+    equations = [e for e in equations if e[1] & set(wanted)]
+    wanted = [name for name in wanted if any(name in e[1] for e in equations)]
+    equations = [e for e in equations if e[1] <= {*known, *wanted}]
+    if not equations or not wanted:
+        return {}
+    scales = {state.name: state.scale for state in model.states}
+    vague = np.array([VAGUE * scales[name] for name in wanted])
+    n = len(record.times)
+    values = np.zeros((n, len(wanted)))
+    matrix = np.zeros((n, len(wanted), len(wanted)))
+    with np.errstate(all="ignore"):
+        for _ in range(NEWTON_STEPS):
+            matrix[:] = np.diag(vague**-2)
+            right = -values / vague**2
+            for function, _, target, error in equations:
+                here = known | dict(zip(wanted, values.T, strict=True))
+                residual = (target - function(here)) / error
+                rows = np.empty((n, len(wanted)))
+                for i, name in enumerate(wanted):
+                    h = 1e-4 * scales[name]
+                    up = function(here | {name: here[name] + h})
+                    rows[:, i] = (up - function(here | {name: here[name] - h})) / (2 * h * error)
+                matrix += rows[:, :, None] * rows[:, None, :]
+                right += rows * residual[:, None]
+            if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+                return {}
+            values = values + np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+    variances = np.linalg.inv(matrix).diagonal(axis1=1, axis2=2)
+    std, rms = np.sqrt(np.median(variances, axis=0)), np.sqrt(np.mean(variances, axis=0))
+    # A state that stayed as vague as before is left to simulation.
+    return {
+        name: Guess(values[:, i], float(std[i]), float(rms[i]))
+        for i, name in enumerate(wanted)
+        if std[i] < 0.5 * vague[i]
+    }
+
+
+def _equations(
+    model: Model,
+    record: Record,
+    known: Mapping[str, np.ndarray],
+    slopes: Mapping[str, tuple[np.ndarray, float]],
+) -> list[Equation]:
+    """Parameter-free equations with a known left side, as functions of the states."""
+    touched = {key for e in model.effects for key in e.terms if isinstance(key, str)}
+    result: list[Equation] = []
+    for state, text in model.kinematics.items():
+        if state in slopes and state not in touched:
+            equation = _function(model, record, text, touched)
+            if equation is not None:
+                result.append((*equation, *slopes[state]))
+    for column, output in enumerate(model.outputs):
+        present = np.isfinite(record.outputs[:, column])
+        if output.source in model.state_names or output.name in touched or present.sum() < 2:
+            continue
+        equation = _function(model, record, output.source, touched)
+        if equation is not None:
+            series = np.interp(record.times, record.times[present], record.outputs[present, column])
+            spread = float(np.std(series)) + 1e-12
+            error = output.noise_std or 0.02 * spread
+            result.append((*equation, series, error))
+    return result
+
+
+def _function(
+    model: Model, record: Record, text: str, touched: set[str]
+) -> tuple[Callable[[dict[str, np.ndarray]], np.ndarray], frozenset[str]] | None:
+    """Expression as a function of the states; None if anything unknown enters it."""
+    states = set(model.state_names)
+    constants = {p.name: p.value for p in model.all_parameters if p.fixed}
+    signals: dict[str, str] = {}
+    used: set[str] = set()
+    pending, called = set(expressions.names(text)), set(expressions.functions(text))
+    while pending:
+        name = pending.pop()
+        if name in states:
+            used.add(name)
+        elif name in model.signals and name not in touched:
+            signals[name] = model.signals[name]
+            called |= expressions.functions(model.signals[name])
+            pending |= expressions.names(model.signals[name]) - signals.keys()
+        elif name not in constants and name != "t":
+            return None
+    if called - set(expressions.FUNCTIONS):
+        return None
+    ordered = [name for name in model.signals if name in signals]
+
+    def evaluate(here: dict[str, np.ndarray]) -> np.ndarray:
+        scope: dict[str, object] = {**constants, "t": record.times, **here}
+        for name in ordered:
+            scope[name] = expressions.to_numpy(signals[name], scope)
+        return np.broadcast_to(expressions.to_numpy(text, scope), record.times.shape)
+
+    return evaluate, frozenset(used)
+
+
+# Longest interval by default: over more samples a wrong model runs far from the
+# measurements, and iterations grow with the record.
+MOST_SAMPLES = 100
+
+
+def check_channels(model: Model, dataset: Dataset) -> None:
+    """Raise :class:`DataError` where records and model name different signals."""
+    if isinstance(dataset, Record):
+        raise DataError("Expected a dataset, got a single record. Write Dataset((record,)).")
+    if not isinstance(dataset, Dataset) or not isinstance(model, Model):
+        found = " and ".join(type(one).__name__ for one in (model, dataset))
+        raise DataError(
+            f"Expected a model and a dataset, got {found}. Records are put together by "
+            "Dataset(records); check() takes the dataset first, everything else the model."
+        )
+    for record in dataset:
+        if record.channels.input_names != model.input_names:
+            raise DataError(
+                f"Record {record.name!r} has inputs {record.channels.input_names}, model "
+                f"{model.name!r} expects {model.input_names}. Read it with the model's channels."
+            )
+        if record.channels.output_names != model.output_names:
+            raise DataError(
+                f"Record {record.name!r} has outputs {record.channels.output_names}, model "
+                f"{model.name!r} expects {model.output_names}. Read it with the model's channels."
+            )
+
+
+def cut(record: Record, interval: float | None) -> np.ndarray:
+    """Index of the first sample of each shooting interval."""
+    n = len(record.times)
+    if interval is None:
+        length = min(max(5, int(np.ceil(n / 30))), MOST_SAMPLES)
+        return np.arange(0, max(n - length // 2, 1), length, dtype=np.intc)
+    if not interval > 0:
+        raise ModelError(f"Shooting interval is {interval} s. Give a positive length.")
+    if not np.isfinite(interval):
+        return np.zeros(1, dtype=np.intc)
+    edges = np.arange(record.times[0], record.times[-1], interval)
+    starts = np.unique(np.searchsorted(record.times, edges - 1e-9))
+    keep = [0]
+    for start in starts[1:]:
+        if start - keep[-1] >= 2 and n - start >= 2:
+            keep.append(int(start))
+    return np.array(keep, dtype=np.intc)
+
+
+def measured_columns(model: Model) -> dict[int, int]:
+    """Map the position of every state that is measured directly to its output."""
+    return {
+        model.state_names.index(output.source): column
+        for column, output in enumerate(model.outputs)
+        if output.source in model.state_names
+    }
+
+
+def measured_states(model: Model, record: Record) -> dict[int, np.ndarray]:
+    """Smoothed series of every state that an output measures directly."""
+    result: dict[int, np.ndarray] = {}
+    for state, column in measured_columns(model).items():
+        series = record.outputs[:, column]
+        present = np.isfinite(series)
+        if present.sum() < 2:
+            continue
+        filled = np.interp(record.times, record.times[present], series[present])
+        result[state] = smooth(filled)
+    return result
+
+
+def smooth(series: np.ndarray) -> np.ndarray:
+    """Average over five samples, with straight-line ends."""
+    if len(series) < 10:
+        return series
+    padded = np.concatenate(
+        [2 * series[0] - series[2:0:-1], series, 2 * series[-1] - series[-2:-4:-1]]
+    )
+    return np.convolve(padded, np.full(5, 0.2), mode="valid")
+
+
+def state_series(
+    kernel: Kernel,
+    record: Record,
+    values: np.ndarray,
+    z0: np.ndarray,
+    scale: np.ndarray,
+    measured: dict[int, np.ndarray],
+) -> np.ndarray:
+    """Guess of the full state at every sample.
+
+    Measured states follow their measurement; the others are simulated from
+    them, in short pieces, so that wild parameters cannot carry them far.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        Of the model.
+    record : Record
+        What was measured.
+    values : ndarray (n_parameters,)
+        All parameter values.
+    z0 : ndarray (n_full,)
+        Full state at the first sample.
+    scale : ndarray (n_full,)
+        Typical magnitudes of the full state.
+    measured : dict
+        As :func:`measured_states` returns it.
+
+    Returns
+    -------
+    ndarray (n_times, n_full)
+    """
+    n = len(record.times)
+    series = np.empty((n, len(z0)))
+    if len(measured) < len(z0):
+        starts = cut(record, None)
+        z = z0
+        for first, stop in zip(starts, [*starts[1:], n - 1], strict=True):
+            part = slice(first, stop + 1)
+            run = kernel.run(record.times[part], record.inputs[part], values, z)
+            # A wild start value must not carry nonsense from piece to piece.
+            tame = np.abs(run.states) < 1e3 * (1 + np.abs(z) + scale)
+            series[part] = np.where(tame, run.states, z)
+            z = series[stop].copy()
+            for state, column in measured.items():
+                z[state] = column[stop]
+    for state, column in measured.items():
+        series[1:, state] = column[1:]
+    series[0] = z0
+    return series

@@ -1,0 +1,320 @@
+r"""Where each unknown of an estimation sits, between which bounds, with which prior.
+
+Unknowns, in order: shared free parameters, then for each record its initial
+states and its own (``per_record``) parameters, then levels of the noise, where
+these are estimated together with the rest.
+
+A parameter that is declared ``log`` is unknown as its logarithm,
+
+.. math:: p = e^{\vartheta}, \qquad
+          \frac{\partial y}{\partial\vartheta} = p\, \frac{\partial y}{\partial p}, \qquad
+          C_p = D\, C_\vartheta\, D, \quad D = \mathrm{diag}(p)
+
+so that priors, bounds and steps are relative; :meth:`Layout.natural` and
+:meth:`Layout.slopes` are this change of variables. A start state is free, held, or
+known with a stated error, that is with a normal prior (:class:`KnownStarts`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import Record
+from oed_sysid.errors import DataError
+from oed_sysid.physics.model import Model
+
+# Of one record: a number is held, a pair is a value and its standard deviation.
+StartState = Mapping[str, float | tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each unknown sits in the vector of unknowns.
+
+    Attributes
+    ----------
+    free_names : tuple of str
+        Free parameters in kernel order.
+    shared, local : ndarray of int
+        Positions, among the free ones, of shared and of per-record parameters.
+    n_own, n_records : int
+        Initial states per record; number of records.
+    n_levels : int
+        Levels and times of the noise.
+    logged : ndarray of bool (n_free,) or None
+        Free parameters that are unknown as their logarithms; None where none is.
+    """
+
+    free_names: tuple[str, ...]
+    shared: np.ndarray
+    local: np.ndarray
+    n_own: int
+    n_records: int
+    n_levels: int = 0
+    logged: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, model: Model, n_records: int, n_levels: int = 0) -> Layout:
+        """Layout of a model's unknowns over some records."""
+        local = np.array([p.per_record for p in model.free_parameters], dtype=bool)
+        logged = np.array([p.log for p in model.free_parameters], dtype=bool)
+        return cls(
+            free_names=model.free_names,
+            shared=np.flatnonzero(~local),
+            local=np.flatnonzero(local),
+            n_own=len(model.states),
+            n_records=n_records,
+            n_levels=n_levels,
+            logged=logged if logged.any() else None,
+        )
+
+    @property
+    def n_unknowns(self) -> int:
+        """Length of the vector of unknowns."""
+        own = self.n_records * (self.n_own + len(self.local))
+        return len(self.shared) + own + self.n_levels
+
+    @property
+    def levels(self) -> slice:
+        """Positions of the levels of the noise."""
+        return slice(self.n_unknowns - self.n_levels, self.n_unknowns)
+
+    def record_columns(self, index: int) -> np.ndarray:
+        """Positions of ``[own states, free parameters]`` of one record among the unknowns."""
+        width = self.n_own + len(self.local)
+        begin = len(self.shared) + index * width
+        columns = np.empty(self.n_own + len(self.free_names), dtype=int)
+        columns[: self.n_own] = begin + np.arange(self.n_own)
+        columns[self.n_own + self.shared] = np.arange(len(self.shared))
+        columns[self.n_own + self.local] = begin + self.n_own + np.arange(len(self.local))
+        return columns
+
+    def natural(self, free: np.ndarray) -> np.ndarray:
+        """Values of the free parameters ``(n_free,)`` from their unknowns."""
+        if self.logged is None:
+            return free
+        with np.errstate(over="ignore"):  # told by a trajectory that is not finite
+            return np.where(self.logged, np.exp(np.where(self.logged, free, 0.0)), free)
+
+    def inward(self, values: np.ndarray) -> np.ndarray:
+        """Unknowns ``(n_free,)`` that stand for values of the free parameters."""
+        if self.logged is None:
+            return np.asarray(values, dtype=float)
+        with np.errstate(divide="ignore"):  # a lower bound of zero is none
+            return np.where(self.logged, np.log(np.where(self.logged, values, 1.0)), values)
+
+    def slopes(self, free: np.ndarray) -> np.ndarray:
+        """Derivatives ``(n_free,)`` of the values of free parameters by their unknowns."""
+        if self.logged is None:
+            return np.ones(len(free))
+        return np.where(self.logged, self.natural(free), 1.0)
+
+    def parameters(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """Values of the free parameters in one record, shape ``(n_free,)``."""
+        return self.natural(unknowns[self.record_columns(record)[self.n_own :]])
+
+    def shared_values(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values of the shared parameters and their slopes, each ``(n_shared,)``."""
+        free = unknowns[self.record_columns(0)[self.n_own :]]
+        return self.natural(free)[self.shared].copy(), self.slopes(free)[self.shared]
+
+    @property
+    def shared_names(self) -> tuple[str, ...]:
+        """Names of the shared free parameters."""
+        return tuple(self.free_names[i] for i in self.shared)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of every unknown; local ones carry the record's index."""
+        names = list(self.shared_names)
+        for record in range(self.n_records):
+            names += [f"x0[{record}][{i}]" for i in range(self.n_own)]
+            names += [f"{self.free_names[i]}[{record}]" for i in self.local]
+        names += [f"noise[{i}]" for i in range(self.n_levels)]
+        return tuple(names)
+
+
+def on_its_turn(model: Model, record: Record, state: str, value: float) -> float:
+    """Start value of a state, moved by full turns to the record's where a wrapped output sees it.
+
+    A compass that begins at 358 degrees and a log that was made continuous from -2 degrees speak
+    of the same heading.
+    """
+    for output in model.outputs:
+        if output.wrap and output.source == state and output.name in record.channels.output_names:
+            return record.on_its_turn(output.name, value)
+    return value
+
+
+@dataclass(frozen=True, eq=False)
+class KnownStarts:
+    """What is known of the start states before the data.
+
+    Attributes
+    ----------
+    mean : ndarray (n_records, n_own)
+    std : ndarray (n_records, n_own)
+        Zero where the state is held, infinite where nothing is known.
+    """
+
+    mean: np.ndarray
+    std: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        dataset: Dataset,
+        stated: StartState | Sequence[StartState] | None,
+    ) -> KnownStarts | None:
+        """Read what a user states: one mapping for all records, or one for each.
+
+        Raises
+        ------
+        DataError
+            If a state is unknown, or a value or its error is no number.
+        """
+        if stated is None:
+            return None
+        each = [stated] * len(dataset) if isinstance(stated, Mapping) else list(stated)
+        if len(each) != len(dataset):
+            raise DataError(
+                f"start_states gives {len(each)} mappings for {len(dataset)} records. Give one "
+                "mapping for all records, or one for each; an empty one leaves all states free."
+            )
+        shape = (len(dataset), len(model.states))
+        mean, std = np.zeros(shape), np.full(shape, np.inf)
+        for index, (record, states) in enumerate(zip(dataset, each, strict=True)):
+            for name, entry in states.items():
+                where = f"start_states of record {record.name!r}"
+                if name not in model.state_names:
+                    raise DataError(
+                        f"{where} names {name!r}, which is no state of {model.name!r}: "
+                        f"{', '.join(model.state_names)}."
+                    )
+                pair = entry if isinstance(entry, tuple | list) else (entry, 0.0)
+                value, error = map(float, pair) if len(pair) == 2 else (np.nan, np.nan)
+                if not (np.isfinite(value) and error >= 0.0):
+                    raise DataError(
+                        f"{where} gives {entry!r} for {name!r}. Give a number, which is held, or "
+                        "a pair (value, standard deviation); leave the state out if it is free."
+                    )
+                value = on_its_turn(model, record, name, value)
+                position = model.state_names.index(name)
+                mean[index, position], std[index, position] = value, error
+        return cls(mean, std)
+
+    def of_series(self, dataset: Dataset) -> bool:
+        """Whether something is known of a record that is a series in time."""
+        series = [not record.independent for record in dataset]
+        return bool(np.isfinite(self.std[series]).any())
+
+    def described(self, model: Model) -> tuple[dict[str, tuple[float, float]], ...]:
+        """Value and error of every state that is not free, per record."""
+        return tuple(
+            {
+                name: (float(value), float(error))
+                for name, value, error in zip(model.state_names, means, stds, strict=True)
+                if np.isfinite(error)
+            }
+            for means, stds in zip(self.mean, self.std, strict=True)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Bounds, priors and scales of all unknowns, each of shape ``(n_unknowns,)``.
+
+    Attributes
+    ----------
+    lower, upper : ndarray
+        Bounds; an unknown whose bounds coincide is held.
+    prior_mean, prior_weight : ndarray
+        Normal priors; the weight is the inverse variance, zero where nothing
+        is known.
+    scale : ndarray
+        Typical magnitudes.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    prior_mean: np.ndarray
+    prior_weight: np.ndarray
+    scale: np.ndarray
+
+    @classmethod
+    def of(cls, model: Model, layout: Layout, starts: KnownStarts | None = None) -> Limits:
+        """Limits that a model's parameters declare, and what is known of start states."""
+        n = layout.n_unknowns
+        lower, upper, scale = np.full(n, -np.inf), np.full(n, np.inf), np.ones(n)
+        mean, weight = np.zeros(n), np.zeros(n)
+        parameters = model.free_parameters
+        sizes = [1.0 if p.log else p.magnitude for p in parameters]
+        scales = [*(s.scale for s in model.states), *sizes]
+        known = [p.prior_std is not None for p in parameters]
+        bounds = [layout.inward(np.array([getattr(p, end) for p in parameters]))
+                  for end in ("lower", "upper")]  # fmt: skip
+        means = layout.inward(
+            np.array([1.0 if p.prior_mean is None else p.prior_mean for p in parameters])
+        )
+        for index in range(layout.n_records):
+            columns = layout.record_columns(index)
+            free = columns[layout.n_own :]
+            scale[columns] = scales
+            lower[free], upper[free] = bounds
+            mean[free[known]] = means[known]
+            weight[free[known]] = [p.prior_std**-2 for p in parameters if p.prior_std is not None]
+            if starts is None:
+                continue
+            own, value, std = columns[: layout.n_own], starts.mean[index], starts.std[index]
+            exact, stated = std == 0.0, np.isfinite(std) & (std > 0)
+            lower[own[exact]] = upper[own[exact]] = value[exact]
+            mean[own[stated]], weight[own[stated]] = value[stated], std[stated] ** -2.0
+        return cls(lower, upper, mean, weight, scale)
+
+    @property
+    def held(self) -> np.ndarray:
+        """Whether an unknown may not move, ``(n_unknowns,)``."""
+        return self.lower == self.upper
+
+
+def node_maps(
+    end_sensitivities: np.ndarray,
+    defects: np.ndarray,
+    dz0: np.ndarray,
+    n_own: int,
+    slopes: np.ndarray | None = None,
+) -> np.ndarray:
+    """Start states of all intervals, and free parameters, by the unknowns of a record.
+
+    Parameters
+    ----------
+    end_sensitivities : ndarray (n_segments, n_full, n_full + n_free)
+        Derivatives of each interval's end by its start and the free parameters.
+    defects : ndarray (n_segments - 1, n_full)
+        Jumps at the nodes.
+    dz0 : ndarray (n_full, n_own + n_free)
+        Derivatives of the first state by the unknowns.
+    n_own : int
+        Number of initial states among the unknowns.
+    slopes : ndarray (n_free,), optional
+        Derivatives of the free parameters by their unknowns; one by default.
+
+    Returns
+    -------
+    ndarray (n_segments, n_full + n_free, n_own + n_free + 1)
+        Columns: own initial states, free parameters, and the closing of the defects.
+    """
+    n_segments, n_full, n_columns = end_sensitivities.shape
+    n_free = n_columns - n_full
+    maps = np.zeros((n_segments, n_columns, n_own + n_free + 1))
+    maps[:, n_full:, n_own:-1] = np.eye(n_free) if slopes is None else np.diag(slopes)
+    maps[0, :n_full, :-1] = dz0
+    for i in range(n_segments - 1):
+        maps[i + 1, :n_full] = end_sensitivities[i] @ maps[i]
+        maps[i + 1, :n_full, -1] += defects[i]
+    return maps

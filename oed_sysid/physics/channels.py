@@ -1,0 +1,191 @@
+"""Names, units and labels of the signals that cross a model's border.
+
+States, inputs and outputs are declared once, in a model; everything else
+(CSV headers, reports, plots) asks these declarations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from keyword import iskeyword
+
+import numpy as np
+
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.text.units import dimension
+
+INTERPOLATIONS = ("hold", "linear")
+
+
+def check_signal(kind: str, name: str, unit: str) -> None:
+    """Raise :class:`ModelError` unless a name can stand in expressions and its unit is known."""
+    if not isinstance(name, str) or not name.isidentifier() or iskeyword(name):
+        raise ModelError(
+            f"{kind} {name!r:.60} cannot be named in expressions. Use letters, digits and "
+            "underscores, beginning with a letter; no word of Python."
+        )
+    try:
+        dimension(unit)
+    except DataError as error:
+        raise ModelError(f"{kind} {name!r}: {error}") from None
+
+
+def check_kinds(owner: str, what: str, values: Iterable[object], kind: type) -> None:
+    """Raise :class:`ModelError` unless all parts of something are of one kind."""
+    for value in values:
+        if not isinstance(value, kind):
+            raise ModelError(
+                f"{owner}: one of its {what} is a {type(value).__name__}, {value!r:.60}. Expected "
+                f"{kind.__name__}(...)."
+            )
+
+
+def check_positive(kind: str, name: str, what: str, value: float | None) -> None:
+    """Raise :class:`ModelError` unless a number is positive and finite, or not stated."""
+    if value is None:
+        return
+    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not is_number or not 0.0 < value < math.inf:
+        raise ModelError(f"{kind} {name!r} has {what} {value!r:.40}. Give a positive number.")
+
+
+def _check_sign(kind: str, name: str, sign: float) -> None:
+    if sign not in (1, -1):
+        raise ModelError(
+            f"{kind} {name!r} has sign {sign!r:.40}. Choose 1 or -1; a factor belongs into the "
+            "unit of the column."
+        )
+
+
+@dataclass(frozen=True)
+class State:
+    """One state of a model.
+
+    Parameters
+    ----------
+    name : str
+        Symbol used in expressions, for instance ``"w"``.
+    unit : str
+        SI unit, for instance ``"m/s"``.
+    label : str
+        Words for reports and plots, for instance ``"heave velocity"``.
+    scale : float
+        Typical magnitude, in ``unit``; conditions the numerics only.
+    """
+
+    name: str
+    unit: str
+    label: str = ""
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_signal("State", self.name, self.unit)
+        check_positive("State", self.name, "scale", self.scale)
+
+
+@dataclass(frozen=True)
+class Input:
+    """One commanded signal.
+
+    ``interpolation`` says what happens between two samples: ``"hold"`` keeps
+    the last value (a digital command), ``"linear"`` connects the samples (a
+    measured angle). ``column`` and ``sign`` map a log that uses another name
+    or the opposite sign convention.
+    """
+
+    name: str
+    unit: str
+    label: str = ""
+    interpolation: str = "hold"
+    column: str | None = None
+    sign: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_signal("Input", self.name, self.unit)
+        _check_sign("Input", self.name, self.sign)
+        if self.interpolation not in INTERPOLATIONS:
+            raise ModelError(
+                f"Input {self.name!r} has interpolation {self.interpolation!r}. "
+                f"Choose one of {', '.join(INTERPOLATIONS)}."
+            )
+
+
+@dataclass(frozen=True)
+class Output:
+    """One measured signal.
+
+    Parameters
+    ----------
+    name : str
+        Name of the measured channel.
+    unit : str
+        SI unit.
+    label : str
+        Words for reports and plots.
+    expression : str or None
+        What the sensor sees before sensor effects, as an expression of states
+        and signals; ``None`` means the state of the same name.
+    noise_std : float or None
+        Standard deviation of the white measurement noise, in ``unit``;
+        ``None`` means unknown, to be estimated.
+    column, sign
+        Column of the log and its sign, where they differ.
+    wrap : bool
+        Whether the log holds an angle within one turn, such as a compass that goes from 359 to
+        0 degrees; it is made continuous when a record is made.
+
+    Raises
+    ------
+    ModelError
+        If something that is not an angle in rad is said to wrap.
+    """
+
+    name: str
+    unit: str
+    label: str = ""
+    expression: str | None = None
+    noise_std: float | None = None
+    column: str | None = None
+    sign: float = 1.0
+    wrap: bool = False
+
+    def __post_init__(self) -> None:
+        if self.wrap and self.unit != "rad":
+            raise ModelError(
+                f"Output {self.name!r} in [{self.unit}] cannot wrap: only an angle in [rad] can. "
+                "Leave wrap out, or declare the output in rad; files may hold degrees."
+            )
+        check_signal("Output", self.name, self.unit)
+        if self.noise_std != 0.0:  # what zero means is said where residuals are divided by it
+            check_positive("Output", self.name, "noise_std", self.noise_std)
+        _check_sign("Output", self.name, self.sign)
+
+    @property
+    def source(self) -> str:
+        """Expression that the sensor sees."""
+        return self.name if self.expression is None else self.expression
+
+
+@dataclass(frozen=True)
+class Channels:
+    """The signals that a record of a model must or may hold."""
+
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+
+    @property
+    def all(self) -> tuple[Input | Output, ...]:
+        """Commanded signals, then measured ones."""
+        return (*self.inputs, *self.outputs)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the commanded signals."""
+        return tuple(channel.name for channel in self.inputs)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the measured signals."""
+        return tuple(channel.name for channel in self.outputs)

@@ -1,0 +1,602 @@
+r"""Forces, flow and inertia: hull, weight, water and air, propeller and rudder, motors and joints.
+
+Damping and drag are hydrodynamic derivatives, whose axis, factors and unit follow from the name;
+the rest states its terms. A current changes the velocity through the water, not the forces
+themselves: it is steady and uniform, and the rotation of a steady current in body axes is left
+out of the added-mass terms, as in the models that this package ships.
+
+Dry friction is smooth here, :math:`\operatorname{sgn} v \approx \tanh(v/v_0)`, so that gradients
+exist; within about :math:`v_0` of rest the model creeps instead of sticking. Choose :math:`v_0`
+well below the velocities that matter and the integration step well below :math:`m v_0 / F_c`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from oed_sysid.physics.base import Actuator, Environment, Force, Inertia, amplitude
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.physics.signals import actuator_offset
+from oed_sysid.physics.table import (
+    ABKOWITZ,
+    THROUGH_WATER,
+    Derived,
+    Row,
+    derivative_group,
+    derivative_row,
+)
+from oed_sysid.text import notation
+
+FOSSEN = "Fossen (2021), Handbook of marine craft hydrodynamics and motion control"
+DAMPING, WEIGHT, THRUST = (f"{FOSSEN}, ch. {chapter}, Wiley." for chapter in (6, 4, 9))
+CURRENT = f"{FOSSEN}, ch. 10."
+FALTINSEN = "Faltinsen (1990), Sea loads on ships and offshore structures, ch. 6, Cambridge."
+HOERNER = "Hoerner (1965), Fluid-dynamic drag, ch. 7 (drag due to lift)."
+PRESTERO = "Prestero (2001), Verification of a six-degree of freedom simulation model, MIT."
+FEDYAEVSKY = "Fedyaevsky & Sobolev (1964), Control and stability in ship design."
+IMO = "IMO (2008), Intact stability code, resolution MSC.267(85)."
+NAYFEH = "Nayfeh & Mook (1979), Nonlinear oscillations, ch. 2, Wiley."
+NEWMAN = "Newman (1977), Marine hydrodynamics, ch. 4, MIT Press."
+VANTORRE = "Vantorre et al. (2017), Manoeuvring in shallow and confined water, Encyclopedia."
+CUMMINS = "Cummins (1962), The impulse response function and ship motions, Schiffstechnik 9."
+WIND = "Isherwood (1973), Wind resistance of merchant ships, Trans. RINA 115; Fossen (2021) ch. 10."
+WAVES = "Faltinsen (1990), Sea loads on ships and offshore structures, ch. 3."
+CARLTON = "Carlton (2018), Marine propellers and propulsion, ch. 6 and 12, Butterworth-Heinemann."
+HOOFT = "Hooft & Nienhuis (1994), The prediction of the ship's manoeuvrability, SNAME Trans. 102."
+NORRBIN = "Norrbin (1971), Theory and observations on the use of a mathematical model, SSPA 68."
+BECH = "Bech & Wagner Smith (1969), Analogue simulation of ship manoeuvres, HyA report Hy-14."
+MMG = "Yasukawa & Yoshimura (2015), Introduction of MMG standard method, J. Mar. Sci. Tech. 20."
+ARMSTRONG = "Armstrong-Helouvry et al. (1994), A survey of models ... for machines with friction."
+DAHL = "Dahl (1968), A solid friction model, Aerospace Corporation TOR-0158(3107-18)-1."
+NORDIN = "Nordin & Gutman (2002), Controlling mechanical systems with backlash, Automatica 38."
+MOTOR = "Hanselman (2006), Brushless permanent magnet motor design, ch. 10 (cogging)."
+WEN = "Wen (1976), Method for random vibration of hysteretic systems, J. Eng. Mech. 102."
+PADE = "Golub & Van Loan (2013), Matrix computations, 9.3 (Pade approximation)."
+
+AIR_DENSITY = 1.225  # kg/m3, ICAO standard atmosphere at sea level
+VELOCITY = {"{velocity}": "{velocity}"}
+
+
+def _fixed(
+    name: str,
+    value: float,
+    unit: str,
+    description: str = "",
+    lower: float = -np.inf,
+    upper: float = np.inf,
+) -> Parameter:
+    """A known constant of an effect; free it to estimate it."""
+    return Parameter(name, value, unit, lower, upper, fixed=True, description=description)
+
+
+# Rows of a table: laid out to be read as such.
+# fmt: off
+# -- hull: damping and drag -------------------------------------------------------------
+
+
+@derivative_row("{axis}_{velocity}", VELOCITY, DAMPING,
+                "low and high {velocity}, to tell it from quadratic drag")
+def linear_damping(name: str, axis: str, velocity: str, *, scale: float | None = None,
+                   value: float = 0.0, parameter: str | None = None) -> None:
+    """Force proportional to a velocity: skin friction at low Reynolds number, wave making.
+
+    >>> linear_damping("surge_linear_drag", "X", "u_r").terms
+    {'X': 'E_surge_linear_drag*u_r'}
+    """
+
+
+@derivative_row("{axis}_abs{velocity}{velocity}", VELOCITY, FALTINSEN,
+                "large {velocity} at varied forward speed")
+def quadratic_drag(name: str, axis: str, velocity: str, *, scale: float | None = None,
+                   value: float = 0.0, parameter: str | None = None) -> None:
+    r"""Separated-flow drag :math:`E\,v|v|`; on another axis than the velocity's, its moment.
+
+    >>> quadratic_drag("heave_crossflow_drag", "Z", "w_r", parameter="Z_absww").terms
+    {'Z': 'Z_absww*abs(w_r)*w_r'}
+    """
+
+
+@derivative_row("{axis}_{velocity}{velocity}{velocity}", VELOCITY, DAMPING,
+                "small and large {velocity}")
+def cubic_damping(name: str, axis: str, velocity: str, *, scale: float | None = None,
+                  value: float = 0.0, parameter: str | None = None) -> None:
+    """Damping that grows with the third power of a velocity."""
+
+
+@derivative_row("{axis}_abs{absolute}{velocity}", {"{absolute}": "{absolute}", **VELOCITY},
+                FEDYAEVSKY, "large {absolute} and {velocity} in varied proportion")
+def crossed_drag(name: str, axis: str, absolute: str, velocity: str, *, scale: float | None = None,
+                 value: float = 0.0, parameter: str | None = None) -> None:
+    r"""Cross-flow drag of combined drift and turn, such as :math:`E\,|v_r|r`."""
+
+
+@derivative_row("{axis}_{velocity}{velocity}", VELOCITY, HOERNER,
+                "large {velocity} while forward speed is measured")
+def induced_drag(name: str, velocity: str, *, axis: str = "X", scale: float | None = None,
+                 value: float = 0.0, parameter: str | None = None) -> None:
+    r"""Drag due to lift, :math:`E\,w_r^2`: resistance grows with the angle of attack."""
+
+
+@derivative_row("{axis}_uu{deflection}{deflection}", {"u": "{velocity}"}, HOERNER,
+                "large {deflection}, held and alternating")
+def deflection_drag(name: str, deflection: str, *, axis: str = "X", velocity: str = "u_r",
+                    scale: float | None = None, value: float = 0.0,
+                    parameter: str | None = None) -> None:
+    r"""Drag of a deflected fin or rudder, :math:`E\,u_r^2 d^2`."""
+
+
+@derivative_row("{axis}_uu", {"u": "{velocity}"}, PRESTERO,
+                "several speeds, to tell it from offsets that do not grow with speed")
+def hull_asymmetry(name: str, axis: str, *, velocity: str = "u_r", scale: float | None = None,
+                   value: float = 0.0, parameter: str | None = None) -> None:
+    r"""Lift or moment of a hull that is not symmetric, :math:`E\,u_r^2`."""
+
+
+@derivative_row("{axis}_u{velocity}", {"u": "{speed}", **VELOCITY}, ABKOWITZ,
+                "{velocity} independent of the other motions")
+def coupling(name: str, axis: str, velocity: str, *, speed: str = "u_r", scale: float | None = None,
+             value: float = 0.0, parameter: str | None = None) -> None:
+    r"""Lift-type coupling :math:`E\,u_r v` of one motion into another axis."""
+
+
+# -- weight, buoyancy and restoring moments ---------------------------------------------
+
+
+@Row(Force, {"X": "-{E}*sin({angle})", "Z": "{E}*cos({angle})"}, "N", WEIGHT,
+     "weight differs from buoyancy",
+     "several speeds: a constant force, where hull and fin forces grow with speed",
+     size={"description": "weight minus buoyancy"})
+def excess_buoyancy(name: str = "excess_buoyancy", *, angle: str = "theta", scale: float = 2.0,
+                    value: float = 0.0) -> None:
+    r"""Weight that buoyancy does not carry, :math:`E = W - B`, in the diving plane.
+
+    >>> excess_buoyancy().terms
+    {'X': '-E_excess_buoyancy*sin(theta)', 'Z': 'E_excess_buoyancy*cos(theta)'}
+    """
+
+
+@Row(Force, {"{axis}": "-{E}*cos({angle})"}, "N m", WEIGHT,
+     "centres of gravity and buoyancy are apart along the hull",
+     "several speeds: a constant moment, where fin moments grow with speed",
+     size={"description": "lever times weight"})
+def cg_offset(name: str = "cg_offset_x", *, axis: str = "M", angle: str = "theta",
+              scale: float = 0.5, value: float = 0.0) -> None:
+    r"""Centre of gravity ahead of that of buoyancy: :math:`M = -E\cos\theta`, :math:`E = x_gW`."""
+
+
+@Row(Force, {"{axis}": "-{E}*sin({angle})"}, "N m", WEIGHT,
+     "righting moment of a low centre of gravity", "large {angle} at low speed")
+def metacentric_moment(name: str, axis: str, angle: str, *, scale: float | None = None,
+                       value: float = 0.0, parameter: str | None = None) -> None:
+    r"""Righting moment :math:`-E\sin\theta` with :math:`E = \overline{BG}\,W`."""
+
+
+@derivative_row("{axis}_{angle}{angle}{angle}", None, NAYFEH,
+                "small and large {angle}: the natural frequency changes with amplitude")
+def cubic_restoring(name: str, axis: str = "K", angle: str = "phi", *, scale: float | None = None,
+                    value: float = 0.0, parameter: str | None = None) -> None:
+    r"""Hardening or softening of the restoring moment, :math:`E\,\varphi^3`."""
+
+
+@derivative_row("{axis}_0", None, IMO,
+                "a mean angle that is not zero; nothing tells it from a bias of the angle's sensor",
+                "constant heeling moment")
+def heel_moment(name: str, axis: str = "K", *, scale: float | None = None, value: float = 0.0,
+                parameter: str | None = None) -> None:
+    """Constant moment of shifted cargo or steady wind."""
+
+
+@Row(Force, {"{axis}": "-{E}*{table}({angle})"}, "N", IMO, "righting arm curve",
+     "{angle} over the whole range of the table")
+def righting_arm_table(name: str, angles: Sequence[float], arms: Sequence[float], *,
+                       axis: str = "K", angle: str = "phi", scale: float | None = None,
+                       value: float = 0.0, parameter: str | None = None) -> Derived:
+    r"""Righting moment from a tabulated arm, :math:`-E\,\overline{GZ}(\varphi)`, :math:`E = W`.
+
+    ``angles`` in rad, ascending, and ``arms`` in m; linear in between.
+    """
+    table = f"{name}_arm"
+    return {"table": table, "tables": {table: (np.asarray(angles, float), np.asarray(arms, float))}}
+
+
+@Row(Force, {"{axis}": "{E}*({depth} - {zero})"}, "N/m", WEIGHT,
+     "the hull is compressed more than the water",
+     "a change of depth that is large against the manoeuvre",
+     size={"description": "force per depth"})
+def hull_compressibility(name: str = "hull_compressibility", *, axis: str = "Z", depth: str = "z",
+                         reference: float = 10.0, scale: float = 0.15,
+                         value: float = 0.0) -> Derived:
+    r"""Buoyancy lost with depth, :math:`Z = E\,(z - z_0)`; absent at the reference depth."""
+    return {"zero": _fixed(f"depth_{name}", reference, "m", "depth of trim")}
+
+
+# -- mass and added mass ----------------------------------------------------------------
+
+
+@Row(Inertia, {("{axis}", "{state}"): "{E}"}, "{unit}", NEWMAN,
+     "inertia of {state} in {axis} differs from its nominal value",
+     "accelerations at several speeds, to tell inertia from damping")
+def added_mass_error(name: str, axis: str, state: str, *, scale: float | None = None,
+                     value: float = 0.0, bound: float = np.inf) -> Derived:
+    """Error of one entry of the inertia matrix; ``bound`` keeps the matrix positive.
+
+    >>> added_mass_error("heave_added_mass_error", "Z", "w").terms
+    {('Z', 'w'): 'E_heave_added_mass_error'}
+    """
+    return {"unit": notation.unit(f"{axis}_{state}dot")}
+
+
+@Row(Inertia, {}, "{unit}", NEWMAN, "inertial coupling of {first[1]} and {second[1]}",
+     "angular and linear accelerations that are not in proportion")
+def added_mass_coupling(name: str, first: tuple[str, str], second: tuple[str, str], *,
+                        scale: float | None = None, value: float = 0.0,
+                        bound: float = np.inf) -> Derived:
+    """Symmetric error of a pair of entries, such as ``("Z", "q")`` and ``("M", "w")``."""
+    unit = notation.unit(f"{first[0]}_{first[1]}dot")
+    return {"unit": unit, "terms": {first: "{E}", second: "{E}"}}
+
+
+@Row(Inertia, {}, "1", VANTORRE, "added mass changed in proportion, by depth of water or loading",
+     "accelerations at several speeds; one depth or loading per data set", size={"bound": 0.9})
+def added_mass_factor(name: str, entries: Mapping[tuple[str, str], str], *, scale: float = 0.2,
+                      value: float = 0.0) -> Derived:
+    """Relative change of several entries at once: shallow water, loading, fouling.
+
+    ``entries`` holds what is multiplied, for instance ``{("Y", "v"): "-Y_vdot"}``.
+    """
+    return {"terms": {key: f"{{E}}*({text})" for key, text in entries.items()}}
+
+
+@Row(Force, {"{axis}": "{E}*({state} - {slow})"}, "{unit}", CUMMINS,
+     "the force of {state} fades with time", "quick and slow motion",
+     states=(("{slow}", "({state} - {slow})/{tau}", "{state}", "{state_unit}"),))
+def fluid_memory(name: str, axis: str, state: str, *, state_unit: str | None = None,
+                 time_constant: float = 2.0, scale: float | None = None,
+                 value: float = 0.0) -> Derived:
+    r"""First-order memory :math:`E\,(w - \mu)`, :math:`\dot\mu = (w - \mu)/\tau`.
+
+    The simplest approximation of the convolution with a retardation function:
+    nothing in steady motion, damping in quick motion. ``time_constant`` is
+    known; free the parameter ``tau_name`` to estimate it.
+
+    Examples
+    --------
+    >>> fluid_memory("fluid_memory", "Z", "w").terms
+    {'Z': 'E_fluid_memory*(w - mu_fluid_memory)'}
+    """
+    return {"unit": notation.unit(f"{axis}_{state}"), "slow": f"mu_{name}",
+            "tau": _fixed(f"tau_{name}", time_constant, "s", lower=0.05, upper=60.0),
+            "state_unit": state_unit or ("m/s" if axis in "XYZ" else "rad/s")}
+
+
+# -- current, wind and waves ------------------------------------------------------------
+
+
+@Row(Environment, {"{flow[0]}": "{flow[0]} - {E}*cos({angle})",
+                   "{flow[1]}": "{flow[1]} - {E}*sin({angle})"}, "m/s", CURRENT,
+     "steady horizontal current, positive forward",
+     "velocity over ground measured, at several speeds", size={"bound": 2.0})
+def current_forward(name: str = "current_horizontal", *, flow: tuple[str, str] = ("u_r", "w_r"),
+                    angle: str = "theta", scale: float = 0.15, value: float = 0.0) -> None:
+    """Horizontal water velocity along the track, diving plane."""
+
+
+@Row(Environment, {"{flow[0]}": "{flow[0]} + {E}*sin({angle})",
+                   "{flow[1]}": "{flow[1]} - {E}*cos({angle})"}, "m/s", CURRENT,
+     "steady vertical current, positive down",
+     "velocity over ground measured, at several speeds and pitch angles", size={"bound": 2.0})
+def current_down(name: str = "current_vertical", *, flow: tuple[str, str] = ("u_r", "w_r"),
+                 angle: str = "theta", scale: float = 0.05, value: float = 0.0) -> None:
+    """Vertical water velocity, diving plane, positive down."""
+
+
+@Row(Environment, {"{flow[0]}": "{flow[0]} - ({E_n}*cos({heading}) + {E_e}*sin({heading}))",
+                   "{flow[1]}": "{flow[1]} - ({E_e}*cos({heading}) - {E_n}*sin({heading}))"},
+     None, CURRENT, "steady horizontal current",
+     "position or velocity over ground, on several headings (a turning circle)")
+def current_horizontal_plane(name: str = "current", *, flow: tuple[str, str] = ("u_r", "v_r"),
+                             heading: str = "psi", scale: float = 0.3, north: float = 0.0,
+                             east: float = 0.0) -> Derived:
+    """Steady current towards north and east, for a vehicle that turns."""
+    return {f"E_{way[0]}": amplitude(f"{name}_{way}", "m/s", scale=scale, value=value, bound=3.0)
+            for way, value in (("north", north), ("east", east))}
+
+
+@Row(Force, {"{axis}": "{E_cos}*cos({omega}*t) + {E_sin}*sin({omega}*t)"}, None, WAVES,
+     "force of a regular wave", "many wave periods, with motion of other frequencies")
+def wave_force(name: str, axis: str, unit: str = "N", *, frequency: float = 1.0,
+               spread: float = 0.4, scale: float = 1.0, per_record: bool = False) -> Derived:
+    r"""Regular wave, :math:`E_c\cos\omega t + E_s\sin\omega t`, of unknown frequency.
+
+    The frequency of encounter may differ from ``frequency`` by the fraction
+    ``spread``; ``per_record`` frees amplitude and phase in every record.
+    """
+    low, high = frequency * (1 - spread), frequency * (1 + spread)
+    omega = Parameter(f"omega_{name}", frequency, "rad/s", low, high, scale=0.1 * frequency)
+    return {**_phases(name, unit, scale, per_record=per_record), "omega": omega}
+
+
+@Row(Force, {}, None, WIND, "force of a steady wind",
+     "several headings to the wind (a turning circle)")
+def steady_wind(name: str = "wind", *, axes: tuple[str, ...] = ("X", "Y", "N"),
+                heading: str = "psi", force: float = 1.0, arm: float = 1.0) -> Derived:
+    r"""Steady wind on a vehicle whose own speed is small against it, without coefficient tables.
+
+    .. math:: X = E_n\cos\psi + E_e\sin\psi, \quad Y = E_e\cos\psi - E_n\sin\psi, \quad
+              N = l\,Y
+
+    Two amplitudes are the force towards north and east; the third, its lever of ``Y``, is a
+    length that is zero when the wind pushes at the origin. Like a hull of equal
+    resistance from all sides: a first candidate, to be replaced by :func:`wind_load`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect.
+    axes : tuple of str
+        Which of ``X Y N`` the model has.
+    heading : str
+        State or signal of the heading.
+    force, arm : float
+        Typical force in N and lever in m.
+    """
+    lever = Parameter(f"arm_{name}", 0.0, "m", -3 * arm, 3 * arm, scale=arm, description="lever")
+    side = "({E_e}*cos({heading}) - {E_n}*sin({heading}))"
+    along = "{E_n}*cos({heading}) + {E_e}*sin({heading})"
+    terms = {"X": along, "Y": side, "N": f"{{lever}}*{side}"}
+    north, east = (amplitude(f"{name}_{way}", "N", scale=force) for way in ("north", "east"))
+    return {"E_n": north, "E_e": east, **({"lever": lever} if "N" in axes else {}),
+            "terms": {axis: terms[axis] for axis in axes}, "amplitudes": (north.name, east.name)}
+
+
+@Row(Force, {}, "1", WIND, "wind load on the superstructure", "several headings to the wind",
+     definitions={"air_u": "u - {speed}*cos({direction} - {heading})",
+                  "air_v": "v - {speed}*sin({direction} - {heading})",
+                  "attack": "atan2(-air_v, 1e-9 - air_u)"})
+def wind_load(name: str, coefficients: Mapping[str, tuple[Sequence[float], Sequence[float]]], *,
+              speed: float, direction: float, area: float, length: float, heading: str = "psi",
+              scale: float = 0.3, value: float = 0.0) -> Derived:
+    r"""Wind load from coefficient tables, :math:`E\,\frac{\rho}{2}AV^2C(\gamma)`.
+
+    ``coefficients`` holds ``axis -> (angles [rad] in ±π, values)``, where the
+    angle of attack :math:`\gamma = \operatorname{atan2}(-v_a, -u_a)` is the direction,
+    in body axes, that the relative wind blows to: 0 from astern, π/2 from port.
+    ``direction`` (from north, clockwise) is where the true wind blows to. Moments are
+    multiplied by ``length``. ``E`` is 1 where the tables hold and 0 without any wind load.
+    """
+    facts = {"speed": (speed, "m/s"), "direction": (direction, "rad"), "area": (area, "m^2"),
+             "length": (length, "m"), "density": (AIR_DENSITY, "kg/m^3")}
+    known = {key: _fixed(f"{key}_{name}", x, unit) for key, (x, unit) in facts.items()}
+    load = "{E}*{density}/2*{area}*(air_u**2 + air_v**2)"
+    lever = {axis: "*{length}" if axis in "KMN" else "" for axis in coefficients}
+    terms = {axis: f"{load}*{name}_{axis}(attack){lever[axis]}" for axis in coefficients}
+    tables = {f"{name}_{axis}": (np.asarray(x, float), np.asarray(y, float))
+              for axis, (x, y) in coefficients.items()}
+    return {**known, "terms": terms, "tables": tables}
+
+
+# -- propeller and rudder ---------------------------------------------------------------
+
+
+@Row(Actuator, {"{signal}": "{signal}*(1 - {E}*t)"}, "1/s", CARLTON,
+     "thrust changes during the record at the same command", "a long record at constant command")
+def thrust_decay(name: str = "thrust_decay", signal: str = "T", *, scale: float = 0.0015,
+                 value: float = 0.0) -> None:
+    """Thrust that falls with time, ``T (1 - E t)``, as a battery does; short records only."""
+
+
+@Row(Force, {"{axis}": "{E}*{thrust}*{velocity}"}, "s/m", CARLTON,
+     "thrust depends on the speed of advance", "several thrusts at several speeds, or coasting")
+def thrust_speed_loss(name: str = "thrust_speed_loss", *, axis: str = "X", thrust: str = "T",
+                      velocity: str = "u_r", scale: float = 0.08, value: float = 0.0) -> None:
+    """Thrust that falls with the advance speed: adds ``E T u_r``, with ``E`` below zero.
+
+    Valid for moderate changes of the advance ratio about bollard pull.
+    """
+
+
+@Row(Force, {"{axis}": "{T_nn}*{revolutions}*abs({revolutions}) "
+                       "+ {T_nu}*abs({revolutions})*{velocity}"}, None, THRUST,
+     "propeller thrust with a linear thrust coefficient",
+     "several rates of revolution at several speeds")
+def propeller_thrust(name: str = "propeller", *, axis: str = "X", revolutions: str = "n",
+                     velocity: str = "u_r", bollard: float, advance: float = 0.0) -> Derived:
+    r"""Thrust of a propeller, :math:`T_{nn}\,n|n| + T_{nu}\,|n|u_r`, for a base model.
+
+    ``bollard`` is :math:`\rho D^4 K_{T0}` in kg m and ``advance`` the (negative)
+    slope :math:`\rho D^3 K_{TJ}(1-w)` in kg, with ``n`` in 1/s.
+    """
+    return {"T_nn": Parameter("T_nn", bollard, "kg m", description="thrust per n|n|"),
+            "T_nu": Parameter("T_nu", advance, "kg", description="thrust per |n|u")}
+
+
+@Row(Force, {"Y": "{E_Y}*{thrust}", "N": "{E_N}*{thrust}"}, None, HOOFT,
+     "a right-handed screw pushes the stern sideways", "turns to both sides, at several thrusts")
+def single_screw_asymmetry(name: str = "single_screw_asymmetry", *, thrust: str = "T",
+                           arm: float = 1.0, scale: float = 0.02) -> Derived:
+    """Side force and yaw moment of a single screw: ``Y = E_Y T`` and ``N = E_N T``.
+
+    ``arm`` is a typical lever in m (half the length), ``scale`` that of the side force.
+    """
+    return {"E_Y": amplitude(f"{name}_Y", "1", scale=scale),
+            "E_N": amplitude(f"{name}_N", "m", scale=scale * arm)}
+
+
+def rudder_neutral_angle(name: str = "rudder_neutral_angle", signal: str = "delta", *,
+                         scale: float = 0.01, value: float = 0.0) -> Actuator:
+    """Rudder angle that keeps a ship straight is not zero: offset of the actual angle."""
+    return actuator_offset(name, signal, scale=scale, value=value)
+
+
+@derivative_row("{axis}_uu{rudder}{rudder}{rudder}", {"u": "{velocity}"}, ABKOWITZ,
+                "small and large {rudder}")
+def rudder_stall(name: str, axis: str, *, rudder: str = "delta", velocity: str = "u_r",
+                 scale: float | None = None, value: float = 0.0) -> None:
+    r"""Rudder force that grows less than its angle, :math:`E\,u_r^2\delta^3`."""
+
+
+@Row(Force, {"{axis}": "{E}*{thrust}*{rudder}"}, "{unit}", MMG,
+     "the rudder acts in the propeller's race", "rudder angles at several thrusts and speeds")
+def rudder_in_slipstream(name: str, axis: str, *, thrust: str = "T", rudder: str = "delta",
+                         scale: float = 0.3, value: float = 0.0) -> Derived:
+    r"""Rudder force of the slipstream, :math:`E\,T\delta`; for a moment ``E`` holds the arm."""
+    return {"unit": "m" if axis in "KMN" else "1"}
+
+
+@Row(Force, {}, "1", VANTORRE, "hull forces changed in proportion, by the depth of the water",
+     "turns at several speeds in one depth of water", size={"bound": 3.0})
+def shallow_water(name: str = "shallow_water", *, terms: Mapping[str, str], scale: float = 0.3,
+                  value: float = 0.0) -> Derived:
+    r"""Hull forces that grow in proportion where the water is shallow, :math:`E\,\tau_{hull}`.
+
+    ``terms`` holds the hull forces of the nominal model, for instance
+    ``{"Y": "Y_uv*u_r*v_r", "N": "N_ur*u_r*r"}``. Added masses grow as well: see
+    :func:`added_mass_factor`. One depth per data set.
+    """
+    return {"terms": {axis: f"{{E}}*({text})" for axis, text in terms.items()}}
+
+
+def speed_loss_in_turn(name: str = "speed_loss_in_turn", *, scales: Mapping[str, float],
+                       symbols: Mapping[str, str] = THROUGH_WATER) -> Force:
+    """Added resistance of drift, yaw rate and rudder, quadratic and even.
+
+    ``scales`` gives the typical size of any of ``X_vr X_vv X_rr X_deltadelta``.
+    """
+    return derivative_group(
+        name, scales, symbols=symbols, description="speed falls in a turn", source=ABKOWITZ,
+        needs="turning circles of several rudder angles, with speed measured")
+
+
+def nonlinear_yaw_damping(name: str = "nonlinear_yaw_damping", *, axis: str = "N", rate: str = "r",
+                          scales: Mapping[str, float]) -> Force:
+    r"""Norrbin's and Bech's steady characteristic, :math:`n_0 + n_2 r^2 + n_3 r^3`.
+
+    The linear term belongs to the base model. ``scales`` gives typical sizes of
+    ``constant``, ``quadratic`` and ``cubic``; those left out are zero.
+    """
+    factors = {"constant": "0", "quadratic": rate * 2, "cubic": rate * 3}
+    return derivative_group(
+        name, {f"{axis}_{factors[kind]}": scale for kind, scale in scales.items()}, symbols={},
+        description="turning rate is no linear function of the rudder angle",
+        source=f"{NORRBIN} {BECH}",
+        needs="a spiral test, or turns with small and large rudder angles to both sides")
+
+
+# -- motors, joints and linkages --------------------------------------------------------
+
+
+@Row(Force, {"{axis}": "-{E}*tanh({velocity}/{v0})"}, "{unit}", ARMSTRONG,
+     "dry friction against {velocity}", "slow and fast {velocity} in both directions")
+def coulomb_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
+                     velocity_unit: str = "m/s", smooth: float = 0.01, scale: float = 1.0,
+                     value: float = 0.0) -> Derived:
+    r"""Dry friction, :math:`-E\tanh(v/v_0)`; ``smooth`` is :math:`v_0`.
+
+    >>> coulomb_friction("dry", "X", "v").terms
+    {'X': '-E_dry*tanh(v/v0_dry)'}
+    """
+    return {"v0": _fixed(f"v0_{name}", smooth, velocity_unit, "smoothing")}
+
+
+@Row(Force, {"{axis}": "-{E}*exp(-({velocity}/{vs})**2)*tanh({velocity}/{v0})"}, "{unit}",
+     ARMSTRONG, "friction near rest is larger than when {velocity} is large",
+     "{velocity} that crosses zero slowly")
+def stribeck_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
+                      velocity_unit: str = "m/s", smooth: float = 0.01, stribeck: float = 0.1,
+                      scale: float = 1.0, value: float = 0.0) -> Derived:
+    r"""Extra friction near rest, :math:`-E e^{-(v/v_s)^2}\tanh(v/v_0)`.
+
+    Added to :func:`coulomb_friction` it makes breakaway larger than sliding friction
+    by ``E``; ``stribeck`` is :math:`v_s`, known unless its parameter is freed.
+    """
+    return {"v0": _fixed(f"v0_{name}", smooth, velocity_unit, "smoothing"),
+            "vs": _fixed(f"vs_{name}", stribeck, velocity_unit, "Stribeck", lower=smooth)}
+
+
+@Row(Force, {"{axis}": "{E_cos}*cos({n}*{angle}) + {E_sin}*sin({n}*{angle})"}, None, MOTOR,
+     "torque that repeats {periods} times a turn",
+     "slow turning through many periods, in both directions")
+def cogging(name: str, axis: str, angle: str, *, periods: int, unit: str = "N m",
+            scale: float = 0.1) -> Derived:
+    r"""Cogging torque, :math:`E_c\cos n\vartheta + E_s\sin n\vartheta`, ``periods`` per turn."""
+    return {**_phases(name, unit, scale),
+            "n": _fixed(f"n_{name}", float(periods), "1", "periods per turn")}
+
+
+@Row(Force, {"{axis}": "{k}*clip({position}, -{E}, {E})"}, "{unit}", NORDIN,
+     "play of {position} within which the spring does not act", "small and large {position}",
+     size={"positive": True, "description": "half-width"})
+def dead_zone(name: str, axis: str, position: str, *, stiffness: float, unit: str = "m",
+              stiffness_unit: str = "N/m", scale: float = 0.01, value: float = 0.0) -> Derived:
+    r"""Dead zone of a spring: of a force :math:`-k x` the part within :math:`\pm E` is lost.
+
+    The base model holds :math:`-k x` already; this adds :math:`k\,\mathrm{clip}(x, -E, E)`.
+    """
+    return {"k": _fixed(f"k_{name}", stiffness, stiffness_unit, "stiffness")}
+
+
+@Row(Force, {"{axis}": "-{E}*{z}"}, "{unit}", DAHL,
+     "dry friction against {velocity} that remembers its direction",
+     "reversals of {velocity}, small and large",
+     states=(("{z}", "{sigma}*({velocity} - abs({velocity})*{z})", "0", "1"),))
+def dahl_friction(name: str, axis: str, velocity: str, *, stiffness: float, unit: str = "N",
+                  displacement_unit: str = "m", scale: float = 1.0, value: float = 0.0) -> Derived:
+    r"""Dry friction with memory (hysteresis), :math:`-E z`, :math:`\dot z = \sigma(v - |v| z)`.
+
+    Presliding is elastic with stiffness :math:`E\sigma`; ``stiffness`` is :math:`\sigma`,
+    the inverse of the displacement over which friction builds up.
+    """
+    words = "inverse of the presliding displacement"
+    sigma = _fixed(f"sigma_{name}", stiffness, f"1/{displacement_unit}", words, lower=0.0)
+    return {"sigma": sigma, "z": f"z_{name}"}
+
+
+@Row(Force, {"{axis}": "-{E}*{z}"}, "{unit}", WEN,
+     "restoring force that remembers the path of {velocity}",
+     "reversals of {velocity} of several sizes",
+     states=(("{z}", "({velocity} - 0.5*(abs({velocity})*abs({z})*{z} + {velocity}*{z}**2))/{x}",
+              "0", "1"),))
+def bouc_wen_hysteresis(name: str, axis: str, velocity: str, *, yielding: float, unit: str = "N",
+                        displacement_unit: str = "m", scale: float = 1.0,
+                        value: float = 0.0) -> Derived:
+    r"""Hysteretic restoring force of memory, :math:`-E z` with Bouc and Wen's rule.
+
+    .. math:: \dot z = \bigl(v - \tfrac12(|v| |z| z + v z^2)\bigr)/x_y
+
+    the case of equal shape constants and exponent two; ``yielding`` is :math:`x_y`, the
+    displacement at which it yields, known unless its parameter is freed.
+    """
+    gives = _fixed(f"x_{name}", yielding, displacement_unit, "yielding", lower=1e-6)
+    return {"x": gives, "z": f"z_{name}"}
+
+
+# Of the two states of the delay, the first is the signal through 1/(1 + ts/2 + t2s2/12), the
+# other its rate times tau; their second derivative times tau squared is what stands in brackets.
+@Row(Force, {"{axis}": "{E}*({low} - {high}/2 + ({second})/12)"}, "{unit}", PADE,
+     "force of {signal} as it was a while ago", "quick changes of {signal}",
+     states=(("{low}", "{high}/{tau}", "{start}"), ("{high}", "({second})/{tau}", "0")))
+def delayed_force(name: str, axis: str, signal: str, *, unit: str, start: str, delay: float = 1.0,
+                  scale: float = 1.0, value: float = 0.0) -> Derived:
+    r"""Force of what a state or signal was a while ago, :math:`E\,x(t - \tau)`.
+
+    The delay is Padé's approximation of order 2,
+    :math:`(1 - \tau s/2 + \tau^2 s^2/12)/(1 + \tau s/2 + \tau^2 s^2/12)`: exact in steady
+    motion, within 1 % up to :math:`\omega\tau = 1.3`. ``start`` is its value before the
+    record, an expression of the model's own states; ``unit`` is that of ``E``.
+    """
+    low, high = f"low_{name}", f"high_{name}"
+    return {"tau": _fixed(f"tau_{name}", delay, "s", "delay", lower=1e-3), "low": low,
+            "high": high, "second": f"12*({signal} - {low}) - 6*{high}"}
+
+
+# fmt: on
+def _phases(
+    name: str, unit: str, scale: float, *, per_record: bool = False
+) -> dict[str, Parameter]:
+    """Amplitudes of a cosine and a sine."""
+    return {
+        f"E_{part}": amplitude(f"{name}_{part}", unit, scale=scale, per_record=per_record)
+        for part in ("cos", "sin")
+    }

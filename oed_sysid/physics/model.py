@@ -1,0 +1,281 @@
+"""A vehicle's model: kinematics, inertia and a set of effects.
+
+A model is text and numbers only. :mod:`oed_sysid.compiled.graph` turns it into CasADi
+expressions and :mod:`oed_sysid.compiled.kernels` into compiled code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+from oed_sysid.errors import ModelError
+from oed_sysid.physics import Effect
+from oed_sysid.physics.parameters import Parameter, with_parameters
+from oed_sysid.physics.parts import settle_parts
+from oed_sysid.physics.structure import Structure
+from oed_sysid.physics.validation import validate
+from oed_sysid.runtime.display import as_html
+from oed_sysid.text import callables, expressions, notation
+
+
+@dataclass(frozen=True)
+class Model(Structure):
+    r"""Equations of motion, actuators and sensors of one vehicle.
+
+    .. math::
+
+        M(p)\,\dot\nu = \sum_e \tau_e(x, d, t, p), \qquad
+        \dot\eta = k(x, d, t, p), \qquad y = s(x, d, p)
+
+    Parameters
+    ----------
+    name : str
+        Name of the model.
+    states : tuple of State
+        State vector, in order.
+    inputs : tuple of Input
+        Commanded signals.
+    outputs : tuple of Output
+        Measured signals.
+    kinematics : mapping
+        ``state -> expression`` of its rate, for every state that is not the
+        velocity of an axis; an identity model of any ODE has only these.
+    axes : mapping
+        ``axis -> velocity state``, for instance ``{"Z": "w"}``.
+    inertia : mapping
+        ``(axis, state) -> expression`` of the mass matrix; an axis without an
+        entry has unit mass.
+    actuators : mapping
+        ``signal -> expression`` of inputs: what reaches the forces when
+        actuators are ideal. Empty means the inputs themselves.
+    signals : mapping
+        Further names, in order of evaluation, such as relative velocities;
+        environment effects act on them.
+    effects : tuple of Effect
+        What acts on the vehicle.
+    parameters : tuple of Parameter
+        Shared constants such as mass and length.
+    step : float
+        Largest integration step, s.
+    integrator : str
+        ``"explicit"``, the classical Runge-Kutta method of order four; or, for stiff
+        models, ``"implicit"``: L-stable, of order three (:mod:`oed_sysid.compiled.graph`).
+        A motion much faster than the step, such as that of a quick actuator, needs it.
+    tables : mapping
+        ``name -> (x, y)`` or ``(x, y, values)``, callable in every text.
+    functions : tuple of Function
+        Functions of CasADi symbols, callable in every text.
+
+    Examples
+    --------
+    >>> from oed_sysid import Force, Input, Model, Output, Parameter, State
+    >>> nomoto = Model(
+    ...     name="first-order Nomoto",
+    ...     states=(State("psi", "rad"), State("r", "rad/s")),
+    ...     inputs=(Input("delta", "rad"),),
+    ...     outputs=(Output("psi", "rad"),),
+    ...     kinematics={"psi": "r", "r": "(K*delta - r)/T"},
+    ...     parameters=(Parameter("K", 0.2, "1/s"), Parameter("T", 15.0, "s")),
+    ... )
+    >>> print(nomoto.equations())
+    psi' = r
+    r' = (K delta - r)/T
+    measured psi = psi
+    """
+
+    def __post_init__(self) -> None:
+        settle_parts(self)
+        validate(self)
+
+    # -- new models from old -------------------------------------------------------
+
+    def __add__(self, other: Effect | Iterable[Effect]) -> Model:
+        """Return the model with one or several effects added."""
+        added = (other,) if isinstance(other, Effect) else tuple(other)
+        for effect in added:
+            if effect.name in self.effect_names:
+                raise ModelError(
+                    f"Model {self.name!r} already has the effect {effect.name!r}. "
+                    f"Use model.without({effect.name!r}) first, or give it another name."
+                )
+        return replace(self, effects=(*self.effects, *added))
+
+    def without(self, *names: str) -> Model:
+        """Return the model without the named effects."""
+        for name in names:
+            self.effect(name)
+        return replace(self, effects=tuple(e for e in self.effects if e.name not in names))
+
+    def with_values(self, values: Mapping[str, float]) -> Model:
+        """Return the model with some parameter values replaced."""
+        for name in values:
+            self.parameter(name)
+        return self._map(lambda p: p.with_value(values[p.name]) if p.name in values else p)
+
+    def fix(self, *names: str) -> Model:
+        """Return the model with the named parameters held at their values."""
+        for name in names:
+            self.parameter(name)
+        return self._map(lambda p: replace(p, fixed=True) if p.name in names else p)
+
+    def free(self, *names: str) -> Model:
+        """Return the model with the named parameters open to estimation."""
+        for name in names:
+            self.parameter(name)
+        return self._map(lambda p: replace(p, fixed=False) if p.name in names else p)
+
+    def with_parameter(self, parameter: Parameter) -> Model:
+        """Return the model with one parameter replaced by another of the same name."""
+        self.parameter(parameter.name)
+        return self._map(lambda p: parameter if p.name == parameter.name else p)
+
+    def _map(self, change: Callable[[Parameter], Parameter]) -> Model:
+        effects = (
+            with_parameters(effect, tuple(map(change, effect.parameters)))
+            for effect in self.effects
+        )
+        return with_parameters(self, tuple(map(change, self.parameters)), effects=tuple(effects))
+
+    # -- words ---------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        names = ", ".join(self.effect_names[:6]) or "none"
+        more = ", ..." if len(self.effects) > 6 else ""
+        return (
+            f"<Model {self.name!r}: {len(self.states)} states, {len(self.free_names)} free "
+            f"parameters, effects {names}{more}>"
+        )
+
+    _repr_html_ = as_html
+
+    @property
+    def content(self) -> str:
+        """Everything in the model as one text: equal models have equal texts."""
+        listed = ", ".join(f"{one.name}={getattr(self, one.name)!r}" for one in fields(self))
+        return f"Model({listed})"
+
+    def equations(self) -> str:
+        """Return the model as readable equations, one per line."""
+        write = expressions.to_text
+        lines = []
+        for kind, left, right, effect in self._rows():
+            if kind == "axis":
+                left = self._inertia(left, write).replace("_prime_", "'")
+            mark = "'" if kind == "rate" else ""
+            sign = "<-" if kind in ("change", "measured change") else "="
+            measured = "measured " if kind.startswith("measured") else ""
+            tag = f"   [{effect}]" if effect else ""
+            lines.append(f"{measured}{left}{mark} {sign} {write(right)}{tag}")
+        return "\n".join(lines)
+
+    def latex(self) -> str:
+        r"""Return the equations as LaTeX, one per line, aligned at ``&``; without dollar signs.
+
+        Examples
+        --------
+        >>> from oed_sysid import load_problem
+        >>> print(load_problem("nomoto_sparse_heading").model.latex().splitlines()[0])
+        T \, \dot{r} &= K \, \delta - r
+        """
+        write = expressions.to_latex
+        lines = []
+        for kind, left, right, effect in self._rows():
+            if kind == "axis":
+                left = self._inertia(left, write)
+                for state in self.axes.values():
+                    rate = f"\\dot{{{notation.latex(state)}}}"
+                    left = left.replace(notation.latex(f"{state}_prime_"), rate)
+            else:
+                left = notation.latex(left)
+            if kind == "rate":
+                left = f"\\dot{{{left}}}"
+            if kind.startswith("measured"):
+                left = f"\\text{{measured }}{left}"
+            sign = r"\leftarrow" if kind in ("change", "measured change") else "="
+            tag = f"\\quad\\text{{({effect.replace('_', ' ')})}}" if effect else ""
+            lines.append(f"{left} &{sign} {write(right)}{tag}")
+        return "\n".join(lines)
+
+    def _rows(self) -> list[tuple[str, str, str, str]]:
+        """Every equation: its kind, left and right side, and the effect that it belongs to."""
+        rows: list[tuple[str, str, str, str]] = []
+        for signal, text in self.actuator_signals.items():
+            changes = self._changes("actuator", signal)
+            if text != signal or changes:
+                rows += [("signal", signal, text, ""), *changes]
+        for signal, text in self.signals.items():
+            rows += [("signal", signal, text, ""), *self._changes("environment", signal)]
+        for effect in self.effects:
+            rows += [("signal", k, text, effect.name) for k, text in effect.definitions.items()]
+        rows += [("axis", axis, self._force(axis), "") for axis in self.axes]
+        for state, rate in self.kinematics.items():
+            added = self._force(state)
+            rows.append(("rate", state, rate if added == "0" else f"{rate} + {added}", ""))
+        for effect in self.effects:
+            rows += [("rate", s.name, s.rate, effect.name) for s in effect.states]
+        for output in self.outputs:
+            rows.append(("measured", output.name, output.source, ""))
+            changes = self._changes("sensor", output.name)
+            rows += [("measured change", signal, text, name) for _, signal, text, name in changes]
+        return rows
+
+    def _changes(self, stage: str, signal: str) -> list[tuple[str, str, str, str]]:
+        """What the effects of a stage turn a signal into."""
+        return [
+            ("change", signal, effect.terms[signal], effect.name)
+            for effect in self.effects
+            if effect.stage == stage and signal in effect.terms
+        ]
+
+    def _inertia(self, axis: str, write: Callable[[str], str]) -> str:
+        """Left side of the equation of an axis; the rate of w stands as w_prime_."""
+        state = self.axes[axis]
+        entries = list(self.inertia.items())
+        for effect in self.effects:
+            entries += effect.terms.items() if effect.stage == "inertia" else ()
+        parts: list[str] = []
+        for other in self.axes.values():
+            texts = [text for key, text in entries if key == (axis, other)]
+            if texts:
+                # A name that text can carry.
+                parts.append(f"({' + '.join(texts)})*{other}_prime_")
+        if not any(key[0] == axis for key in self.inertia):
+            parts.insert(0, f"{state}_prime_")
+        return write(" + ".join(parts))
+
+    def _force(self, key: str) -> str:
+        terms = [
+            f"({effect.terms[key]})"
+            for effect in self.effects
+            if effect.stage == "force" and key in effect.terms
+        ]
+        return " + ".join(terms) or "0"
+
+    # -- identity ------------------------------------------------------------------
+
+    def structure_key(self) -> str:
+        """Digest of everything that shapes the compiled code; values excluded."""
+        return self._structure
+
+    @cached_property
+    def _structure(self) -> str:
+        parts = (
+            tuple(s.name for s in self.states),
+            tuple((i.name, i.interpolation) for i in self.inputs),
+            tuple((o.name, o.source) for o in self.outputs),
+            tuple(self.kinematics.items()),
+            tuple(self.axes.items()),
+            tuple((str(k), v) for k, v in self.inertia.items()),
+            tuple(self.actuators.items()),
+            tuple(self.signals.items()),
+            tuple(effect.structure() for effect in self.effects),
+            self.parameter_names,
+            self.free_names,
+            *(() if self.integrator == "explicit" else (self.integrator,)),
+            tuple((name, *callables.digest(t)) for name, t in sorted(self.tables.items())),
+            tuple((f.name, *callables.digest(f)) for f in self.functions),
+        )
+        return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]

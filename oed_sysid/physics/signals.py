@@ -1,0 +1,256 @@
+"""Actuators and sensors: what happens to a command on its way, and to a measurement.
+
+Commands are held between samples, and the value handed on is the mean over the integration step;
+lag, delay and rate limit are exact in this sense, so that they are smooth functions of their
+parameter and exactly absent at zero. Lag, delay, rate limit, dead band and backlash take one
+signal or several that share the parameter, such as the fins of one make.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from oed_sysid.physics.base import Actuator, Memory, Sensor, amplitude
+from oed_sysid.physics.table import Derived, Row, channels
+
+AMERONGEN = "van Amerongen (1982), Adaptive steering of ships, TU Delft."
+TAO = "Tao & Kokotović (1996), Adaptive control of systems with actuator nonlinearities, Wiley."
+ABBOTT = "Abbott & von Doenhoff (1959), Theory of wing sections, Dover."
+FRANKLIN = "Franklin, Powell & Workman (1998), Digital control of dynamic systems, ch. 4."
+KINSEY = "Kinsey & Whitcomb (2007), In situ alignment calibration, IEEE Trans. Robotics 23."
+GROVES = "Groves (2013), Principles of GNSS, inertial and multisensor navigation, ch. 4."
+
+POSITIVE = {"positive": True}
+HALF = {"positive": True, "description": "half-width"}
+# The 1e-9 s of the texts keep divisions by a vanishing time constant finite.
+# Rows of a table: laid out to be read as such.
+# fmt: off
+
+
+@Row(Actuator, {"{signal}": "{signal} + {E}"}, "{unit}", AMERONGEN,
+     "constant offset of {signal}", "several speeds, to tell it from constant forces")
+def actuator_offset(name: str, signal: str, unit: str = "rad", *, scale: float = 0.02,
+                    value: float = 0.0) -> None:
+    """Constant difference between actual and commanded value.
+
+    >>> actuator_offset("fin_offset", "ds").terms
+    {'ds': 'ds + E_fin_offset'}
+    """
+
+
+@Row(Actuator, {"{signal}": "{signal}*(1 + {E})"}, "1", AMERONGEN, "relative error of {signal}",
+     "a measurement of the deflection, or known force derivatives", size={"bound": 0.9})
+def actuator_gain_error(name: str, signal: str, *, scale: float = 0.1, value: float = 0.0) -> None:
+    """Actual value is ``1 + E`` times the command; free force derivatives absorb it."""
+
+
+@Row(Actuator, {"{signal}": "{signal}*(1 - {E}*{signal}**2)"}, "1/rad^2", ABBOTT,
+     "effect of {signal} grows less than in proportion", "small and large {signal}")
+def stall(name: str, signal: str, *, scale: float = 2.0, value: float = 0.0) -> None:
+    """Loss of lift at large angles, :math:`d(1 - E d^2)`; valid before full stall."""
+
+
+@Row(Actuator, {"{c}": "{c} + (actual{_c} - {c})*{E}/h*(1 - decay)"}, "s", FRANKLIN,
+     "{signal} follows its command with a first-order lag",
+     "steps or reversals, sampled faster than the lag", size=POSITIVE, each="signal",
+     definitions={"decay": "exp(-h/({E} + 1e-9))"},
+     memory={"actual{_c}": "{c} + (actual{_c} - {c})*decay"})
+def actuator_lag(name: str, signal: str | Sequence[str], *, scale: float = 0.25, value: float = 0.0,
+                 parameter: str | None = None) -> None:
+    """First-order lag of time constant ``E``, of one signal or of several alike.
+
+    >>> sorted(actuator_lag("lag", ("port", "starboard")).terms)
+    ['port', 'starboard']
+    """
+
+
+@Row(Actuator, {}, None, FRANKLIN, "{signal} follows its command after a dead time",
+     "steps or reversals, sampled faster than the delay", each="signal")
+def actuator_delay(name: str, signal: str | Sequence[str], *, max_delay: float = 1.0,
+                   step: float = 0.1, scale: float = 0.2, value: float = 0.0) -> Derived:
+    """Pure delay of ``E`` seconds; ``step`` is the shortest integration step.
+
+    See :func:`~oed_sysid.physics.signals.delay_register`.
+    """
+    return _late(name, channels(signal), max_delay, step, scale, value)
+
+
+@Row(Actuator, {"{c}": "where(abs(way{_c})*{E} <= h, {c} - way{_c}*abs(way{_c})*{E}/(2*h), "
+                       "actual{_c} + toward{_c}*h/max({E}, 1e-9)/2)"},
+     "{per}", AMERONGEN, "{signal} changes at no more than 1/{E} per second",
+     "steps of different size: the time to arrive grows with the step", each="signal",
+     size={"positive": True, "description": "1 / maximum rate"},
+     definitions={"way{_c}": "{c} - actual{_c}", "toward{_c}": "sign(way{_c})"},
+     memory={"actual{_c}": "where(abs(way{_c})*{E} <= h, {c}, "
+                           "actual{_c} + toward{_c}*h/max({E}, 1e-9))"})
+def rate_limit(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale: float = 3.0,
+               value: float = 0.0) -> Derived:
+    """Limited rate, by its slowness ``E = 1/rate`` so that zero means unlimited.
+
+    See :func:`maximum_rate` for the rate itself.
+    """
+    return {"per": f"s/({unit})" if "/" in unit else f"s/{unit or 1}"}
+
+
+def maximum_rate(effect: Actuator) -> float:
+    """Rate of a :func:`rate_limit`, infinite where it is absent.
+
+    >>> maximum_rate(rate_limit("fin_rate_limit", "ds", value=4.0))
+    0.25
+    """
+    slowness = effect.parameters[0].value
+    return 1.0 / slowness if slowness > 0 else math.inf
+
+
+@Row(Actuator, {"{c}": "where(abs({c}) >= {E}, {c} - {E}*sign({c}), 0)"}, "{unit}", TAO,
+     "small {signal} commands have no effect", "commands near zero and far from it",
+     size=HALF, each="signal")
+def deadband(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale: float = 0.03,
+             value: float = 0.0) -> None:
+    """Commands within ``±E`` do nothing, larger ones lose ``E``; of one signal or of several."""
+
+
+@Row(Actuator, {"{c}": "held{_c}"}, "{unit}", TAO, "play between command and actual {signal}",
+     "reversals of small and large amplitude", size=HALF, each="signal",
+     definitions={"held{_c}": "where(actual{_c} > {c} + {E}, {c} + {E}, "
+                              "where(actual{_c} < {c} - {E}, {c} - {E}, actual{_c}))"},
+     memory={"actual{_c}": "held{_c}"})
+def backlash(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale: float = 0.03,
+             value: float = 0.0) -> None:
+    """Backlash of half-width ``E``: the actual value moves when its flank is touched.
+
+    Of one signal or of several alike.
+    """
+
+
+@Row(Actuator, {"{signal}": "max(min({signal}, {stop}), -{stop})"}, None, AMERONGEN,
+     "mechanical stops of {signal}", "commands beyond the stops")
+def saturation(name: str, signal: str, limit: float, unit: str = "rad") -> Derived:
+    """Mechanical stops at ``±limit``, a known property of a base model."""
+    stop = amplitude(name, unit, value=limit, parameter=f"limit_{name}", positive=True)
+    return {"stop": stop, "amplitudes": ()}
+
+
+@Row(Sensor, {"{output}": "{output} + {E}"}, "{unit}", GROVES, "constant error of {output}",
+     "{output} linked to other outputs, over longer than the initial transient")
+def sensor_bias(name: str, output: str, unit: str, *, scale: float, value: float = 0.0,
+                per_record: bool = False) -> None:
+    """Constant error.
+
+    >>> sensor_bias("bias_q", "q", "rad/s", scale=0.01).terms
+    {'q': 'q + E_bias_q'}
+    """
+
+
+@Row(Sensor, {"{output}": "{output}*(1 + {E})"}, "1", GROVES, "relative error of {output}",
+     "large changes of {output}", size={"bound": 0.9})
+def sensor_scale(name: str, output: str, *, scale: float = 0.05, value: float = 0.0) -> None:
+    r"""Relative error, :math:`(1 + E)\,y`."""
+
+
+@Row(Sensor, {"{first}": "{first} - {E}*{second}", "{second}": "{second} + {E}*{first}"}, "rad",
+     KINSEY, "the sensor of {first} and {second} is rotated in its mount",
+     "{first} of varied size, independent of {second}", size={"bound": 0.5})
+def sensor_misalignment(name: str, first: str, second: str, *, scale: float = 0.02,
+                        value: float = 0.0) -> None:
+    """Small rotation of a pair of axes: ``first - E second`` and ``second + E first``."""
+
+
+@Row(Sensor, {"{output}": "{output} - {E}*{rate}"}, "m", GROVES,
+     "the sensor of {output} is off the origin", "quick changes of {rate}",
+     size={"description": "distance from the origin"})
+def sensor_lever_arm(name: str, output: str, rate: str, *, scale: float = 0.3,
+                     value: float = 0.0) -> None:
+    """Velocity sensor ahead of the origin: ``output - E rate``, as ``w - E q``."""
+
+
+@Row(Sensor, {"{c}": "{c}_lagged"}, "s", FRANKLIN,
+     "{outputs} measured through a first-order filter",
+     "quick changes, sampled faster than the lag", size=POSITIVE, each="outputs",
+     definitions={"decay": "exp(-h/({E} + 1e-9))", "{c}_behind": "{E}*({c} - {c}_before)/h",
+                  "{c}_lagged":
+                      "{c} - {c}_behind + ({c}_filtered - {c}_before + {c}_behind)*decay"},
+     memory={"{c}_filtered": "{c}_lagged", "{c}_before": "{c}"})
+def sensor_lag(name: str, outputs: str | Sequence[str], *, scale: float = 0.3,
+               value: float = 0.0) -> None:
+    """First-order lag of one or several outputs, exact for signals linear between samples."""
+
+
+@Row(Sensor, {}, None, GROVES, "{output} arrives late",
+     "quick changes, sampled faster than the delay", each="output")
+def sensor_delay(name: str, output: str, *, max_delay: float = 1.0, interval: float = 0.1,
+                 scale: float = 0.2, value: float = 0.0) -> Derived:
+    """Late measurement, interpolated between samples a regular ``interval`` apart."""
+    return _late(name, (output,), max_delay, interval, scale, value)
+
+
+@Row(Sensor, {"{output}": "{output} + {E}*t"}, "{unit}", GROVES, "linear drift of {output}",
+     "a long record")
+def sensor_drift(name: str, output: str, unit: str, *, scale: float, value: float = 0.0) -> None:
+    r"""Error that grows with time, :math:`y + E\,t`; ``unit`` is that of ``E``."""
+
+
+# fmt: on
+def _late(
+    name: str, signals: Sequence[str], longest: float, step: float, scale: float, value: float
+) -> Derived:
+    """Amplitude, terms and memory of signals that come late by the same time."""
+    delay = amplitude(name, "s", scale=scale, value=value, positive=True, bound=longest)
+    terms: dict[str, str] = {}
+    memory: list[Memory] = []
+    for signal in signals:
+        prefix = "past" if len(signals) == 1 else f"past_{signal}"
+        terms[signal], past = delay_register(
+            signal, delay.name, max_delay=longest, step=step, prefix=prefix
+        )
+        memory += past
+    return {"E": delay, "terms": terms, "memory": tuple(memory)}
+
+
+def delay_register(
+    signal: str, delay: str, *, max_delay: float, step: float, prefix: str = "past"
+) -> tuple[str, tuple[Memory, ...]]:
+    """Delayed value of a sampled signal and the memory that it needs, a shift register.
+
+    The value is a mean of present and past samples with hat functions of
+    ``delay/h`` as weights: the exact mean over a step of a delayed held command,
+    and the interpolation of a delayed measurement. Where two slopes meet in a
+    corner the right one is taken, so that the derivative at zero is that of
+    more delay. A delay longer than the register counts as the register's length.
+
+    Parameters
+    ----------
+    signal : str
+        Name of the signal; at the start, all past values equal its first one.
+    delay : str
+        Name of the delay, in s.
+    max_delay : float
+        Longest delay, in s.
+    step : float
+        Shortest time between two samples, in s.
+    prefix : str
+        First part of the names of the past values.
+
+    Returns
+    -------
+    value : str
+        Expression of the delayed value.
+    memory : tuple of Memory
+        One past value for each step of ``max_delay``.
+
+    Examples
+    --------
+    >>> value, memory = delay_register("d", "E", max_delay=0.1, step=0.1)
+    >>> value, memory[0].update
+    ('where(E < h, 1 - E/h, 0)*d + where(E < 1*h, E/h, 1)*past_1', 'd')
+    """
+    past = [f"{prefix}_{i}" for i in range(1, math.ceil(max_delay / step - 1e-9) + 1)]
+    pieces = [f"where({delay} < h, 1 - {delay}/h, 0)*{signal}"]
+    for i, name in enumerate(past, start=1):
+        rise = f"where({delay} < {i - 1}*h, 0, {delay}/h - {i - 1})" if i > 1 else f"{delay}/h"
+        fall = f"where({delay} < {i + 1}*h, {i + 1} - {delay}/h, 0)" if i < len(past) else "1"
+        pieces.append(f"where({delay} < {i}*h, {rise}, {fall})*{name}")
+    newer = [signal, *past[:-1]]
+    memory = tuple(Memory(own, update, signal) for own, update in zip(past, newer, strict=True))
+    return " + ".join(pieces), memory

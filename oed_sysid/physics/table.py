@@ -1,0 +1,382 @@
+r"""Effects of the library as rows of one table, and the builder that makes effects of them.
+
+A row says at which stage an effect acts, its terms, the unit of its amplitude, where it comes from
+and what a manoeuvre must contain for it to show. Braces hold the arguments of the constructor, so
+that one row serves every axis, velocity or signal:
+
+.. code-block:: python
+
+    @Row(Force, {"{axis}": "-{E}*sin({angle})"}, "N m", FOSSEN, "righting moment ...", "large ...")
+    def metacentric_moment(name: str, axis: str, angle: str, *, value: float = 0.0) -> None: ...
+
+``{E}`` is the amplitude. The function below a row states the arguments and the paragraph; where
+names have to be worked out it returns them: a :class:`~oed_sysid.physics.parameters.Parameter`
+becomes
+one of the effect's, and anything else stands for its name in the texts.
+
+Hydrodynamic derivatives (:func:`derivative_row`) need less: axis, factors and unit follow from
+the name of the coefficient, SNAME (1950).
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import wraps
+from typing import Any, Generic, ParamSpec, TypeVar
+
+from oed_sysid.errors import ModelError
+from oed_sysid.physics.base import Effect, ExtraState, Force, Memory, amplitude
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.text import notation
+
+SNAME = "SNAME (1950), Technical and Research Bulletin 1-5."
+ABKOWITZ = "Abkowitz (1964), Lectures on ship hydrodynamics, report Hy-5, Lyngby."
+
+#: Velocities through the water; pass ``symbols={}`` where a model has none.
+THROUGH_WATER: Mapping[str, str] = {"u": "u_r", "v": "v_r", "w": "w_r"}
+
+Arguments = ParamSpec("Arguments")
+Kind = TypeVar("Kind", bound=Effect)
+Derived = Mapping[str, Any] | None
+
+
+@dataclass(frozen=True)
+class Row(Generic[Kind]):
+    """One effect of the library, as a decorator of the function that states its arguments.
+
+    Parameters
+    ----------
+    kind : type of Effect
+        Stage at which it acts.
+    terms : mapping
+        What it contributes, as of :class:`~oed_sysid.physics.Effect`.
+    unit : str or None
+        Of the amplitude; None where the constructor gives the amplitudes itself.
+    source, description, needs : str
+        Citation, words, and what shows it.
+    size : mapping
+        Further facts of the amplitude: ``positive``, ``bound``, ``description``.
+    each : str
+        Argument that is one signal or several; texts with ``{c}`` are repeated for each, and
+        ``{_c}`` tells their names apart.
+    definitions, memory : mapping
+        As of an effect; memory begins at the signal.
+    states : tuple of tuple of str
+        Name, rate, start and unit of continuous states.
+    derivative, symbols
+        Coefficient and signals of its factors, as of :func:`derivative_row`.
+    """
+
+    kind: type[Kind]
+    terms: Mapping[Any, str]
+    unit: str | None
+    source: str
+    description: str
+    needs: str
+    size: Mapping[str, Any] = field(default_factory=dict)
+    each: str = ""
+    definitions: Mapping[str, str] = field(default_factory=dict)
+    memory: Mapping[str, str] = field(default_factory=dict)
+    states: tuple[tuple[str, ...], ...] = ()
+    derivative: str = ""
+    symbols: Mapping[str, str] | None = None
+
+    def __call__(self, function: Callable[Arguments, Derived]) -> Callable[Arguments, Kind]:
+        """Return the constructor with a function's arguments, and enter it into the library."""
+        stated = inspect.signature(function).replace(return_annotation=self.kind.__name__)
+        make = self._derivative if self.derivative else self._effect
+
+        @wraps(function)
+        def construct(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Any:
+            bound = stated.bind(*args, **kwargs)
+            bound.apply_defaults()
+            return make(bound.arguments, function(*args, **kwargs) or {})
+
+        construct.__signature__ = stated  # type: ignore[attr-defined]
+        LIBRARY[function.__name__] = Entry(self, construct)
+        return construct
+
+    def _effect(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Effect:
+        """The effect for the arguments of a constructor and what follows from them."""
+        known = {**arguments, **derived}
+        signals = channels(arguments[self.each]) if self.each else ()
+        if signals:
+            known[self.each] = " and ".join(signals)
+        parameters = self._parameters(known)
+        known |= {key: parameter.name for key, parameter in parameters.items()}
+        # A letter beside the signal tells several alike apart; one alone needs none.
+        each = [known | {"c": one, "_c": f"_{one}" * (len(signals) > 1)} for one in signals]
+        scopes = each or [known]
+        memory = tuple(
+            Memory(name.format(**scope), update.format(**scope), scope["c"])
+            for name, update in self.memory.items()
+            for scope in scopes
+        )
+        return self.kind(
+            arguments["name"],
+            _filled(known.get("terms", self.terms), scopes),
+            tuple(parameters.values()),
+            definitions=_filled(self.definitions, scopes),
+            states=tuple(ExtraState(*_formatted(state, known)) for state in self.states),
+            memory=known.get("memory", memory),
+            tables=known.get("tables", {}),
+            amplitudes=known.get("amplitudes", _amplitudes(parameters)),
+            description=self.description.format(**known),
+            source=self.source,
+            needs=self.needs.format(**known),
+        )
+
+    def _parameters(self, known: Mapping[str, Any]) -> dict[str, Parameter]:
+        """The amplitude, where the row has its unit, and parameters that were worked out."""
+        others = {key: p for key, p in known.items() if isinstance(p, Parameter)}
+        if self.unit is None:
+            return others
+        own = ("scale", "value", "parameter", "per_record", "bound")
+        given = {key: known[key] for key in own if key in known}
+        unit = self.unit.format(**known)
+        return {"E": amplitude(known["name"], unit, **{**given, **self.size}), **others}
+
+    def _derivative(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Force:
+        """The effect of one hydrodynamic derivative."""
+        letters = {k: factor_of(v) for k, v in arguments.items() if isinstance(v, str)}
+        factors = (self.symbols or {}).items()
+        symbols = {key.format(**letters): text.format(**arguments) for key, text in factors}
+        return derivative(
+            arguments["name"],
+            self.derivative.format(**letters),
+            symbols=THROUGH_WATER if self.symbols is None else symbols,
+            scale=arguments["scale"],
+            value=arguments["value"],
+            parameter=arguments.get("parameter"),
+            description=self.description,
+            source=self.source,
+            needs=self.needs.format(**arguments),
+        )
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row and its constructor."""
+
+    row: Row[Any]
+    constructor: Callable[..., Effect]
+
+
+#: Every effect of the library by the name of its constructor.
+LIBRARY: dict[str, Entry] = {}
+
+
+def derivative_row(
+    coefficient: str,
+    symbols: Mapping[str, str] | None,
+    source: str,
+    needs: str,
+    description: str = "",
+) -> Row[Force]:
+    """Row of one hydrodynamic derivative.
+
+    Parameters
+    ----------
+    coefficient : str
+        Name of the derivative, with arguments in braces; signals as their letters.
+    symbols : mapping or None
+        Signals for factors, as of :func:`derivative`; None for velocities through the water.
+    source, needs, description : str
+        As of a :class:`Row`.
+    """
+    return Row(Force, {}, None, source, description, needs, derivative=coefficient, symbols=symbols)
+
+
+def _amplitudes(parameters: Mapping[str, Parameter]) -> tuple[str, ...] | None:
+    """Which parameters make an effect absent; None where all do, or nothing else says."""
+    sizes = tuple(p.name for key, p in parameters.items() if key.startswith("E"))
+    return sizes if 0 < len(sizes) < len(parameters) else None
+
+
+def _formatted(texts: Sequence[str], known: Mapping[str, Any]) -> list[str]:
+    return [text.format(**known) for text in texts]
+
+
+def _filled(texts: Mapping[Any, str], scopes: Sequence[Mapping[str, Any]]) -> dict[Any, str]:
+    """Texts with their arguments, for each channel; keys are places or pairs of them."""
+    found: dict[Any, str] = {}
+    for scope in scopes:
+        for key, text in texts.items():
+            place = tuple(_formatted(key, scope)) if isinstance(key, tuple) else key.format(**scope)
+            found[place] = text.format(**scope)
+    return found
+
+
+def channels(signal: str | Sequence[str]) -> tuple[str, ...]:
+    """One signal or several as a tuple."""
+    return (signal,) if isinstance(signal, str) else tuple(signal)
+
+
+# -- hydrodynamic derivatives: everything follows from the name -------------------------
+
+
+def factor_of(signal: str) -> str:
+    """Letter that a velocity signal has in the name of a derivative.
+
+    >>> factor_of("w_r"), factor_of("q")
+    ('w', 'q')
+    """
+    return signal.removesuffix("_r")
+
+
+def derivative(
+    name: str,
+    coefficient: str,
+    *,
+    symbols: Mapping[str, str] = THROUGH_WATER,
+    scale: float | None = None,
+    value: float = 0.0,
+    parameter: str | None = None,
+    description: str = "",
+    source: str = SNAME,
+    needs: str = "",
+) -> Force:
+    r"""One term of a force expansion, such as :math:`Z_{w|w|} w_r|w_r|`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect.
+    coefficient : str
+        The derivative; axis, factors and unit follow from it.
+    symbols : mapping
+        Signals for factors; velocities through the water by default.
+    scale, value, parameter
+        See :func:`~oed_sysid.physics.amplitude`.
+    description, source, needs : str
+        Words; by default what the derivative's name says.
+
+    Examples
+    --------
+    >>> derivative("crossflow", "Z_absww", parameter="Z_absww", value=-100.0).terms
+    {'Z': 'Z_absww*abs(w_r)*w_r'}
+    """
+    parsed = notation.parse(coefficient)
+    size = amplitude(
+        name,
+        notation.unit(coefficient),
+        scale=scale,
+        value=value,
+        parameter=parameter,
+        description=parsed.description,
+    )
+    factors = notation.term(coefficient, symbols=symbols)[len(coefficient) :]
+    shown = [symbols.get(factor.symbol, factor.symbol) for factor in parsed.factors]
+    return Force(
+        name,
+        {parsed.axis: size.name + factors},
+        (size,),
+        description=description or parsed.description,
+        source=source,
+        needs=needs or f"{', '.join(dict.fromkeys(shown)) or 'nothing'} of varied size",
+    )
+
+
+def derivative_group(
+    name: str,
+    coefficients: Mapping[str, float],
+    *,
+    symbols: Mapping[str, str] = THROUGH_WATER,
+    description: str,
+    source: str = SNAME,
+    needs: str,
+) -> Force:
+    """Several terms that come and go together, each with its own amplitude.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect; amplitudes are called ``E_name_coefficient``.
+    coefficients : mapping
+        Typical amplitude of each derivative.
+    symbols, description, source, needs
+        See :func:`derivative`.
+
+    Examples
+    --------
+    >>> effect = derivative_group(
+    ...     "turn", {"X_vr": 1e6, "X_vv": 1e4}, description="loss of speed", needs="turns"
+    ... )
+    >>> effect.terms
+    {'X': 'E_turn_X_vr*v_r*r + E_turn_X_vv*v_r**2'}
+    """
+    parts = [
+        derivative(f"{name}_{coefficient}", coefficient, symbols=symbols, scale=scale)
+        for coefficient, scale in coefficients.items()
+    ]
+    return Force(
+        name,
+        _joined((axis, text) for part in parts for axis, text in part.terms.items()),
+        tuple(parameter for part in parts for parameter in part.parameters),
+        description=description,
+        source=source,
+        needs=needs,
+    )
+
+
+def hull_derivatives(
+    name: str,
+    parameters: Iterable[Parameter],
+    *,
+    symbols: Mapping[str, str] = THROUGH_WATER,
+    extra: Mapping[str, str] | None = None,
+    source: str = SNAME,
+) -> Force:
+    """Hull forces of a base model: one term per named derivative.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect.
+    parameters : iterable of Parameter
+        Derivatives such as ``Z_uw``; a missing unit is filled in.
+    symbols, source
+        See :func:`derivative`.
+    extra : mapping
+        ``axis -> expression`` of further terms, such as ``{"X": "T - m*q*w"}``.
+
+    Raises
+    ------
+    ModelError
+        If a parameter is an acceleration derivative: these belong in the
+        model's inertia.
+
+    Examples
+    --------
+    >>> hull = hull_derivatives("hull", [Parameter("Z_uw", -40.0)], extra={"Z": "m*u*q"})
+    >>> hull.terms, hull.parameters[0].unit
+    ({'Z': 'm*u*q + Z_uw*u_r*w_r'}, 'kg/m')
+    """
+    terms = list((extra or {}).items())
+    complete: list[Parameter] = []
+    for parameter in parameters:
+        parsed = notation.parse(parameter.name)
+        if parsed.is_dot:
+            raise ModelError(
+                f"{parameter.name!r} multiplies an acceleration. Put it in the model's inertia."
+            )
+        complete.append(replace(parameter, unit=parameter.unit or notation.unit(parameter.name)))
+        terms.append((parsed.axis, notation.term(parameter.name, symbols=symbols)))
+    return Force(
+        name,
+        _joined(terms),
+        tuple(complete),
+        description="hull forces and moments",
+        source=source,
+        needs="motion in every direction",
+    )
+
+
+def _joined(terms: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Terms of the same axis as one sum."""
+    found: dict[str, str] = {}
+    for axis, text in terms:
+        found[axis] = f"{found[axis]} + {text}" if axis in found else text
+    return found

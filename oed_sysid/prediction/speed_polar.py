@@ -1,0 +1,270 @@
+"""Speed polars of sailing vehicles, with the uncertainty of what was fitted.
+
+The steady speed over the direction of the wind is what a sailor asks of a model.
+It weighs parameters as sailing does: terms that no steady sailing needs may be
+unknown without any harm to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from oed_sysid.errors import ModelError
+from oed_sysid.experiments.experiment import Limits
+from oed_sysid.experiments.simulation import equilibrium
+from oed_sysid.likelihood.fit import Fit, align
+from oed_sysid.physics.model import Model
+from oed_sysid.prediction.draws import asked, parameter_sets
+from oed_sysid.runtime.display import as_dict
+
+
+@dataclass(frozen=True)
+class SailingNames:
+    """What the channels of a sailing model are called.
+
+    Parameters
+    ----------
+    wind_speed, wind_from : str
+        Inputs: true wind speed, m/s, and the direction that it comes from, rad.
+    sheet : str
+        Input that trims the sail, rad; the polar takes the best.
+    helm : str
+        Input that is solved for: it holds the course.
+    speed, heading : str
+        States: speed over the water ahead, m/s, and heading, rad.
+    """
+
+    wind_speed: str = "wind_speed"
+    wind_from: str = "wind_from"
+    sheet: str = "sheet"
+    helm: str = "delta"
+    speed: str = "u"
+    heading: str = "psi"
+
+    def check(self, model: Model) -> None:
+        """Raise :class:`ModelError` where the model has no such channel."""
+        for needed, have, kind in (
+            ((self.wind_speed, self.wind_from, self.sheet, self.helm), model.input_names, "input"),
+            ((self.speed, self.heading), model.state_names, "state"),
+        ):
+            if missing := [name for name in needed if name not in have]:
+                raise ModelError(
+                    f"Model {model.name!r} has no {kind} {missing[0]!r}: {', '.join(have)}. Say "
+                    "what it is called with names=SailingNames(...)."
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedPolar:
+    """Best steady speed over the angle to the true wind.
+
+    Attributes
+    ----------
+    model : str
+        Name of the model.
+    wind_speed : float
+        True wind, m/s.
+    angles : ndarray (n_angles,)
+        Angle between heading and true wind, rad, wind from starboard.
+    speeds : ndarray (n_angles,)
+        Speed at the fitted values, m/s; NaN where no steady state was found.
+    sheets : ndarray (n_angles,)
+        The best of the sheet angles that were tried, rad.
+    states : mapping of str to ndarray (n_angles,)
+        All steady states and the helm.
+    draws : ndarray (n_draws, n_angles)
+        Speeds of parameters drawn from the fit, m/s; NaN without a steady state.
+    caveat : str
+        Why the band is too narrow; empty where nothing says so.
+    """
+
+    model: str
+    wind_speed: float
+    angles: np.ndarray
+    speeds: np.ndarray
+    sheets: np.ndarray
+    states: Mapping[str, np.ndarray] = field(repr=False)
+    draws: np.ndarray = field(repr=False)
+    caveat: str = ""
+
+    def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper ends ``(n_angles,)`` of the credible band; NaN without draws."""
+        if not len(self.draws):
+            nothing = np.full(self.angles.shape, math.nan)
+            return nothing, nothing
+        tail = (1.0 - level) / 2.0
+        ends = np.full((2, len(self.angles)), math.nan)
+        for index, column in enumerate(self.draws.T):
+            found = column[np.isfinite(column)]
+            if found.size > 1:
+                ends[:, index] = np.quantile(found, [tail, 1.0 - tail])
+        return ends[0], ends[1]
+
+    @property
+    def missing(self) -> int:
+        """Pairs of draw and angle that have no steady state; the band is without them."""
+        return int(np.count_nonzero(~np.isfinite(self.draws)))
+
+    def report(self) -> str:
+        """Return the polar as a table."""
+        low, high = self.interval()
+        rows = [("wind angle [deg]", "speed [m/s]", "95 % of draws", "sheet [deg]")]
+        for index, angle in enumerate(self.angles):
+            band = f"{low[index]:.3f} to {high[index]:.3f}" if len(self.draws) else ""
+            speed, sheet = self.speeds[index], math.degrees(self.sheets[index])
+            shown = f"{speed:.3f}" if math.isfinite(speed) else "none"
+            rows.append((f"{math.degrees(angle):.0f}", shown, band, f"{sheet:.0f}"))
+        lines = [f"speed polar at {self.wind_speed:g} m/s true wind, by {self.model}"]
+        lines += [f"  {line}" for line in align(rows)]
+        if self.missing:
+            lines.append(f"  {self.missing} of {self.draws.size} draws have no steady state.")
+        lines += [f"  {self.caveat}"] if self.caveat else []
+        return "\n".join(lines)
+
+    to_dict = as_dict(
+        "model", "wind_speed", "angles", "speeds", "sheets", "missing", "caveat",
+        low=lambda self: self.interval()[0], high=lambda self: self.interval()[1],
+    )  # fmt: skip
+
+
+def speed_polar(
+    fit_or_model: Fit | Model,
+    *,
+    wind_speed: float,
+    angles: Sequence[float] | np.ndarray,
+    sheets: Sequence[float] | np.ndarray,
+    names: SailingNames | None = None,
+    guess: Mapping[str, float] | None = None,
+    limits: Limits | None = None,
+    n_draws: int = 100,
+    rng: np.random.Generator | None = None,
+) -> SpeedPolar:
+    """Static velocity prediction: steady sailing at every wind angle, sail trimmed best.
+
+    For draws the sheet stays at the best of the fitted values: near an optimum
+    another trim changes the speed in second order only.
+
+    Parameters
+    ----------
+    fit_or_model : Fit or Model
+        A fit gives a band, a model only its values. A fit by Gibbs sampling
+        brings its own draws, others are drawn from their covariance.
+    wind_speed : float
+        True wind, m/s.
+    angles : sequence of float (n_angles,)
+        Between heading and true wind, rad; positive for wind from starboard.
+    sheets : sequence of float
+        Sheet angles to try, rad.
+    names : SailingNames, optional
+        What the channels are called.
+    guess : mapping of str to float
+        Where the search for the first angle begins; the others begin at their
+        neighbour.
+    limits : Limits, optional
+        Ranges of the helm and of states.
+    n_draws : int
+        Parameter sets for the band.
+    rng : numpy.random.Generator, optional
+        Source of the draws; by default one with a fixed seed.
+
+    Returns
+    -------
+    SpeedPolar
+
+    Raises
+    ------
+    ModelError
+        If the model lacks a channel, or no angle or sheet is given.
+
+    References
+    ----------
+    Larsson & Eliasson (2000), Principles of yacht design, 2nd ed., ch. 16, for
+    velocity prediction by equilibrium.
+    """
+    fit, model = asked(fit_or_model)
+    names = names or SailingNames()
+    names.check(model)
+    angles, sheets = np.asarray(angles, dtype=float), np.asarray(sheets, dtype=float)
+    if not angles.size or not sheets.size:
+        raise ModelError("A polar needs at least one angle and one sheet angle.")
+    solver = _Solver(model, names, wind_speed, limits)
+    best = solver.trimmed(angles, sheets, dict(guess or {names.speed: 0.3 * wind_speed}))
+    table = parameter_sets(fit, model, n_draws, rng)[1:]
+    speeds = np.full((len(table), len(angles)), math.nan)
+    for row, values in enumerate(table):
+        drawn = dict(zip(model.parameter_names, map(float, values), strict=True))
+        for column, (angle, point) in enumerate(zip(angles, best, strict=True)):
+            if point is not None:
+                sailed = solver.steady(drawn, angle, point[names.sheet], solver.start(point))
+                speeds[row, column] = sailed[names.speed] if sailed else math.nan
+    states = {
+        key: np.array([math.nan if point is None else point[key] for point in best])
+        for key in (*solver.keys, names.sheet)
+    }
+    caveat = "" if fit is None else fit.caveat
+    best_speeds, best_sheets = states[names.speed], states[names.sheet]
+    return SpeedPolar(
+        model.name, wind_speed, angles, best_speeds, best_sheets, states, speeds, caveat
+    )
+
+
+class _Solver:
+    """Steady sailing of one model at one wind speed."""
+
+    def __init__(
+        self, model: Model, names: SailingNames, wind_speed: float, limits: Limits | None
+    ) -> None:
+        self.model, self.names, self.wind_speed, self.limits = model, names, wind_speed, limits
+        self.keys = (*model.state_names, names.helm)
+
+    def start(self, point: Mapping[str, float]) -> dict[str, float]:
+        """States and helm of a steady point, from which another is looked for."""
+        return {key: point[key] for key in self.keys}
+
+    def trimmed(
+        self, angles: np.ndarray, sheets: np.ndarray, begin: Mapping[str, float]
+    ) -> list[dict[str, float] | None]:
+        """The fastest of the sheets at each angle; None where no sheet sails.
+
+        Each search begins at the neighbouring sheet, the best of the neighbouring angle, or
+        ``begin``, whichever leads somewhere.
+        """
+        best: list[dict[str, float] | None] = []
+        for angle in angles:
+            found: list[dict[str, float]] = []
+            for sheet in sheets:
+                known = [point for point in (*found[-1:], *best[-1:]) if point is not None]
+                starts = [*map(self.start, known), begin]
+                points = (self.steady({}, angle, sheet, start) for start in starts)
+                if (point := next(filter(None, points), None)) is not None:
+                    found.append(point)
+            best.append(max(found, key=lambda point: point[self.names.speed], default=None))
+        return best
+
+    def steady(
+        self,
+        values: Mapping[str, float],
+        angle: float,
+        sheet: float,
+        guess: Mapping[str, float],
+    ) -> dict[str, float] | None:
+        """States and inputs of steady sailing; None where there is none ahead."""
+        names = self.names
+        point = equilibrium(
+            self.model.with_values(dict(values)) if values else self.model,
+            inputs={
+                names.sheet: float(sheet),
+                names.wind_speed: self.wind_speed,
+                names.wind_from: 0.0,
+            },
+            fixed={names.heading: -float(angle)},
+            free=(names.helm,),
+            guess={key: value for key, value in guess.items() if key != names.heading},
+            limits=self.limits,
+        )
+        found = {**point.states, **point.inputs}
+        return found if point.ok and found[names.speed] > 0 else None

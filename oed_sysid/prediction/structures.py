@@ -1,0 +1,550 @@
+r"""Predictions whose structure may be wrong: candidates averaged by how well they transfer.
+
+Records often cannot tell structures apart that differ where a prediction is asked for, beyond
+the records. No single test chooses well there, so three are multiplied. Let the records be sorted
+by strength and a fit on those up to a rung be made for each rung. The *transfer score* of a
+structure is
+
+.. math:: S = s \cdot c \cdot \sqrt{d^2 + f^2}
+
+with *s* the rms error, in units of the spread of each output, of predictions over segments of the
+stronger records, begun at the first sample; *c* the geometric mean over the axes of the relative
+error of forces at given motion that nothing was fitted to (1 where there are no such tests); and
+*d* the rms relative change of the wanted quantities from rung to rung. Structures weigh
+:math:`w_i \propto S_i^{-4}`, and
+
+.. math::
+    \bar q = \sum_i w_i q_i, \qquad
+    \operatorname{var} q = \sum_i w_i (q_i - \bar q)^2 + \sum_i w_i v_i + (f \bar q)^2
+
+where :math:`v_i` is the jackknife variance over the records and *f* what no record tells, 1.5 %
+unless stated: the repeatability of such tests in one basin and between basins.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import ndtri
+
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.record import closest
+from oed_sysid.errors import DataError, ModelError, OedSysidError
+from oed_sysid.likelihood.captive import CaptiveTests
+from oed_sysid.likelihood.fit import Fit, align
+from oed_sysid.likelihood.start_guess import measured_states
+from oed_sysid.physics.model import Model
+from oed_sysid.prediction.jackknife import Estimator, Purpose, leave_out
+from oed_sysid.runtime.display import as_dict
+
+# Records whose strengths differ by less than this share are of one rung.
+SAME_STRENGTH = 0.05
+# Rungs of the ladder, the strongest records, which are only predicted, not counted.
+MOST_RUNGS = 3
+# A quantity this much smaller than it was on a rung is about zero.
+NEARLY_ZERO = 1e-6
+# Weights below this are not worth a jackknife.
+LEAST_WEIGHT = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """One candidate: a model and how it is fitted.
+
+    Parameters
+    ----------
+    name : str
+        For reports.
+    model : Model
+        Its values are the start values.
+    estimator : Estimator
+        Such as :class:`~oed_sysid.likelihood.multiple_shooting.MultipleShooting`; the weight of
+        records against
+        priors is one of its settings, so that it may be averaged over as well.
+    tests : CaptiveTests, optional
+        Forces at given motion that are fitted together with the records.
+    """
+
+    name: str
+    model: Model
+    estimator: Estimator
+    tests: CaptiveTests | None = None
+
+    def fit(self, dataset: Dataset) -> Fit:
+        """Fit to records, and to the tests where it has some."""
+        if self.tests is None:
+            return self.estimator.fit(self.model, dataset)
+        return self.tests.fit(self.estimator, self.model, dataset)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """How one structure fares beyond what it was fitted to.
+
+    Attributes
+    ----------
+    name : str
+        Of the structure.
+    step : float
+        Error on stronger records, in units of the outputs' spread.
+    forces : float
+        Relative error of forces nobody fitted; 1 without such tests.
+    drift : float
+        Relative change of the wanted quantities from rung to rung.
+    score : float
+        Product of the three; infinite where a fit or a prediction failed.
+    weight : float
+        Share in the average.
+    values : mapping of str to float
+        The wanted quantities, from all records; empty where they could not be had.
+    std : mapping of str to float
+        Their jackknife standard deviations; empty where the weight is below five per cent.
+    note : str
+        What failed, in words; empty if nothing did.
+    """
+
+    name: str
+    step: float
+    forces: float
+    drift: float
+    score: float
+    weight: float
+    values: Mapping[str, float]
+    std: Mapping[str, float]
+    note: str = ""
+
+    to_dict = as_dict("name", "weight", "step", "forces", "drift", "values", "note")
+
+
+@dataclass(frozen=True, eq=False)
+class StructureAverage:
+    """Wanted quantities with an uncertainty that holds that of the structure.
+
+    Attributes
+    ----------
+    values, std : mapping of str to float
+        Average and standard deviation of each quantity.
+    between, within : mapping of str to float
+        The parts of the standard deviation that differ by structure, and by record.
+    structures : tuple of Transfer
+        The candidates, the heaviest first.
+    rungs : tuple of tuple of str
+        Records of each training rung.
+    n_records : int
+        Records in all.
+    """
+
+    values: Mapping[str, float]
+    std: Mapping[str, float]
+    between: Mapping[str, float] = field(repr=False)
+    within: Mapping[str, float] = field(repr=False)
+    structures: tuple[Transfer, ...] = field(repr=False)
+    rungs: tuple[tuple[str, ...], ...] = field(repr=False)
+    n_records: int = 0
+
+    def interval(self, quantity: str, level: float = 0.95) -> tuple[float, float]:
+        """Interval of one quantity, normal."""
+        half = float(ndtri(0.5 + level / 2)) * self.std[quantity]
+        return self.values[quantity] - half, self.values[quantity] + half
+
+    def report(self) -> str:
+        """Return weights and quantities as tables."""
+        sizes = ", ".join(str(len(rung)) for rung in self.rungs)
+        lines = [
+            f"average of {len(self.structures)} structures; {self.n_records} records, "
+            f"of which the weakest {sizes} predict the stronger"
+        ]
+        rows: list[tuple[str, ...]] = [("structure", "weight", "step", "forces", "drift %", "")]
+        for one in self.structures:
+            rows.append(
+                (
+                    one.name,
+                    f"{100 * one.weight:.0f} %",
+                    f"{one.step:.3f}",
+                    f"{one.forces:.3f}",
+                    f"{100 * one.drift:.1f}",
+                    one.note,
+                )
+            )
+        lines += [f"  {line.rstrip()}" for line in align(rows)]
+        rows = [("quantity", "value", "95 % interval", "half width", "structure", "records")]
+        for name, value in self.values.items():
+            low, high = self.interval(name)
+            halves = (0.5 * (high - low), 1.96 * self.between[name], 1.96 * self.within[name])
+            rows.append(
+                (
+                    name,
+                    f"{value:.4g}",
+                    f"{low:.4g} to {high:.4g}",
+                    *(f"{100 * half / abs(value):.1f} %" if value else "-" for half in halves),
+                )
+            )
+        return "\n".join([*lines, *(f"  {line}" for line in align(rows))])
+
+    to_dict = as_dict(
+        "structures", "rungs",
+        quantities=lambda self: {
+            name: {
+                "value": value,
+                "std": self.std[name],
+                "between": self.between[name],
+                "within": self.within[name],
+            }
+            for name, value in self.values.items()
+        },
+    )  # fmt: skip
+
+
+def peak_input(name: str) -> Callable[[Record], float]:
+    """Strength of a record by the largest size of one of its inputs.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics.channels import Channels, Input, Output
+    >>> channels = Channels((Input("delta", "rad"),), (Output("r", "rad/s"),))
+    >>> rudder = [[0.0], [-0.4], [-0.4], [0.1], [0.0]]
+    >>> turn = Record("turn", np.arange(5.0), rudder, np.ones((5, 1)), channels)
+    >>> peak_input("delta")(turn)
+    0.4
+    """
+    return lambda record: float(np.abs(record.input(name)).max())
+
+
+def ladder(
+    dataset: Dataset, strength: Callable[[Record], float]
+) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]:
+    """Names of weaker records to fit and stronger ones to predict, for up to three rungs.
+
+    Records within five per cent of each other's strength stay together, and a rung has two
+    records at least: one alone seldom determines a model.
+
+    Raises
+    ------
+    DataError
+        If there are no two records that are weaker than another.
+    """
+    ordered = sorted(dataset, key=strength)
+    sizes = [strength(record) for record in ordered]
+    edges = [
+        i for i in range(2, len(sizes)) if sizes[i] > (1 + SAME_STRENGTH) * sizes[i - 1] + 1e-12
+    ]
+    if not edges:
+        raise DataError(
+            "No two records are weaker than the others (all are of one strength, or too few), so "
+            "that none can be predicted from weaker ones. Add weaker or stronger manoeuvres, or "
+            "choose another measure of strength."
+        )
+    names = [record.name for record in ordered]
+    return tuple((tuple(names[:i]), tuple(names[i:])) for i in edges[-MOST_RUNGS:])
+
+
+def average_structures(
+    candidates: Sequence[Structure],
+    dataset: Dataset,
+    *,
+    purpose: Purpose,
+    strength: Callable[[Record], float],
+    horizon: float,
+    tests: CaptiveTests | None = None,
+    scored: Sequence[str] = (),
+    floor: float = 0.015,
+    power: float = 4.0,
+) -> StructureAverage:
+    """Average what several structures predict, by how well each transfers.
+
+    Parameters
+    ----------
+    candidates : sequence of Structure
+        Two or more.
+    dataset : Dataset
+        Records of several strengths.
+    purpose : callable
+        ``fit -> {name: number}``: what is wanted of the model, such as
+        ``lambda fit: turning_circle(fit, ...).quantities()``. A model for one purpose is not the
+        model for another, so this decides among structures too.
+    strength : callable
+        ``record -> number``, such as :func:`peak_input`.
+    horizon : float
+        Length of the segments in which stronger records are predicted, s.
+    tests : CaptiveTests, optional
+        Forces at given motion that no candidate was fitted to, compared test by test.
+    scored : sequence of str
+        Quantities whose stability counts; all by default. None may be about zero.
+    floor : float
+        Relative standard deviation that no record tells.
+    power : float
+        Weights are the score to minus this power.
+
+    Returns
+    -------
+    StructureAverage
+
+    Raises
+    ------
+    ModelError
+        If a candidate was fitted to some of ``tests``, none gives the quantities, they differ by
+        structure or are about zero, or a setting is out of its range.
+    DataError
+        If all records are of one strength.
+
+    Examples
+    --------
+    Drag of a body that slows down, linear or quadratic? Runs from 1 and 2 m/s say what 6 m/s does:
+
+    >>> from oed_sysid import Force, MultipleShooting, Output, Parameter, State
+    >>> def body(drag):
+    ...     force = Force("drag", {"X": drag}, (Parameter("k", 2.0, "1"),))
+    ...     return Model("body", (State("u", "m/s"),), (), (Output("u", "m/s", noise_std=0.01),),
+    ...         axes={"X": "u"}, inertia={("X", "u"): "10"}, effects=(force,))
+    >>> linear, quadratic = body("-k*u"), body("-k*u*abs(u)")
+    >>> rng, times = np.random.default_rng(0), np.arange(0.0, 10.0, 0.2)
+    >>> runs = [
+    ...     Record(f"from {speed}", times, np.empty((50, 0)),
+    ...         speed / (1 + 0.2 * speed * times[:, None]) + 0.01 * rng.standard_normal((50, 1)),
+    ...         linear.channels)
+    ...     for speed in (1.0, 1.5, 2.0)
+    ... ]
+    >>> shooting = MultipleShooting(disturbances="none")
+    >>> average = average_structures(
+    ...     [Structure("linear", linear, shooting), Structure("quadratic", quadratic, shooting)],
+    ...     Dataset(tuple(runs)),
+    ...     purpose=lambda fit: {"force at 6 m/s": fit.values["k"] * (
+    ...         36.0 if "abs" in fit.model.effects[0].terms["X"] else 6.0)},
+    ...     strength=lambda run: float(run.output("u")[0]), horizon=5.0,
+    ... )
+    >>> print(average.structures[0].name, round(average.values["force at 6 m/s"]))
+    quadratic 72
+    """
+    if len(candidates) < 2:
+        raise ModelError(f"{len(candidates)} structures are no average. Give two or more.")
+    _check_settings(horizon, floor, power)
+    _check_tests(candidates, tests)
+    rungs = ladder(dataset, strength)
+    spread = _spread(dataset)
+    found = [_transfer(one, dataset, rungs, spread, purpose, horizon, tests, scored, floor)
+             for one in candidates]  # fmt: skip
+    best = min(one.score for one in found)
+    if not math.isfinite(best):
+        raise ModelError(
+            "No structure gives the wanted quantities: "
+            + "; ".join(f"{one.name}: {one.note or 'not finite'}" for one in found)
+        )
+    _check_names(found)
+    # Nothing is better than no error at all.
+    raw = np.array(
+        [(one.score / best) ** -power if best > 0 else float(one.score == 0) for one in found]
+    )
+    weights = raw / raw.sum()
+    done = [
+        replace(
+            each,
+            weight=float(weight),
+            std=record_errors(candidate, dataset, purpose) if weight >= LEAST_WEIGHT else {},
+        )
+        for candidate, each, weight in zip(candidates, found, weights, strict=True)
+    ]
+    return _averaged(done, rungs, len(dataset), floor)
+
+
+def _averaged(
+    done: Sequence[Transfer],
+    rungs: Sequence[tuple[tuple[str, ...], tuple[str, ...]]],
+    n_records: int,
+    floor: float,
+) -> StructureAverage:
+    """Mean of the structures by their weights, and the three parts of its variance."""
+    used = [one for one in done if one.weight > 0]
+    share = np.array([one.weight for one in used])
+    values: dict[str, float] = {}
+    between: dict[str, float] = {}
+    within: dict[str, float] = {}
+    for name in used[0].values:
+        table = np.array([one.values[name] for one in used])
+        values[name] = float(share @ table)
+        between[name] = float(np.sqrt(share @ (table - values[name]) ** 2))
+        # Those too light for a jackknife are taken to scatter as the others do.
+        known = np.array([bool(one.std) for one in used])
+        part = np.array([one.std[name] ** 2 for one in used if one.std])
+        within[name] = float(np.sqrt(share[known] @ part / share[known].sum()))
+    total = {
+        name: math.sqrt(between[name] ** 2 + within[name] ** 2 + (floor * value) ** 2)
+        for name, value in values.items()
+    }
+    return StructureAverage(
+        values,
+        total,
+        between,
+        within,
+        tuple(sorted(done, key=lambda one: -one.weight)),
+        tuple(fitted for fitted, _ in rungs),
+        n_records,
+    )
+
+
+def _spread(dataset: Dataset) -> np.ndarray:
+    """Standard deviation of each output over all records, ``(n_outputs,)``."""
+    stacked = np.vstack([record.outputs for record in dataset])
+    spread = np.nanstd(stacked, axis=0)
+    return np.where(spread > 0, spread, np.inf)
+
+
+def _transfer(
+    candidate: Structure,
+    dataset: Dataset,
+    rungs: Sequence[tuple[tuple[str, ...], tuple[str, ...]]],
+    spread: np.ndarray,
+    purpose: Purpose,
+    horizon: float,
+    tests: CaptiveTests | None,
+    scored: Sequence[str],
+    floor: float,
+) -> Transfer:
+    """Score one structure; what fails makes its score infinite and is noted."""
+    nothing = Transfer(candidate.name, math.inf, 1.0, math.inf, math.inf, 0.0, {}, {})
+    rungs_values: list[dict[str, float]] = []
+    try:
+        whole = candidate.fit(dataset)
+        values = {name: float(value) for name, value in purpose(whole).items()}
+        squares, count = 0.0, 0
+        for weaker, stronger in rungs:
+            fit = candidate.fit(_chosen(dataset, weaker))
+            sums = _step_error(fit.model, _chosen(dataset, stronger), spread, horizon)
+            squares, count = squares + sums[0], count + sums[1]
+            rungs_values.append({name: float(value) for name, value in purpose(fit).items()})
+        forces = 1.0
+        if tests is not None:
+            errors = tests.relative_errors(whole.model)
+            forces = float(np.exp(np.mean(np.log(list(errors.values())))))
+    except (OedSysidError, np.linalg.LinAlgError) as error:
+        return replace(nothing, note=str(error).split(". ")[0])
+    step = math.sqrt(squares / max(count, 1))
+    moved = _changes(candidate.name, values, rungs_values, scored)
+    drift = float(np.sqrt(np.mean(np.square(moved))))
+    score = step * forces * math.hypot(drift, floor)
+    usable = math.isfinite(score) and all(math.isfinite(value) for value in values.values())
+    found = replace(nothing, step=step, forces=forces, drift=drift)
+    if not usable:
+        return replace(found, note="predictions are not finite")
+    return replace(found, score=score, values=values)
+
+
+def _changes(
+    structure: str,
+    values: Mapping[str, float],
+    early: Sequence[Mapping[str, float]],
+    scored: Sequence[str],
+) -> list[float]:
+    """Relative changes of the scored quantities from each rung to all records."""
+    if unknown := [name for name in scored if name not in values]:
+        raise ModelError(
+            f"scored names {unknown[0]!r}, which is none of the wanted quantities: "
+            f"{', '.join(values) or 'there are none'}.{closest(unknown[0], values)}"
+        )
+    if not values:
+        raise ModelError("The purpose gives no quantity. Return at least one, by name.")
+    moved = []
+    for one in early:
+        if set(one) != set(values):
+            raise ModelError(
+                f"The purpose gives {', '.join(one) or 'nothing'} for a part of the records and "
+                f"{', '.join(values)} for all, with structure {structure!r}. Return the same names."
+            )
+        for name in scored or values:
+            if abs(values[name]) <= NEARLY_ZERO * abs(one[name]) or values[name] == 0.0:
+                raise ModelError(
+                    f"Quantity {name!r} is {values[name]:.3g} with structure {structure!r}: a "
+                    "relative change of nothing says nothing. Name the others in scored, or ask "
+                    "for a quantity that is not about zero."
+                )
+            moved.append(one[name] / values[name] - 1.0)
+    return moved
+
+
+def _check_tests(candidates: Sequence[Structure], tests: CaptiveTests | None) -> None:
+    """Refuse tests that some candidate was fitted to."""
+    for one in candidates:
+        if tests is not None and one.tests is not None and (seen := tests.shared(one.tests)):
+            raise ModelError(
+                f"Structure {one.name!r} was fitted to {seen} of the {tests.n_tests} tests that "
+                "shall judge it. Judge with other tests, or fit without these."
+            )
+
+
+def _check_settings(horizon: float, floor: float, power: float) -> None:
+    """Refuse numbers that give no weights."""
+    if not (math.isfinite(horizon) and horizon > 0):
+        raise ModelError(f"horizon is {horizon}. Give seconds above zero.")
+    if not (math.isfinite(floor) and floor >= 0):
+        raise ModelError(f"floor is {floor}. Give a share, such as 0.015, or zero.")
+    if not (math.isfinite(power) and power > 0):
+        raise ModelError(
+            f"power is {power}. Give a number above zero: weights are the score to minus it."
+        )
+
+
+def _check_names(found: Sequence[Transfer]) -> None:
+    """Refuse structures of which different things are wanted."""
+    usable = [one for one in found if one.values]
+    for one in usable[1:]:
+        if set(one.values) != set(usable[0].values):
+            raise ModelError(
+                f"The purpose gives {', '.join(usable[0].values)} with structure "
+                f"{usable[0].name!r} and {', '.join(one.values)} with {one.name!r}. Return the "
+                "same names for all."
+            )
+
+
+def _chosen(dataset: Dataset, names: Sequence[str]) -> Dataset:
+    return Dataset(tuple(record for record in dataset if record.name in names))
+
+
+def _step_error(
+    model: Model, dataset: Dataset, spread: np.ndarray, horizon: float
+) -> tuple[float, int]:
+    """Sum of squared errors over segments from their first samples, and how many there are.
+
+    Nothing of the segments is estimated: unmeasured states begin at zero, parameters that differ
+    by record at their mean.
+    """
+    held = model.fix(*model.free_names)
+    compiled, values = kernel(held), held.value_vector
+    total, count = 0.0, 0
+    for record in dataset:
+        for part in record.segments(horizon):
+            own = np.zeros(compiled.n_own)
+            for position, series in measured_states(held, part).items():
+                own[position] = series[0]
+            start, _ = compiled.start(own, part.inputs[0], values, part.times[0])
+            run = compiled.run(part.times, part.inputs, values, start)
+            errors = (run.outputs - part.outputs) / spread
+            seen = np.isfinite(part.outputs)
+            if not np.isfinite(run.outputs).all():
+                return math.inf, 1
+            total += float(np.sum(np.square(errors[seen])))
+            count += int(seen.sum())
+    return total, count
+
+
+def record_errors(structure: Structure, dataset: Dataset, purpose: Purpose) -> dict[str, float]:
+    """Standard errors of wanted quantities from what records say apart from one another.
+
+    Those of :func:`oed_sysid.prediction.jackknife.jackknife`, which has intervals as well.
+
+    Parameters
+    ----------
+    structure : Structure
+    dataset : Dataset
+        Three records or more.
+    purpose : callable
+        ``fit -> {name: number}``; ``lambda fit: fit.values`` for the parameters themselves.
+
+    Returns
+    -------
+    dict of str to float
+        Infinite where fewer than two of the fits succeed.
+    """
+    return leave_out(structure.fit, dataset, purpose).std_errors

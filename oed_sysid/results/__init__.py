@@ -1,0 +1,126 @@
+"""Pictures and HTML reports: the only part of the package that draws.
+
+Every ``plot_x(result, ax=None)`` draws on the given axes, or on those of a new
+figure, and returns them; nothing is shown and no global setting is touched.
+``figure_x`` compose several, and ``x_page(result).write("file.html")`` makes a
+report in one file.
+"""
+
+from oed_sysid.results.card_page import card_page
+from oed_sysid.results.card_plots import figure_card, plot_orders, plot_tracks
+from oed_sysid.results.check_page import check_page
+from oed_sysid.results.check_plots import figure_check, plot_balance, plot_balances
+from oed_sysid.results.comparison_page import comparison_page
+from oed_sysid.results.design_page import design_page
+from oed_sysid.results.design_plots import (
+    figure_design,
+    plot_accuracy,
+    plot_bode,
+    plot_output_change,
+    plot_sensitivity,
+)
+from oed_sysid.results.diagnosis_page import diagnosis_page
+from oed_sysid.results.fit_page import fit_page
+from oed_sysid.results.fit_plots import (
+    figure_fit,
+    figure_whiteness,
+    plot_autocorrelation,
+    plot_correlation,
+    plot_input,
+    plot_intervals,
+    plot_output,
+    plot_residual,
+)
+from oed_sysid.results.force_plots import (
+    figure_force,
+    plot_force_against,
+    plot_residual_force,
+)
+from oed_sysid.results.improvement_page import improvement_page
+from oed_sysid.results.improvement_plots import (
+    figure_diagnosis,
+    plot_error_fall,
+    plot_located,
+    plot_ranking,
+)
+from oed_sysid.results.live_plots import LiveParameters, plot_history
+from oed_sysid.results.multistart_plots import plot_waterfall
+from oed_sysid.results.numbers_page import numbers_page
+from oed_sysid.results.page import Page, Picture, Section, Table, style_sheet
+from oed_sysid.results.polar_plots import plot_polar
+from oed_sysid.results.prediction_plots import (
+    figure_predictions,
+    plot_comparison,
+    plot_prediction,
+    plot_prediction_error,
+)
+from oed_sysid.results.profile_plots import plot_ellipses, plot_profile
+from oed_sysid.results.programme_page import programme_page
+from oed_sysid.results.programme_plots import figure_programme
+from oed_sysid.results.ranking_page import ranking_page
+from oed_sysid.results.record_plots import figure_record
+from oed_sysid.results.style import finding, model_style, new_figure, save_figure
+from oed_sysid.results.track_plots import plot_phase, plot_track, plot_zigzag
+
+__all__ = [
+    "LiveParameters",
+    "Page",
+    "Picture",
+    "Section",
+    "Table",
+    "card_page",
+    "check_page",
+    "comparison_page",
+    "design_page",
+    "programme_page",
+    "figure_programme",
+    "diagnosis_page",
+    "figure_card",
+    "figure_check",
+    "figure_design",
+    "figure_diagnosis",
+    "figure_fit",
+    "figure_force",
+    "figure_predictions",
+    "figure_record",
+    "figure_whiteness",
+    "finding",
+    "fit_page",
+    "improvement_page",
+    "model_style",
+    "new_figure",
+    "numbers_page",
+    "save_figure",
+    "plot_accuracy",
+    "plot_autocorrelation",
+    "plot_balance",
+    "plot_balances",
+    "plot_bode",
+    "plot_comparison",
+    "plot_correlation",
+    "plot_ellipses",
+    "plot_error_fall",
+    "plot_force_against",
+    "plot_history",
+    "plot_input",
+    "plot_intervals",
+    "plot_located",
+    "plot_output",
+    "plot_output_change",
+    "plot_phase",
+    "plot_polar",
+    "plot_prediction",
+    "plot_prediction_error",
+    "plot_profile",
+    "plot_ranking",
+    "plot_residual",
+    "plot_residual_force",
+    "plot_sensitivity",
+    "plot_orders",
+    "plot_track",
+    "plot_tracks",
+    "plot_waterfall",
+    "plot_zigzag",
+    "ranking_page",
+    "style_sheet",
+]

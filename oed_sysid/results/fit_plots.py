@@ -1,0 +1,365 @@
+"""Pictures of one fit: data and model, residuals, estimates and their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from oed_sysid.data.dataset import Record
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.information import autocorrelation, effective_sample_size
+from oed_sysid.results.style import (
+    DATA,
+    NEUTRAL,
+    TRUTH,
+    TWO_SIDED_95,
+    abscissa,
+    clean,
+    joined,
+    label,
+    model_style,
+    new_axes,
+    new_figure,
+    plot_band,
+    say,
+    shown,
+    spread_legend,
+    symbol_of,
+)
+from oed_sysid.text.units import shown_unit
+
+# Blue over white to vermilion; darkness says how strong in greyscale.
+_DIVERGING = LinearSegmentedColormap.from_list(
+    "correlation", ["#003f66", "#8fbfdc", "white", "#f0a87f", "#8a2f00"]
+)
+
+
+def plot_output(
+    fit: Fit, output: str, *, record: str | int = 0, style: int = 0, ax: Axes | None = None
+) -> Axes:
+    """Plot one measured output and the model, with the band in which 95 % should lie.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    output : str
+        Which output.
+    record : str or int
+        Which of its records.
+    style : int
+        Position of the model in a comparison; sets colour and dashes.
+    ax : Axes, optional
+        Where to draw.
+    """
+    ax = new_axes(ax)
+    row, times, words = _record(fit, record)
+    column = fit.model.output_names.index(output)
+    channel = fit.model.outputs[column]
+    measured = shown(channel, fit.dataset[row].outputs[:, column])
+    predicted = shown(channel, fit.predictions[row][:, column])
+    half = TWO_SIDED_95 * shown(channel, fit.sigma[column])
+    look = model_style(style)
+    data = fit.dataset[row]
+    ax.plot(times, measured, ".", color=DATA, ms=2.5, label="measured", rasterized=True)
+    plot_band(
+        ax, data, predicted - half, predicted + half, color=look.colour, alpha=0.25, lw=0,
+        label="model ± noise (95 %)", rasterized=True,
+    )  # fmt: skip
+    ax.plot(times, predicted, color=look.colour, lw=1.5, label="model", **joined(data))
+    ax.set(xlabel=words, ylabel=label(channel))
+    return say(
+        clean(ax),
+        f"{fit.dataset[row].name}: residuals of {output} are "
+        f"{fit.rms[output] / fit.sigma[column]:.3g} times its noise.",
+    )
+
+
+def plot_residual(
+    fit: Fit, output: str, *, record: str | int = 0, style: int = 0, ax: Axes | None = None
+) -> Axes:
+    """Plot measured minus model of one output, with the 95 % band of its noise."""
+    ax = new_axes(ax)
+    row, times, words = _record(fit, record)
+    column = fit.model.output_names.index(output)
+    channel = fit.model.outputs[column]
+    half = TWO_SIDED_95 * float(shown(channel, fit.sigma[column]))
+    ax.axhspan(-half, half, color=NEUTRAL, alpha=0.3, lw=0, label="95 % of the noise")
+    ax.axhline(0.0, color=TRUTH, lw=0.8)
+    ax.plot(
+        times, shown(channel, fit.residuals[row][:, column]), ".", ms=2.5,
+        color=model_style(style).colour, label="measured − model", rasterized=True,
+    )  # fmt: skip
+    ax.set(xlabel=words, ylabel=f"residual [{shown_unit(channel.unit)[1]}]")
+    return clean(ax)
+
+
+def plot_input(record: Record, name: str, *, ax: Axes | None = None) -> Axes:
+    """Plot one commanded signal of a record, as it acts between samples."""
+    ax = new_axes(ax, size=(6.4, 2.0))
+    channel = record.channels.inputs[record.channels.input_names.index(name)]
+    values = shown(channel, record.input(name))
+    drawstyle = "steps-post" if channel.interpolation == "hold" else "default"
+    along, words = abscissa(record)
+    ax.plot(along, values, color=TRUTH, lw=1.0, drawstyle=drawstyle, **joined(record))
+    ax.set(xlabel=words, ylabel=label(channel))
+    return clean(ax)
+
+
+def plot_autocorrelation(
+    fit: Fit, output: str, *, max_lag: float | None = None, style: int = 0, ax: Axes | None = None
+) -> Axes:
+    """Plot the autocorrelation of the residuals of one output, one line per record.
+
+    The band holds 95 % of the values if the residuals were white. Bars would
+    hide one record behind the other, so each record is a line.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    output : str
+        Which output.
+    max_lag : float, optional
+        Longest lag, s; by default 60 samples.
+    style : int
+        Position of the model in a comparison.
+    ax : Axes, optional
+        Where to draw.
+    """
+    ax = new_axes(ax)
+    column = fit.model.output_names.index(output)
+    samples, effective, total = 0, 0.0, 0
+    for record, residual in zip(fit.dataset, fit.residuals, strict=True):
+        series = residual[:, column]
+        present = int(np.isfinite(series).sum())
+        if present < 10:
+            continue
+        step = record.sample_time
+        n_lags = min(present // 4, 60 if max_lag is None else max(1, int(max_lag / step)))
+        rho = autocorrelation(series, n_lags)
+        ax.plot(
+            np.arange(1, n_lags + 1) * step, rho[1:], lw=1.3, alpha=0.85,
+            color=model_style(style).colour, label="records",
+        )  # fmt: skip
+        samples = max(samples, present)
+        effective += effective_sample_size(series)
+        total += present
+    if samples:
+        half = TWO_SIDED_95 / np.sqrt(samples)
+        ax.axhspan(-half, half, color=NEUTRAL, alpha=0.3, lw=0, label="95 % band of white noise")
+    ax.axhline(0.0, color=TRUTH, lw=0.8)
+    ax.set(
+        xlabel="lag [s]",
+        ylabel="autocorrelation [-]",
+        title=f"{symbol_of(output)}: {effective:.0f} independent of {total} samples",
+        ylim=(-1.05, 1.05),
+    )
+    words = f"Residuals of {output}: {effective:.0f} of {total} samples are independent."
+    return say(clean(ax), words if total else f"{output} was not measured.")
+
+
+def plot_intervals(
+    fits: Fit | Sequence[Fit],
+    *,
+    labels: Sequence[str] | None = None,
+    truth: dict[str, float] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Plot estimates with 95 % intervals, relative to the prior or the first fit.
+
+    Parameters
+    ----------
+    fits : Fit or sequence of Fit
+        Fits of models that share parameters.
+    labels : sequence of str, optional
+        Names of the fits; by default those of their models.
+    truth : dict, optional
+        True values, where they are known.
+    ax : Axes, optional
+        Where to draw.
+
+    Notes
+    -----
+    Values are divided by the size of the prior mean (the first fit's value
+    where there is none), so that all parameters share an axis.
+    """
+    several = [fits] if isinstance(fits, Fit) else list(fits)
+    names = list(dict.fromkeys(name for fit in several for name in fit.names))
+    ax = new_axes(ax, size=(6.4, 0.8 + 0.34 * len(names)))
+    scale = {name: _reference(several, name) for name in names}
+    rows = np.arange(len(names))[::-1]
+    for index, fit in enumerate(several):
+        look = model_style(index)
+        shift = 0.22 * (index - (len(several) - 1) / 2)
+        found = [i for i, name in enumerate(names) if name in fit.values]
+        centre = np.array([fit.values[names[i]] / scale[names[i]] for i in found])
+        half = np.array(
+            [TWO_SIDED_95 * fit.std_errors[names[i]] / abs(scale[names[i]]) for i in found]
+        )
+        ax.errorbar(
+            centre, rows[found] - shift, xerr=np.where(np.isfinite(half), half, 0.0),
+            fmt="osD^v<"[index % 6], ms=4.5, color=look.colour, elinewidth=1.6, capsize=3,
+            label=labels[index] if labels else f"{fit.model.name} (95 %)",
+        )  # fmt: skip
+    _draw_priors(ax, several[0], names, scale, rows)
+    for name, row in zip(names, rows, strict=True):
+        if truth and name in truth:
+            ax.plot(truth[name] / scale[name], row, "|", color=TRUTH, ms=14, mew=2, label="truth")
+    ax.set_yticks(rows, [symbol_of(name) for name in names])
+    parameters = [several[0].model.parameter(name) for name in names if name in several[0].names]
+    has_prior = any(parameter.prior_mean is not None for parameter in parameters)
+    what = "the prior" if has_prior else "the estimate"
+    ax.set(xlabel=f"value relative to {what} [-]", ylim=(-0.6, len(names) - 0.4))
+    clean(ax)
+    # Above: below, its distance from the axis' label would depend on the height.
+    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    return say(ax, _least_certain(several))
+
+
+def plot_correlation(fit: Fit, *, ax: Axes | None = None) -> Axes:
+    """Plot the correlation matrix of the estimates; numbers where it exceeds 0.5."""
+    size = 1.6 + 0.42 * len(fit.names)
+    ax = new_axes(ax, size=(size + 1.6, size + 0.3))
+    matrix = fit.correlation
+    picture = ax.imshow(matrix, cmap=_DIVERGING, vmin=-1, vmax=1)
+    ticks = range(len(fit.names))
+    ax.set_xticks(
+        ticks, [symbol_of(name) for name in fit.names], rotation=60, ha="right",
+        rotation_mode="anchor",
+    )  # fmt: skip
+    ax.set_yticks(ticks, [symbol_of(name) for name in fit.names])
+    for i in ticks:
+        for j in range(i):
+            value = matrix[i, j]
+            if abs(value) > 0.5:
+                ax.text(
+                    j, i, f"{value:+.2f}".replace("0.", "."), ha="center", va="center",
+                    fontsize=7.5, color="white" if abs(value) > 0.8 else "black",
+                )  # fmt: skip
+    ax.tick_params(labelsize=9, length=0)
+    bar = ax.get_figure().colorbar(picture, ax=ax, shrink=0.8)  # type: ignore[union-attr]
+    bar.set_label("correlation [-]")
+    return say(ax, _closest(fit))
+
+
+def figure_fit(fit: Fit, record: str | int = 0, *, style: int = 0) -> Figure:
+    """Data and model on the left, residuals on the right, commands below, of one record."""
+    row, _, _ = _record(fit, record)
+    data = fit.dataset[row]
+    outputs = [name for name in fit.model.output_names if name not in data.missing_outputs]
+    inputs = [name for name in fit.model.input_names if name not in data.constant_channels]
+    rows = len(outputs) + (1 if inputs else 0)
+    figure, axes = new_figure(rows, 2, size=(11.0, 1.1 + 1.55 * rows), sharex=True)
+    for line, name in zip(axes, outputs, strict=False):
+        plot_output(fit, name, record=row, style=style, ax=line[0])
+        plot_residual(fit, name, record=row, style=style, ax=line[1])
+        line[0].set_ylabel(label(fit.model.outputs[fit.model.output_names.index(name)], lines=2))
+    if inputs:
+        for ax, name in zip(axes[-1], inputs, strict=False):
+            plot_input(data, name, ax=ax)
+            ax.set_ylabel(
+                label(data.channels.inputs[data.channels.input_names.index(name)], lines=2)
+            )
+    for ax in axes[:-1].flat:
+        ax.set_xlabel("")
+    if len(inputs) == 1:
+        axes[-1, 1].axis("off")
+        axes[-2, 1].tick_params(labelbottom=True)
+        axes[-2, 1].set_xlabel("time $t$ [s]")
+    figure.align_ylabels()
+    axes[0, 1].set_title("measured − model")
+    axes[0, 0].set_title(f"{data.name}: measured and model", pad=20)
+    spread_legend(
+        axes[0, 0], loc="lower left", bbox_to_anchor=(0.0, 0.97), ncols=3, fontsize=8,
+        markerscale=3, borderaxespad=0.0,
+    )  # fmt: skip
+    return figure
+
+
+def figure_whiteness(fit: Fit, *, style: int = 0) -> Figure:
+    """Autocorrelation of the residuals of all outputs."""
+    outputs = fit.model.output_names
+    columns = min(3, len(outputs))
+    rows = -(-len(outputs) // columns)
+    figure, axes = new_figure(rows, columns, size=(3.7 * columns, 2.7 * rows), sharey=True)
+    for ax, name in zip(axes.flat, outputs, strict=False):
+        plot_autocorrelation(fit, name, style=style, ax=ax)
+        ax.title.set_fontsize(10)
+    for ax in axes.flat[len(outputs) :]:
+        ax.axis("off")
+    for ax in axes[:, 1:].flat:
+        ax.set_ylabel("")
+    return figure
+
+
+def _least_certain(fits: Sequence[Fit]) -> str:
+    """Which estimate has the widest interval, of each fit."""
+    said = []
+    for fit in fits:
+        half = {
+            name: TWO_SIDED_95 * fit.std_errors[name] / abs(value)
+            for name, value in fit.values.items()
+            if value
+        }
+        if half:
+            name = max(half, key=lambda one: half[one])
+            said.append(
+                f"{fit.model.name}: least certain is {name}, ± {100 * half[name]:.2g} % (95 %)."
+            )
+    return " ".join(said)
+
+
+def _closest(fit: Fit) -> str:
+    """Which two estimates are hardest to tell apart."""
+    matrix = np.abs(np.tril(fit.correlation, -1))
+    if not matrix.size or not np.isfinite(matrix).any():
+        return ""
+    i, j = np.unravel_index(int(np.nanargmax(matrix)), matrix.shape)
+    return (
+        f"Hardest to tell apart are {fit.names[j]} and {fit.names[i]}: correlation "
+        f"{fit.correlation[i, j]:+.2f}."
+    )
+
+
+def _record(fit: Fit, record: str | int) -> tuple[int, np.ndarray, str]:
+    row = fit.dataset.names.index(fit.dataset[record].name)
+    return row, *abscissa(fit.dataset[row])
+
+
+def _reference(fits: Sequence[Fit], name: str) -> float:
+    for fit in fits:
+        if name in fit.values:
+            parameter = fit.model.parameter(name)
+            return parameter.prior_mean or fit.values[name] or parameter.magnitude
+    return 1.0
+
+
+def _draw_priors(
+    ax: Axes, fit: Fit, names: Sequence[str], scale: dict[str, float], rows: np.ndarray
+) -> None:
+    """Grey bars: 95 % of the prior of each parameter that has one."""
+    for name, row in zip(names, rows, strict=True):
+        parameter = fit.model.parameter(name) if name in fit.model.parameter_names else None
+        if parameter is None or parameter.prior_spread is None or parameter.prior_mean is None:
+            continue
+        centre = parameter.prior_mean / scale[name]
+        half = TWO_SIDED_95 * parameter.prior_spread / abs(scale[name])
+        ax.barh(row, 2 * half, left=centre - half, height=0.7, color=NEUTRAL, alpha=0.3,
+                lw=0, label="prior (95 %)", zorder=0.5)  # fmt: skip
+
+
+__all__ = [
+    "figure_fit",
+    "figure_whiteness",
+    "plot_autocorrelation",
+    "plot_correlation",
+    "plot_input",
+    "plot_intervals",
+    "plot_output",
+    "plot_residual",
+]

@@ -1,0 +1,233 @@
+"""How figures look: one colour per model, units in labels, readable in grey.
+
+Nothing here touches matplotlib's global settings: every function sets what it
+needs on the axes that it is given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from oed_sysid.data.record import Record
+from oed_sysid.errors import FileError
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.runtime.files import whole_file
+from oed_sysid.text import notation
+from oed_sysid.text.units import shown_unit
+
+TRUTH = "black"
+DATA = "0.45"
+NEUTRAL = "0.6"
+# Colours for colour-blind readers after Okabe & Ito (2008), ordered so that
+# neighbours also differ in brightness; the line style repeats the distinction.
+COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+DASHES = ("--", "-", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
+HATCHES = ("", "///", "...", "xxx", "\\\\\\", "+++")
+# A 95 % interval of a normal variable, in standard deviations.
+TWO_SIDED_95 = 1.96
+DEGREE = np.degrees(1.0)
+
+
+@dataclass(frozen=True)
+class ModelStyle:
+    """Colour, dashes and hatch that stand for one model in every figure."""
+
+    colour: str
+    dashes: str | tuple
+    hatch: str
+
+
+def model_style(index: int) -> ModelStyle:
+    """Style of the model at a position in a comparison; the first is the nominal one.
+
+    Examples
+    --------
+    >>> model_style(0).colour != model_style(1).colour
+    True
+    """
+    place = index % len(COLOURS)
+    return ModelStyle(COLOURS[place], DASHES[place], HATCHES[place])
+
+
+def save_figure(figure: Figure, path: str | Path, **settings: Any) -> Path:
+    """Write a figure whole or not at all, in the format that the ending of its name says.
+
+    Parameters
+    ----------
+    figure : Figure
+        What to write.
+    path : str or Path
+        The file.
+    **settings
+        Of :meth:`matplotlib.figure.Figure.savefig`.
+
+    Raises
+    ------
+    FileError
+        If the ending is no format, or the file cannot be written.
+    """
+    formats = figure.canvas.get_supported_filetypes()
+    ending = Path(path).suffix.lower().lstrip(".")
+    if "format" not in settings and ending not in formats:
+        raise FileError(
+            f"{str(path)!r} does not end like a picture. Choose .{', .'.join(sorted(formats))}."
+        )
+    key = {"png": "Description", "svg": "Description", "pdf": "Subject"}.get(ending)
+    text = finding(figure)
+    if key and text:
+        settings = {"metadata": {key: text}} | settings
+    with whole_file(path) as part:
+        figure.savefig(part, **settings)
+    return Path(path)
+
+
+def new_axes(ax: Axes | None, *, size: tuple[float, float] = (6.4, 4.0)) -> Axes:
+    """Return the given axes, or those of a new figure of ``size`` in inches."""
+    if ax is not None:
+        return ax
+    _, made = plt.subplots(figsize=size, layout="constrained")
+    return made
+
+
+def new_figure(
+    rows: int, columns: int, *, size: tuple[float, float], **layout: object
+) -> tuple[Figure, np.ndarray]:
+    """Return a figure that pyplot does not keep, and its axes ``(rows, columns)``."""
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, columns, squeeze=False, **layout)  # type: ignore[call-overload]
+
+
+def clean(ax: Axes) -> Axes:
+    """Give axes the house style: light grid, no box, ticks that can be read."""
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.spines[["left", "bottom"]].set_color("0.4")
+    ax.grid(True, color="0.9", linewidth=0.7)
+    ax.set_axisbelow(True)
+    ax.tick_params(colors="0.25", labelsize=9)
+    ax.xaxis.label.set_fontsize(10)
+    ax.yaxis.label.set_fontsize(10)
+    ax.title.set_fontsize(11)
+    return ax
+
+
+def label(channel: State | Input | Output, *, lines: int = 1) -> str:
+    """Axis label of a signal: words, symbol and the unit that is shown; see :func:`shown`.
+
+    Examples
+    --------
+    >>> label(State("q", "rad/s", "pitch rate"))
+    'pitch rate $q$ [deg/s]'
+    >>> label(Output("w", "m/s", "heave velocity")), label(Input("thrust", "N", "thrust"))
+    ('heave velocity $w$ [m/s]', 'thrust [N]')
+    """
+    symbol, unit = symbol_of(channel.name), f"[{shown_unit(channel.unit)[1] or '-'}]"
+    if symbol.startswith("$"):
+        parts = (channel.label, f"{symbol} {unit}")
+    else:
+        parts = (channel.label or symbol, unit)
+    return ("\n" if lines > 1 else " ").join(part for part in parts if part)
+
+
+def abscissa(record: Record) -> tuple[np.ndarray, str]:
+    """Along what a record is drawn, and the label of that: its times, or numbers of its tests."""
+    if record.independent:
+        return np.arange(1.0, record.n_samples + 1.0), "test"
+    return record.times, "time $t$ [s]"
+
+
+def joined(record: Record, dashes: Any = "-") -> dict[str, Any]:
+    """Line of a signal of a record; rows of independent tests are marks that nothing joins."""
+    return {"ls": "", "marker": "_", "ms": 5.0} if record.independent else {"ls": dashes}
+
+
+def plot_band(ax: Axes, record: Record, low: np.ndarray, high: np.ndarray, **look: Any) -> None:
+    """Draw a band along a record, or a bar at each of its independent tests."""
+    along, _ = abscissa(record)
+    if record.independent:
+        ax.vlines(along, low, high, **{**look, "lw": 1.5})
+    else:
+        ax.fill_between(along, low, high, **look)
+
+
+def shown(channel: State | Input | Output, values: ArrayLike) -> np.ndarray:
+    """Values of a signal in the unit of its label: angles in degrees.
+
+    Examples
+    --------
+    >>> shown(State("theta", "rad"), [0.1, 0.2]).round(2).tolist()
+    [5.73, 11.46]
+    """
+    return shown_unit(channel.unit)[0] * np.asarray(values, dtype=float)
+
+
+def say(ax: Axes, finding: str) -> Axes:
+    """Attach the finding of a picture to its axes, for those who cannot see it.
+
+    It is written into the file by :func:`save_figure`; :func:`finding` reads it.
+    """
+    ax.set_label(finding)
+    return ax
+
+
+def between(channel: State | Input | Output, values: np.ndarray) -> str:
+    """Range of a signal, given in the unit that is shown, as a sentence."""
+    unit = shown_unit(channel.unit)[1]
+    words = f"{channel.name} between {np.nanmin(values):.3g} and {np.nanmax(values):.3g} {unit}"
+    return f"{words.rstrip()}."
+
+
+def finding(picture: Axes | Figure) -> str:
+    """What a picture shows, in words.
+
+    Examples
+    --------
+    >>> ax = say(new_axes(None), "Z_w is 12 % too small.")
+    >>> finding(ax.figure)
+    'Z_w is 12 % too small.'
+    """
+    several = picture.axes if isinstance(picture, Figure) else [picture]
+    said = [str(ax.get_label()) for ax in several]
+    return " ".join(text for text in dict.fromkeys(said) if text and not text.startswith("<"))
+
+
+def symbol_of(name: str) -> str:
+    """Symbol of a signal or parameter: mathematics for short names, else the name.
+
+    Examples
+    --------
+    >>> symbol_of("Z_absww"), symbol_of("fin_command")
+    ('$Z_{w|w|}$', 'fin_command')
+    """
+    written = notation.latex(name)
+    return name if "\\mathrm" in written else f"${written}$"
+
+
+def spread_legend(ax: Axes, **options: object) -> None:
+    """Add a legend without a frame, if anything is labelled."""
+    handles, names = ax.get_legend_handles_labels()
+    if handles:
+        unique = dict(zip(names, handles, strict=True))
+        settings: dict = {"frameon": False, "fontsize": 9} | options
+        ax.legend(list(unique.values()), list(unique), **settings)
+
+
+def span(values: Sequence[float] | np.ndarray, margin: float = 0.06) -> tuple[float, float]:
+    """Limits of an axis that show all finite values with a margin."""
+    finite = np.asarray(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    if not finite.size:
+        return -1.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    pad = margin * (high - low) or 0.05 * abs(high) or 1.0
+    return low - pad, high + pad

@@ -1,0 +1,344 @@
+"""How results are told: plain data, numbers in a sentence, and documents with their renderings.
+
+A result is facts: a frozen dataclass. Its dictionary follows from the facts
+(:func:`as_dict`), and its sentences are made of them once, in its ``document()``: a
+:class:`Report` of sentences, tables and figures by name. Everything else is a rendering of
+that document: ``report()`` is its text, a page its HTML with the figures drawn, a notebook
+its HTML without them.
+
+HTML is written by :mod:`oed_sysid.results`, above everything that it shows, and looked up by
+name when it is asked for, so that nothing imports upwards and nothing is imported before it
+is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from enum import Enum
+from importlib import import_module
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+# Sizes that are written without an exponent.
+ORDINARY = (1e-4, 1e6)
+# Half of a 95 % interval of a normal variable, in standard deviations.
+TWO_SIDED_95 = 1.96
+
+# The module that renders documents as HTML: functions ``html``, ``notebook`` and ``drawn``.
+WRITER = "oed_sysid.results.page"
+
+
+# -- plain data ------------------------------------------------------------------------
+
+
+def plain(value: Any) -> Any:
+    """Return a value as what JSON has: numbers, text, lists, dictionaries and None.
+
+    Arrays and tuples become lists, NaN and infinity None, and dataclasses what their
+    ``to_dict`` says, or their fields where they have none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> plain({"a": np.array([1.0, np.nan]), "b": (2, "three")})
+    {'a': [1.0, None], 'b': [2, 'three']}
+    """
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    if isinstance(value, Enum):
+        return plain(value.value)
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if hasattr(value, "to_dict"):
+        return plain(value.to_dict())
+    if is_dataclass(value):
+        return {one.name: plain(getattr(value, one.name)) for one in fields(value)}
+    return str(value)
+
+
+def as_dict(*names: str, **others: str | Callable[[Any], Any]) -> Callable[[Any], dict[str, Any]]:
+    """Return a method ``to_dict`` that is derived from the facts of a class.
+
+    Parameters
+    ----------
+    *names : str
+        Attributes under their own names; without any, and without others, all fields.
+    **others : str or callable
+        Attributes under other names: a path such as ``model.name``, or a function of the object.
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True)
+    ... class Run:
+    ...     name: str
+    ...     cost: float
+    ...     to_dict = as_dict("name", cost_s="cost", letters=lambda run: len(run.name))
+    >>> Run("zigzag", 60.0).to_dict()
+    {'name': 'zigzag', 'cost_s': 60.0, 'letters': 6}
+    """
+    table = {name: attrgetter(name) for name in names} | {
+        name: attrgetter(way) if isinstance(way, str) else way for name, way in others.items()
+    }
+
+    def to_dict(self: Any) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        ways = table or {one.name: attrgetter(one.name) for one in fields(self)}
+        return {name: plain(way(self)) for name, way in ways.items()}
+
+    return to_dict
+
+
+# -- words -----------------------------------------------------------------------------
+
+
+def digits(value: float, count: int = 2) -> str:
+    """Return a number with so many significant digits, without an exponent where it is ordinary.
+
+    Parameters
+    ----------
+    value : float
+    count : int
+        Significant digits.
+
+    Examples
+    --------
+    >>> digits(147.2), digits(0.0123), digits(98765.0, 3), digits(3.2e-7), digits(2.0)
+    ('150', '0.012', '98800', '3.2e-07', '2')
+    """
+    text = f"{value:.{count}g}"
+    if "e" not in text or not ORDINARY[0] <= abs(float(text)) < ORDINARY[1]:
+        return text
+    return f"{float(text):.0f}"
+
+
+def share(value: float) -> str:
+    """Return a share in per cent.
+
+    >>> share(0.0312), share(25.0)
+    ('3.1 %', 'more than 1000 %')
+    """
+    return f"{100 * value:.2g} %" if value < 10 else "more than 1000 %"
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun.
+
+    >>> counted(1, "run"), counted(3, "run")
+    ('1 run', '3 runs')
+    """
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def align(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> list[str]:
+    """Lay rows of text out in columns; those of ``left`` flush left, the others right.
+
+    >>> align([("name", "value"), ("Z_w", "-65.5")])
+    ['name  value', 'Z_w   -65.5']
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if i in left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+# -- documents -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text.
+
+    Parameters
+    ----------
+    headers : tuple of str
+    rows : tuple of tuple of str
+    caption : str
+    words : tuple of int
+        Columns to set flush left.
+    marked : tuple of int
+        Rows to stress.
+    """
+
+    headers: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+    words: tuple[int, ...] = ()
+    marked: tuple[int, ...] = ()
+
+    def lines(self) -> list[str]:
+        """Return the table as aligned lines of text."""
+        return align([self.headers, *self.rows], left=(0, *self.words))
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """A figure by name, drawn when a page is made.
+
+    Parameters
+    ----------
+    name : str
+        Function of :mod:`oed_sysid.results`: ``figure_x(subject, *arguments)``, or
+        ``plot_x(subject, *arguments, ax=...)``.
+    subject : object
+        What it shows.
+    caption : str
+        What is to be seen and how to read it.
+    arguments : tuple
+    options : mapping
+    size : (float, float)
+        Of a ``plot_x``, inches.
+    """
+
+    name: str
+    subject: Any
+    caption: str
+    arguments: tuple[Any, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+    size: tuple[float, float] = (7.6, 3.8)
+
+
+@dataclass(frozen=True)
+class Section:
+    """One part of a document.
+
+    Parameters
+    ----------
+    title : str
+        Heading of a page; text has it where ``heading`` says so.
+    paragraphs : tuple of str
+    tables : tuple of Table
+    figures : tuple
+        :class:`Figure`, or as a page has drawn it.
+    listing : str
+        Lines to be set as they are.
+    heading : bool
+    indent : int
+        Of lines in text.
+    only : str
+        ``"text"`` or ``"page"`` where only one of them has it.
+    """
+
+    title: str = ""
+    paragraphs: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    figures: Sequence[Any] = ()
+    listing: str = ""
+    heading: bool = False
+    indent: int = 0
+    only: str = ""
+
+    def lines(self) -> list[str]:
+        """Return the section as lines of text."""
+        parts = [one.lines() for one in self.tables]
+        lines = [line for part in parts for line in ["", *part]][1:]
+        lines += [*self.paragraphs, *self.listing.splitlines()]
+        margin = " " * self.indent
+        return [*([self.title] * self.heading), *(f"{margin}{line}".rstrip() for line in lines)]
+
+    def html(self) -> str:
+        """Return the part below the heading as HTML, to be put inside another page."""
+        return str(import_module(WRITER).html(self, "section"))
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a result says: one document, whose renderings are text, page and notebook.
+
+    Parameters
+    ----------
+    title, subtitle : str
+        What this is about; the subtitle stands on pages only.
+    answer : str
+        The outcome in one line.
+    warnings : tuple of str
+        What must be read before everything else: danger, a suspect log, values not to be used.
+    verdict : tuple of str
+        The outcome in sentences: last in text, first on a page.
+    numbers : tuple of (str, str)
+        The few numbers that matter most, by name; on a page.
+    head : tuple of (str, str)
+        What was done to what, below the title of a text.
+    sections : tuple of Section
+
+    Examples
+    --------
+    >>> page = Report("Trial", verdict=("It fits.",), head=(("misfit", "1.01 x noise"),))
+    >>> print(page.text())
+    Trial
+      misfit  1.01 x noise
+    <BLANKLINE>
+    It fits.
+    """
+
+    title: str
+    subtitle: str = ""
+    verdict: Sequence[str] = ()
+    numbers: Sequence[tuple[str, str]] = ()
+    sections: Sequence[Section] = ()
+    answer: str = ""
+    warnings: Sequence[str] = ()
+    head: Sequence[tuple[str, str]] = ()
+
+    @property
+    def first(self) -> tuple[str, ...]:
+        """What a page says before everything else."""
+        said = (*self.warnings, self.answer, *self.verdict)
+        return tuple(dict.fromkeys(line for text in said for line in text.splitlines() if line))
+
+    def text(self) -> str:
+        """Return the document as text, tables aligned."""
+        width = max((len(name) for name, _ in self.head), default=0)
+        parts = [[*self.warnings, *filter(None, [self.title])]]
+        parts[0] += [f"  {name:<{width}}  {value}" for name, value in self.head]
+        parts += [one.lines() for one in self.sections if one.only != "page"]
+        parts.append(list(self.verdict))
+        return "\n".join(line for part in filter(None, parts) for line in ["", *part]).lstrip("\n")
+
+    def html(self) -> str:
+        """Return the document as a page of HTML that refers to nothing outside itself."""
+        return str(import_module(WRITER).html(self, "page"))
+
+    def summary_html(self) -> str:
+        """Return verdict and numbers as HTML, to be put inside another page."""
+        return str(import_module(WRITER).html(self, "summary"))
+
+    def drawn(self) -> Report:
+        """Return the document with its figures drawn, so that it depends on no result."""
+        drawn: Report = import_module(WRITER).drawn(self)
+        return drawn
+
+    def write(self, path: str | Path) -> Path:
+        """Write the page and return its path.
+
+        Raises
+        ------
+        FileError
+            If the file cannot be written; an older one is untouched.
+        """
+        return Path(import_module(WRITER).write(self, path))
+
+
+def as_text(self: Any) -> str:
+    """Return the result as text; the method ``report`` of what has a ``document``."""
+    return str(self.document().text())
+
+
+def as_html(self: object) -> str:
+    """Return HTML for a notebook; the method ``_repr_html_`` of what a notebook shows."""
+    text: str = import_module(WRITER).notebook(self)
+    return text

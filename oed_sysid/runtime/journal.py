@@ -1,0 +1,352 @@
+"""The finished steps of a long calculation on disk, so that the next call goes on from them.
+
+A calculation that always takes the same steps from the same content writes what each
+step returned as soon as it is done. Killed, interrupted or out of disk space, it is
+called again: steps that are there are read, the rest is calculated. The result is the same
+to the last bit, because a step is only ever read as it was written, with the state of the
+random numbers after it.
+
+Steps lie in a folder named by a digest of everything that shapes them: content as the
+caller states it, the text of this package, and the versions of what it calculates with.
+They are pickles under the key of the user (:mod:`oed_sysid.runtime.cell_store`); what others
+wrote is never read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import pickle
+import platform
+import re
+import secrets
+import shutil
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import fields, is_dataclass
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from oed_sysid.errors import FileError
+from oed_sysid.runtime.cell_store import sealed, unsealed
+from oed_sysid.runtime.files import private_cache, write_bytes, write_text
+
+Result = TypeVar("Result")
+
+# Seconds between two states of an unfinished step, and days that an abandoned journal is kept.
+EVERY, KEPT_DAYS = 0.5, 30.0
+_SUFFIX, _STATE = ".step", ".state"
+
+
+class Journal:
+    """A folder that keeps the finished steps of one calculation.
+
+    Parameters
+    ----------
+    folder : path, optional
+        Where; a folder for each calculation is made in it. None keeps nothing.
+    fresh : bool
+        Forget what an earlier call has kept.
+    tell : callable, optional
+        Told in words if the calculation goes on from an earlier one.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> def measure(folder):
+    ...     journal = Journal(folder)
+    ...     journal.open({"task": "doctest"})
+    ...     return journal.once("a long step", lambda: np.random.default_rng().random())
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     measure(folder) == measure(folder)
+    True
+    """
+
+    def __init__(
+        self,
+        folder: str | Path | None = None,
+        *,
+        fresh: bool = False,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
+        self.folder = None if folder is None else Path(folder)
+        self.place: Path | None = None
+        self.n_read = 0
+        self._fresh, self._tell = fresh, tell
+        self._count = 0
+        self._names: dict[int, str] = {}
+        self._shared: dict[str, Any] = {}
+        self._last = -np.inf
+
+    def open(self, content: Any, *, shared: Mapping[str, Any] | None = None) -> None:
+        """Begin a calculation.
+
+        Parameters
+        ----------
+        content : plain data
+            All that shapes the results, as JSON can hold it.
+        shared : mapping of str to object, optional
+            What the caller has anyway (records, say) and steps refer to: it is not
+            written with every step.
+        """
+        self._count, self.n_read = 0, 0
+        self._names, self._shared = {}, {}
+        for name, value in (shared or {}).items():
+            self._share(name, value)
+        if self.folder is None:
+            return
+        text = json.dumps(content, sort_keys=True, default=str)
+        digest = hashlib.sha256(f"{package_digest()}\n{text}".encode()).hexdigest()[:20]
+        self.place = self.folder / digest
+        if self._fresh:
+            self.close()
+        self._sweep()
+        kept = self.n_steps
+        if kept and self._tell is not None:
+            steps = "step" if kept == 1 else "steps"
+            self._tell(f"Going on after {kept} {steps} of an earlier call, kept in {self.place}.")
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps that are kept now, an unfinished one with its state included."""
+        if self.place is None or not self.place.is_dir():
+            return 0
+        return sum(path.suffix in (_SUFFIX, _STATE) for path in self.place.iterdir())
+
+    def once(
+        self, label: str, work: Callable[[], Result], *, rng: np.random.Generator | None = None
+    ) -> Result:
+        """Return what a step returned in an earlier call, or do it and keep it.
+
+        Parameters
+        ----------
+        label : str
+            What the step does. Steps are told apart by label and order.
+        work : callable
+            Does it. It is done once more if it was cut short by Ctrl-C, also where an
+            estimator answered that with the best it had.
+        rng : numpy.random.Generator, optional
+            Random numbers that the step draws; left as the step left them.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If the step was interrupted.
+        """
+        self._count += 1
+        key = f"{self._count:03d} {label}"
+        kept = self._read(key)
+        if kept is None:
+            with _to_the_end():
+                result = work()
+            with _to_the_end(at_once=False):
+                self._write(key, (result, None if rng is None else rng.bit_generator.state))
+                self._unlink(self._file(key, part=True))
+        else:
+            result, state = kept
+            self.n_read += 1
+            if rng is not None:
+                rng.bit_generator.state = state
+        self._share(key, result)
+        return result
+
+    # -- states of an unfinished step ------------------------------------------------
+
+    def state(self) -> Any:
+        """State that the step now in work had reached in an earlier call; None without one."""
+        return self._read(self._key_of_work(), part=True)
+
+    def keep(self, state: Any) -> None:
+        """Keep the state of the step now in work, if the last one is some time ago."""
+        if self.place is None or time.monotonic() - self._last < EVERY:
+            return
+        self._write(self._key_of_work(), state, part=True)
+        self._last = time.monotonic()
+
+    def _key_of_work(self) -> str:
+        return f"{self._count:03d} state"
+
+    # -- the end -----------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Forget the steps: the calculation, and what was made of it, is done."""
+        if self.place is None:
+            return
+        # All of them at once: a part of them would be done again.
+        with suppress(OSError):
+            self.place.rename(self.place.with_name(f".{self.place.name}{secrets.token_hex(4)}"))
+        self._sweep()
+
+    def _sweep(self) -> None:
+        """Remove what a closed journal, also of a killed process, has left."""
+        assert self.place is not None
+        for other in self.place.parent.glob(f".{self.place.name}*"):
+            shutil.rmtree(other, ignore_errors=True)
+
+    # -- files ---------------------------------------------------------------------------
+
+    def _file(self, key: str, *, part: bool = False) -> Path | None:
+        if self.place is None:
+            return None
+        name = re.sub(r"[^a-z0-9]+", "-", key.lower()).strip("-")[:60]
+        return self.place / (f"{key[:3]}{_STATE}" if part else f"{name}{_SUFFIX}")
+
+    def _read(self, key: str, *, part: bool = False) -> Any:
+        file = self._file(key, part=part)
+        if file is None:
+            return None
+        try:
+            body = unsealed(file.read_bytes())
+        except OSError:
+            return None
+        if body is None:
+            return None
+        try:
+            stated, content = _Unpickler(io.BytesIO(body), self._shared).load()
+        except Exception:  # a step from which something that it refers to has gone
+            return None
+        return content if stated == key else None
+
+    def _write(self, key: str, content: Any, *, part: bool = False) -> None:
+        file = self._file(key, part=part)
+        if file is None:
+            return
+        body = io.BytesIO()
+        try:
+            _Pickler(body, self._names).dump((key, content))
+            if not file.parent.is_dir():
+                self._begin(file.parent)
+            write_bytes(file, sealed(body.getvalue()))
+        except (FileError, OSError, pickle.PicklingError, TypeError, AttributeError) as error:
+            self.place = None
+            warnings.warn(
+                f"Finished steps are no longer kept, so an interruption will cost them: {error}",
+                stacklevel=3,
+            )
+
+    def _begin(self, place: Path) -> None:
+        """Make the folder, say what it is, and drop what was abandoned long ago."""
+        write_text(
+            place / "README.txt",
+            "Finished steps of a calculation of oed_sysid that has not ended. The same call goes "
+            "on from them.\nThis folder can be deleted.\n",
+        )
+        for other in place.parent.glob("*/README.txt"):
+            with suppress(OSError):
+                newest = max(path.stat().st_mtime for path in other.parent.iterdir())
+                if time.time() - newest > 86400.0 * KEPT_DAYS:
+                    shutil.rmtree(other.parent, ignore_errors=True)
+
+    @staticmethod
+    def _unlink(file: Path | None) -> None:
+        if file is not None:
+            with suppress(OSError):
+                file.unlink(missing_ok=True)
+
+    def _share(self, name: str, value: Any) -> None:
+        """Let later steps refer to a result and to what it is made of."""
+        if self.folder is None:
+            return
+        for path, part in _parts(name, value, depth=2):
+            # The same object under two names keeps the first; names must last as long as objects.
+            self._names.setdefault(id(part), path)
+            self._shared[path] = part
+
+
+def unfinished_folder() -> Path:
+    """Folder in the user's cache for journals of commands.
+
+    Returns
+    -------
+    Path
+        It need not exist yet.
+    """
+    return private_cache() / "unfinished"
+
+
+@lru_cache(maxsize=1)
+def package_digest() -> str:
+    """Digest of what steps are calculated with: this package's text, and its libraries."""
+    digest = hashlib.sha256(platform.python_version().encode())
+    for name in ("numpy", "scipy", "casadi"):
+        with suppress(PackageNotFoundError):
+            digest.update(f"{name} {version(name)}".encode())
+    folder = Path(__file__).resolve().parents[1]
+    for path in sorted(folder.rglob("*")):
+        if path.suffix in (".py", ".c"):
+            digest.update(path.relative_to(folder).as_posix().encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+class _Pickler(pickle.Pickler):
+    """Pickler that writes names in place of objects that the reader has."""
+
+    def __init__(self, file: io.BytesIO, names: Mapping[int, str]) -> None:
+        super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
+        self._names = names
+
+    def persistent_id(self, value: Any) -> str | None:
+        return self._names.get(id(value))
+
+
+class _Unpickler(pickle.Unpickler):
+    """The counterpart of :class:`_Pickler`."""
+
+    def __init__(self, file: io.BytesIO, shared: Mapping[str, Any]) -> None:
+        super().__init__(file)
+        self._shared = shared
+
+    def persistent_load(self, name: str) -> Any:
+        return self._shared[name]
+
+
+def _parts(name: str, value: Any, *, depth: int) -> Iterator[tuple[str, Any]]:
+    """Objects worth a name: dataclasses, what they hold, and the entries of tuples."""
+    if isinstance(value, tuple | list):
+        for index, entry in enumerate(value):
+            yield from _parts(f"{name}[{index}]", entry, depth=depth)
+    elif is_dataclass(value) and not isinstance(value, type):
+        yield name, value
+        if depth:
+            for one in fields(value):
+                yield from _parts(f"{name}.{one.name}", getattr(value, one.name), depth=depth - 1)
+    elif hasattr(value, "__dict__") and not isinstance(value, type):
+        yield name, value
+
+
+@contextmanager
+def _to_the_end(*, at_once: bool = True) -> Iterator[None]:
+    """Raise at the end if Ctrl-C came on the way and was answered with less than the whole.
+
+    Estimators keep their best point when they are interrupted; a step of a longer
+    calculation must not go on with it. What must not be cut, being short, hears of it at the end.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield
+        return
+    came = False
+
+    def note(number: int, frame: Any) -> None:
+        nonlocal came
+        came = True
+        if at_once:
+            before(number, frame)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came:
+        raise KeyboardInterrupt

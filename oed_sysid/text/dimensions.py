@@ -1,0 +1,375 @@
+r"""The physical dimension of an expression, from those of its names.
+
+A bare number may carry any unit: in ``0.5*1025*2500*U*v`` a density and an
+area stand as numbers. Its unit is an unknown :math:`x_i` in the exponents of
+kg, m, s, A and K. Every part of an expression has a dimension of the form
+
+.. math:: d + \sum_i c_i x_i,
+
+products add such forms, powers scale them, and whatever is added, compared or
+given a unit makes two of them equal: linear equations, solved as they come.
+What they leave open is dimensionless. An equation between two different
+dimensions in which no number is left that could mend it is an error.
+
+A name without a stated unit is unknown; unknown is allowed anywhere and
+spreads, so that only what can be derived is checked.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import lru_cache
+
+from oed_sysid.errors import ModelError
+from oed_sysid.text import expressions
+from oed_sysid.text.grammar import CONSTANTS, NUMERIC, walk
+from oed_sysid.text.units import Dimension
+
+# A number below this only guards a division: its unit is not worth a word.
+_GUARD = 1e-6
+LARGEST_POWER = 100
+_SAME = ("abs", "floor", "min", "max", "clip", "where")
+_ONE = Dimension()
+
+
+@dataclass(frozen=True)
+class Form:
+    """A dimension times powers of units that are not known yet, each by its number."""
+
+    dimension: Dimension = _ONE
+    unknown: Mapping[int, Fraction] = field(default_factory=dict)
+
+    def __mul__(self, other: Form) -> Form:
+        powers = dict(self.unknown)
+        for index, power in other.unknown.items():
+            powers[index] = powers.get(index, Fraction(0)) + power
+        return Form(
+            self.dimension * other.dimension, {i: power for i, power in powers.items() if power}
+        )
+
+    def __truediv__(self, other: Form) -> Form:
+        return self * other ** Fraction(-1)
+
+    def __pow__(self, power: float | Fraction) -> Form:
+        exact = Fraction(power).limit_denominator(1000)
+        return Form(self.dimension**exact, {i: n * exact for i, n in self.unknown.items() if exact})
+
+
+@dataclass(frozen=True)
+class _Number:
+    """A bare number whose unit is deduced; without a text it is something else unknown."""
+
+    text: str = ""
+    where: str = ""
+    plain: bool = False
+
+
+class Deduction:
+    """The units of the bare numbers of expressions that belong together, such as a model's.
+
+    Examples
+    --------
+    >>> from oed_sysid.text.units import dimension
+    >>> units = Deduction()
+    >>> known = {"U": Form(dimension("m/s")), "v": Form(dimension("m/s"))}
+    >>> force = units.form("0.5*1025*2500*U*v", known, where="hull")
+    >>> units.equal(force, Form(dimension("N")))
+    True
+    >>> units.notes()
+    ('hull: 0.5*1025*2500 is read as kg/m.',)
+    """
+
+    def __init__(self) -> None:
+        self._numbers: list[_Number] = []
+        self._found: dict[int, Form] = {}
+
+    def copy(self) -> Deduction:
+        """What is known so far, to go on from without a trace."""
+        other = Deduction()
+        other._numbers, other._found = list(self._numbers), dict(self._found)
+        return other
+
+    def form(
+        self, expression: str, known: Mapping[str, Form | None], *, where: str = ""
+    ) -> Form | None:
+        """Dimension of an expression; ``None`` where a name without a unit decides it.
+
+        Raises
+        ------
+        ModelError
+            As :func:`dimension_of`.
+        """
+        walk = _Walk(self, expression, known, where)
+        form = self.reduced(walk.of(walk.tree))
+        return None if self._is_open(form) else form
+
+    def equal(self, one: Form, other: Form) -> bool:
+        """Make two dimensions equal; False where no unit of a number makes them so."""
+        rest = self.reduced(one / other)
+        if not rest.unknown:
+            return rest.dimension.is_dimensionless
+        # What is no number first, then numbers that look measured, then 1, 2 and 0.5.
+        pivot = min(rest.unknown, key=lambda i: (self._numbers[i].plain, bool(self._text(i)), -i))
+        power = rest.unknown[pivot]
+        others = Form(rest.dimension, {i: n for i, n in rest.unknown.items() if i != pivot})
+        self._found[pivot] = others ** (-1 / power)
+        return True
+
+    def reduced(self, form: Form) -> Form:
+        """The form with every unit that has been found put in."""
+        while found := [index for index in form.unknown if index in self._found]:
+            for index in found:
+                power = form.unknown[index]
+                rest = {i: n for i, n in form.unknown.items() if i != index}
+                form = Form(form.dimension, rest) * self._found[index] ** power
+        return form
+
+    def dimension(self, form: Form) -> Dimension:
+        """Dimension of a form if numbers with an open unit have none."""
+        return self.reduced(form).dimension
+
+    def notes(self) -> tuple[str, ...]:
+        """Say which numbers were given a unit, each once; radians are not said."""
+        units = self.copy()
+        for index, number in enumerate(self._numbers):
+            if number.plain:  # 1, 2 and 0.5 have no unit where nothing says one
+                units.equal(units.number(index), Form())
+        lines: list[str] = []
+        tied: list[set[int]] = []
+        for index, number in enumerate(self._numbers):
+            form = units.reduced(units.number(index))
+            if not number.text or form.dimension.is_dimensionless:
+                continue
+            if not form.unknown:
+                unit = Dimension(form.dimension.exponents)
+                lines.append(f"{number.where}: {number.text} is read as {unit}.")
+            elif all(map(self._text, form.unknown)):
+                group = {index, *form.unknown}
+                others = [other for other in tied if other & group]
+                tied = [other for other in tied if not other & group]
+                tied.append(group.union(*others))
+        lines += [self._tied(group) for group in tied]
+        return tuple(dict.fromkeys(lines))
+
+    def _tied(self, group: set[int]) -> str:
+        """Say which numbers have units that only fit one another."""
+        texts: dict[str, list[str]] = {}
+        for index in sorted(group):
+            number = self._numbers[index]
+            texts.setdefault(number.where, []).append(number.text)
+        words = "; ".join(
+            f"{where}: {', '.join(dict.fromkeys(each))}" for where, each in texts.items()
+        )
+        return f"{words} have units that follow from one another; nothing says which."
+
+    def new(self, number: _Number) -> Form:
+        """An unknown unit more."""
+        self._numbers.append(number)
+        return self.number(len(self._numbers) - 1)
+
+    def number(self, index: int) -> Form:
+        """The unit of one number."""
+        return Form(unknown={index: Fraction(1)})
+
+    def _text(self, index: int) -> str:
+        return self._numbers[index].text
+
+    def _is_open(self, form: Form) -> bool:
+        return any(not self._text(index) for index in form.unknown)
+
+
+def dimension_of(expression: str, dimensions: Mapping[str, Dimension | None]) -> Dimension | None:
+    """Dimension of an expression.
+
+    Parameters
+    ----------
+    expression : str
+        The expression.
+    dimensions : mapping
+        Dimension of each name; ``None`` or a missing name means unknown.
+
+    Returns
+    -------
+    Dimension or None
+        ``None`` where it cannot be derived. Bare numbers whose unit nothing
+        in the expression says are taken as dimensionless.
+
+    Raises
+    ------
+    ModelError
+        If unlike quantities are added or compared, or a function such as
+        ``sin`` is given something that has a dimension, and no unit of a bare
+        number would mend it.
+
+    Examples
+    --------
+    >>> from oed_sysid.text.units import dimension
+    >>> known = {"Z_absww": dimension("kg/m"), "w": dimension("m/s"), "q": dimension("rad/s")}
+    >>> str(dimension_of("Z_absww*w*abs(w)", known))
+    'N'
+    >>> str(dimension_of("w + 3.2*q", known))
+    'm/s'
+    >>> dimension_of("w + q", known)
+    Traceback (most recent call last):
+    oed_sysid.errors.ModelError: In 'w + q', m/s meets rad/s. Check the units of the parameters.
+    """
+    units = Deduction()
+    known = {name: None if unit is None else Form(unit) for name, unit in dimensions.items()}
+    form = units.form(expression, known)
+    return None if form is None else units.dimension(form)
+
+
+class _Walk:
+    """One pass over a syntax tree; the whole expression is kept for messages."""
+
+    def __init__(
+        self, units: Deduction, expression: str, known: Mapping[str, Form | None], where: str
+    ) -> None:
+        self.units = units
+        self.expression = expression
+        self.known = known
+        self.where = where
+        self.tree, self.constant, self.numbers = _parts(expression)
+
+    def of(self, node: ast.expr) -> Form:
+        if id(node) in self.numbers:
+            return self._numbers([node], [])
+        match node:
+            case ast.Name():
+                form = Form() if node.id in CONSTANTS else self.known.get(node.id)
+                return self.units.new(_Number()) if form is None else form
+            case ast.BoolOp():
+                for value in node.values:
+                    self.of(value)
+                return Form()
+            case ast.UnaryOp():
+                return self.of(node.operand)
+            case ast.BinOp(op=ast.Mult() | ast.Div()):
+                return self._product(node)
+            case ast.BinOp(op=ast.Pow()):
+                return self._power(node)
+            case ast.BinOp():
+                return self._same([self.of(node.left), self.of(node.right)])
+            case ast.Compare():
+                self._same([self.of(node.left), self.of(node.comparators[0])])
+                return Form()
+            case ast.Call():
+                return self._call(node)
+        return self.units.new(_Number())
+
+    def _numbers(self, above: list[ast.expr], below: list[ast.expr]) -> Form:
+        """The joint unit of the bare numbers of a product."""
+        if not above and not below:
+            return Form()
+        # In w/0.05 the number itself has the unit of w.
+        first, second = (above, below) if above else (below, above)
+        text = "*".join(map(self._written, first))
+        text += "".join(f"/{self._written(node)}" for node in second)
+        values = [abs(float(walk(node, {}, NUMERIC))) for node in (*above, *below)]
+        guard = all(value <= _GUARD for value in values)
+        plain = all(value in (0.5, 1.0, 2.0) for value in values)
+        unit = self.units.new(_Number() if guard else _Number(text, self.where, plain))
+        return unit if above else unit**-1
+
+    def _written(self, node: ast.expr) -> str:
+        text = ast.get_source_segment(self.expression.strip(), node) or ast.unparse(node)
+        is_sum = isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub)
+        return f"({text})" if is_sum else text
+
+    def _product(self, node: ast.BinOp) -> Form:
+        factors = list(_factors(node))
+        numbers = [(factor, power) for factor, power in factors if id(factor) in self.numbers]
+        form = self._numbers(
+            [factor for factor, power in numbers if power > 0],
+            [factor for factor, power in numbers if power < 0],
+        )
+        for factor, power in factors:
+            if id(factor) not in self.numbers:
+                form = form * self.of(factor) if power > 0 else form / self.of(factor)
+        return form
+
+    def _power(self, node: ast.BinOp) -> Form:
+        base = self.units.reduced(self.of(node.left))
+        if id(node.right) not in self.constant:
+            self._same([self.of(node.right), Form()])
+            if not self.units.equal(base, Form()):
+                raise ModelError(
+                    f"In {self.expression!r}, {base.dimension} has an exponent that is not a "
+                    "number."
+                )
+            return Form()
+        if not base.unknown and base.dimension.is_dimensionless:
+            return base
+        power = float(walk(node.right, {}, NUMERIC))
+        if not abs(power) <= LARGEST_POWER:
+            raise ModelError(
+                f"In {self.expression!r}, {base.dimension} has the exponent {power:g}: expected "
+                f"one between -{LARGEST_POWER} and {LARGEST_POWER}."
+            )
+        return base**power
+
+    def _call(self, node: ast.Call) -> Form:
+        name = node.func.id  # type: ignore[attr-defined]
+        arguments = [self.of(argument) for argument in node.args]
+        if name in _SAME:
+            return self._same(arguments[1:] if name == "where" else arguments)
+        if name == "sqrt":
+            return arguments[0] ** 0.5
+        if name == "atan2":
+            self._same(arguments)
+        elif name not in expressions.FUNCTIONS:
+            return self.units.new(_Number())  # a table: neither axis states a unit
+        elif name != "sign":
+            self._same([*arguments, Form()])
+        return Form()
+
+    def _same(self, forms: Iterable[Form]) -> Form:
+        first, *others = forms
+        for other in others:
+            if not self.units.equal(first, other):
+                raise ModelError(
+                    f"In {self.expression!r}, {self.units.dimension(first)} meets "
+                    f"{self.units.dimension(other)}. Check the units of the parameters."
+                )
+        return first
+
+
+def _factors(node: ast.expr, power: int = 1) -> Iterator[tuple[ast.expr, int]]:
+    """Factors of a product, with -1 for what divides."""
+    match node:
+        case ast.BinOp(op=ast.Mult() | ast.Div()):
+            yield from _factors(node.left, power)
+            yield from _factors(node.right, -power if isinstance(node.op, ast.Div) else power)
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd()):
+            yield from _factors(node.operand, power)
+        case _:
+            yield node, power
+
+
+@lru_cache(maxsize=4096)
+def _parts(expression: str) -> tuple[ast.expr, frozenset[int], frozenset[int]]:
+    """The tree, and which of its nodes are constant, and which are bare numbers.
+
+    A part without signals and parameters is constant; it is a bare number if it
+    is made of numbers, which pi is not.
+    """
+    tree = expressions.parse(expression)
+    constant: set[int] = set()
+    numbers: set[int] = set()
+
+    def look(node: ast.expr) -> None:
+        inner = [child for child in ast.iter_child_nodes(node) if isinstance(child, ast.expr)]
+        for child in inner:
+            look(child)
+        own = isinstance(node, ast.Constant)
+        known = own or not isinstance(node, ast.Name) or node.id in (*CONSTANTS, *NUMERIC)
+        if known and all(id(child) in constant for child in inner):
+            constant.add(id(node))
+            if own or any(id(child) in numbers for child in inner):
+                numbers.add(id(node))
+
+    look(tree)
+    return tree, frozenset(constant), frozenset(numbers)

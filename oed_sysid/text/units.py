@@ -1,0 +1,439 @@
+"""Exact conversion of units at the edge, and the algebra of dimensions.
+
+Inside the package every number is SI (m, s, kg, rad, N, ...). This module is
+called where numbers come in: it reads the unit from a column header, converts
+the column, and compares dimensions.
+
+The radian counts as dimensionless in comparisons (``N m/rad`` equals ``N m``)
+but is remembered, so that units print as they were meant and a reader of data
+can tell ``rad/s`` from revolutions ``1/s``.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import lru_cache
+from math import pi
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from oed_sysid.errors import DataError
+from oed_sysid.text.unit_table import OFFSETS, SPELLINGS, UNITS
+
+_BASES = ("kg", "m", "s", "A", "K")
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """Exponents of kg, m, s, A and K, with the radian remembered beside them.
+
+    Supports ``*``, ``/``, ``**`` and equality; the radian does not take part
+    in equality.
+
+    Examples
+    --------
+    >>> force = dimension("kg") * dimension("m/s^2")
+    >>> force == dimension("N"), str(force / dimension("m^2/s^2"))
+    (True, 'kg/m')
+    >>> str(dimension("N m") ** Fraction(1, 2) * dimension("s"))
+    'kg^(1/2) m'
+    """
+
+    exponents: tuple[Fraction, ...] = (Fraction(0),) * len(_BASES)
+    radian: Fraction = field(default=Fraction(0), compare=False)
+
+    def __mul__(self, other: Dimension) -> Dimension:
+        pairs = zip(self.exponents, other.exponents, strict=True)
+        # Most exponents are zero, and sums of fractions take their time.
+        return Dimension(
+            tuple(a + b if a and b else a or b for a, b in pairs), self.radian + other.radian
+        )
+
+    def __truediv__(self, other: Dimension) -> Dimension:
+        return self * other**-1
+
+    def __pow__(self, power: float | Fraction) -> Dimension:
+        exact = Fraction(power) if isinstance(power, int) else _fraction(power)
+        return Dimension(tuple(a and a * exact for a in self.exponents), self.radian * exact)
+
+    @property
+    def is_dimensionless(self) -> bool:
+        """Whether every exponent is zero (angles are dimensionless)."""
+        return not any(self.exponents)
+
+    def __str__(self) -> str:
+        symbols = _NAMED_DIMENSIONS.get(self.exponents)
+        if symbols is None:
+            # Electrical units read best with whichever of V and A needs fewer symbols.
+            symbols = _nonzero(self)
+            with_volt = _nonzero(self * _DIMENSIONS["V"] ** self.exponents[3])
+            if with_volt.get("A", 0) == 0 and len(with_volt) + 1 < len(symbols):
+                symbols = with_volt | {"V": -self.exponents[3]}
+        return _text({**symbols, "rad": self.radian})
+
+
+def _fraction(power: float | Fraction) -> Fraction:
+    return Fraction(power).limit_denominator(1000)
+
+
+def _nonzero(value: Dimension) -> dict[str, Fraction]:
+    return {base: n for base, n in zip(_BASES, value.exponents, strict=True) if n}
+
+
+def _base(*exponents: int, radian: int = 0) -> Dimension:
+    return Dimension(tuple(Fraction(n) for n in exponents), Fraction(radian))
+
+
+_DIMENSIONS = {
+    "kg": _base(1, 0, 0, 0, 0),
+    "m": _base(0, 1, 0, 0, 0),
+    "s": _base(0, 0, 1, 0, 0),
+    "A": _base(0, 0, 0, 1, 0),
+    "K": _base(0, 0, 0, 0, 1),
+    "rad": _base(0, 0, 0, 0, 0, radian=1),
+    "N": _base(1, 1, -2, 0, 0),
+    "Pa": _base(1, -1, -2, 0, 0),
+    "J": _base(1, 2, -2, 0, 0),
+    "W": _base(1, 2, -3, 0, 0),
+    "V": _base(1, 2, -3, -1, 0),
+    "Ohm": _base(1, 2, -3, -2, 0),
+    "Hz": _base(0, 0, -1, 0, 0),
+}
+_NAMED_DIMENSIONS: dict[tuple[Fraction, ...], dict[str, Fraction]] = {
+    _DIMENSIONS["N"].exponents: {"N": Fraction(1)},
+    _DIMENSIONS["J"].exponents: {"N": Fraction(1), "m": Fraction(1)},
+    _DIMENSIONS["Pa"].exponents: {"Pa": Fraction(1)},
+    _DIMENSIONS["W"].exponents: {"W": Fraction(1)},
+    _DIMENSIONS["V"].exponents: {"V": Fraction(1)},
+}
+
+# As a header's suffix these would more often be part of the name than a unit.
+_NOT_A_SUFFIX = frozenset({"", "1", "-", "%", "°", "t", "g", "l"})
+# Beyond these a text is no unit that anyone measures in.
+MOST_CHARACTERS, DEEPEST, LARGEST_EXPONENT = 80, 6, 12
+_NUMBER = r"-?\d+(?:\.\d{1,3})?(?!\d)"
+_TOKEN = re.compile(rf"\s*(\*\*|[*/^()·]|{_NUMBER}|[^\W\d_]+\d*|[%°])")
+
+
+@dataclass(frozen=True)
+class _Unit:
+    """A parsed unit: factor and exponents of SI symbols."""
+
+    factor: float
+    symbols: tuple[tuple[str, Fraction], ...]
+    offset: float = 0.0
+
+
+def _parse(unit: str) -> _Unit:
+    if not isinstance(unit, str):
+        raise DataError(
+            f"A unit is text, such as 'm/s', but this is a {type(unit).__name__}: {unit!r:.60}."
+        )
+    return _parse_text(unit)
+
+
+@lru_cache(maxsize=1024)
+def _parse_text(unit: str) -> _Unit:
+    if len(unit) > MOST_CHARACTERS:
+        raise DataError(
+            f"The unit [{unit:.30}...] has {len(unit)} characters. Write a short product."
+        )
+    text = unit.strip()
+    for spelling, symbol in SPELLINGS.items():
+        text = text.replace(spelling, symbol)
+    if text in ("", "-"):
+        return _Unit(1.0, ())
+    if text in OFFSETS:
+        factor, symbol = UNITS[text]
+        return _Unit(factor, ((symbol, Fraction(1)),), OFFSETS[text])
+    tokens: list[str] = []
+    position = 0
+    while position < len(text):
+        match = _TOKEN.match(text, position)
+        if match is None:
+            raise _unknown(text[position:], unit)
+        tokens.append(match.group(1))
+        position = match.end()
+    symbols: dict[str, Fraction] = {}
+    factor = _product(tokens, symbols, 1, unit)
+    if tokens:
+        raise _unknown(tokens[0], unit)
+    if not 1e-60 < factor < 1e60 or any(abs(n) > LARGEST_EXPONENT for n in symbols.values()):
+        raise _too_large(unit)
+    return _Unit(factor, tuple((symbol, n) for symbol, n in symbols.items() if n))
+
+
+def _product(
+    tokens: list[str], symbols: dict[str, Fraction], sign: int, unit: str, depth: int = 0
+) -> float:
+    """Consume ``a b^2/(c d)`` from the tokens; return the factor, collect SI symbols."""
+    factor, direction = 1.0, sign
+    waiting = "("  # an operator after which a unit has to come; the beginning is one
+    if depth > DEEPEST:
+        raise DataError(f"The unit [{unit:.30}] has brackets {depth} deep. Write a short product.")
+    while tokens and tokens[0] != ")":
+        token = tokens.pop(0)
+        if token in ("*", "·", "/"):
+            if waiting:
+                raise _dangling(token, unit)
+            waiting = token
+            direction = -sign if token == "/" else sign
+            continue
+        waiting = ""
+        if token == "(":
+            factor *= _product(tokens, symbols, direction, unit, depth + 1)
+            if not tokens or tokens.pop(0) != ")":
+                raise _unknown("(", unit)
+        else:
+            name, exponent = token, Fraction(1)
+            if token not in UNITS:
+                name = token.rstrip("0123456789")
+                exponent = Fraction(token[len(name) :] or 1)
+            following = tokens[0] if tokens else ""
+            if following in ("^", "**") or re.fullmatch(_NUMBER, following):
+                if token != name:
+                    raise _dangling(following, unit)
+                exponent = _exponent(tokens, unit)
+            if name not in UNITS or name in OFFSETS:
+                raise _unknown(name, unit)
+            if abs(exponent) > LARGEST_EXPONENT:
+                raise _too_large(unit)
+            size, si_unit = UNITS[name]
+            factor *= size ** float(direction * exponent)
+            for symbol, n in _symbols(si_unit).items():
+                symbols[symbol] = symbols.get(symbol, Fraction(0)) + n * direction * exponent
+        direction = sign
+    if waiting:
+        raise _dangling(waiting, unit)
+    return factor
+
+
+def _exponent(tokens: list[str], unit: str) -> Fraction:
+    """Consume ``^2``, ``-1``, ``^0.5`` or ``^(1/2)``."""
+    mark = tokens.pop(0)
+    if re.fullmatch(r"-?\d+", mark):
+        return Fraction(mark)
+    if mark in ("^", "**"):
+        if tokens and re.fullmatch(_NUMBER, tokens[0]):
+            return Fraction(tokens.pop(0)).limit_denominator(1000)
+        ratio = re.match(r"\((-?\d{1,3})/(\d{1,3})\)", "".join(tokens))
+        if ratio and int(ratio.group(2)):
+            del tokens[:5]
+            return Fraction(int(ratio.group(1)), int(ratio.group(2)))
+    raise _dangling(mark, unit)
+
+
+def _dangling(mark: str, unit: str) -> DataError:
+    return DataError(f"{mark!r} stands alone in the unit [{unit}]. Write 'kg m^2/s^2', say.")
+
+
+def _too_large(unit: str) -> DataError:
+    return DataError(
+        f"The unit [{unit}] has exponents beyond {LARGEST_EXPONENT}. No measurement has."
+    )
+
+
+@lru_cache(maxsize=256)
+def _symbols(si_unit: str) -> dict[str, Fraction]:
+    if si_unit == "1":
+        return {}
+    if si_unit in _DIMENSIONS:
+        return {si_unit: Fraction(1)}
+    return dict(_parse(si_unit).symbols)
+
+
+def _unknown(part: str, unit: str) -> DataError:
+    accepted = ", ".join(sorted(UNITS, key=str.lower))
+    if part in OFFSETS:
+        return DataError(f"[{unit}] mixes {part} with other units. Use K for differences.")
+    meant = _MEANT.get(part.lower()) or next(
+        (name for name in UNITS if name.lower() == part.lower()), None
+    )
+    if meant is None and not part.isascii() and "°" in unit:
+        meant = "deg"  # a degree sign read in the wrong encoding, such as Â°
+    hint = f" Did you mean {meant!r}?" if meant else ""
+    return DataError(
+        f"Unknown unit {part!r} in [{unit}].{hint} Accepted are {accepted}, "
+        "and products such as 'kg m^2/s^2' or '1/s'."
+    )
+
+
+# What people write for units, in small letters.
+_MEANT = {
+    **dict.fromkeys(("degree", "degrees", "degs", "&deg;", "&deg", "\ufffd"), "deg"),
+    **dict.fromkeys(("radian", "radians", "rads"), "rad"),
+    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("minute", "minutes", "mins"), "min"),
+    **dict.fromkeys(("hour", "hours", "hr", "hrs"), "h"),
+    **dict.fromkeys(("millisecond", "milliseconds", "msec"), "ms"),
+    **dict.fromkeys(("meter", "metre", "meters", "metres", "mtr"), "m"),
+    **dict.fromkeys(("feet", "foot"), "ft"),
+    **dict.fromkeys(("knot", "knots", "kts"), "kn"),
+    **dict.fromkeys(("newton", "newtons"), "N"),
+    **dict.fromkeys(("percent", "pct"), "%"),
+    **dict.fromkeys(("rev/min", "rpms", "upm"), "rpm"),
+}
+
+
+def _text(symbols: dict[str, Fraction]) -> str:
+    """Write exponents as ``kg m^2/s^2`` or ``m/(s V)``."""
+
+    def power(symbol: str, n: Fraction) -> str:
+        if n == 1:
+            return symbol
+        return f"{symbol}^{n}" if n.denominator == 1 else f"{symbol}^({n})"
+
+    above = [power(symbol, n) for symbol, n in symbols.items() if n > 0]
+    below = [power(symbol, -n) for symbol, n in symbols.items() if n < 0]
+    numerator = " ".join(above) or "1"
+    if not below:
+        return numerator
+    return f"{numerator}/{below[0]}" if len(below) == 1 else f"{numerator}/({' '.join(below)})"
+
+
+def dimension(unit: str) -> Dimension:
+    """Return the dimension of a unit.
+
+    Parameters
+    ----------
+    unit : str
+        A unit or a product such as ``"kg m2/rad2"``, ``"N m s"`` or ``"1/s"``;
+        ``""``, ``"-"`` and ``"1"`` mean dimensionless.
+
+    Raises
+    ------
+    DataError
+        If a part of the unit is unknown.
+
+    Examples
+    --------
+    >>> str(dimension("kg m/rad")), dimension("kg m/rad") == dimension("kg m")
+    ('kg m/rad', True)
+    >>> str(dimension("V/s")), str(dimension("kn"))
+    ('V/s', 'm/s')
+    """
+    return _dimension_of(_parse(unit))
+
+
+@lru_cache(maxsize=1024)
+def _dimension_of(unit: _Unit) -> Dimension:
+    total = Dimension()
+    for symbol, exponent in unit.symbols:
+        total = total * _DIMENSIONS[symbol] ** exponent
+    return total
+
+
+def same_dimension(a: str, b: str) -> bool:
+    """Tell whether two units measure the same thing; the radian counts as one.
+
+    Examples
+    --------
+    >>> same_dimension("deg/s", "rad/s"), same_dimension("m", "rad")
+    (True, False)
+    """
+    return dimension(a) == dimension(b)
+
+
+def to_si(values: ArrayLike, unit: str) -> tuple[np.ndarray, str]:
+    """Convert values to SI.
+
+    Parameters
+    ----------
+    values : array_like
+        Numbers in ``unit``, any shape.
+    unit : str
+        The unit they are in. Revolutions per second and minute become ``1/s``,
+        not ``rad/s``.
+
+    Returns
+    -------
+    converted : numpy.ndarray
+        New array of the same shape.
+    si_unit : str
+        The unit of ``converted``.
+
+    Raises
+    ------
+    DataError
+        If the unit is unknown.
+
+    Examples
+    --------
+    >>> values, unit = to_si([0.0, 36.0], "km/h")
+    >>> print(values[1].round(12), unit)
+    10.0 m/s
+    >>> print(to_si(15.0, "degC")[0], to_si(90.0, "rpm"))
+    288.15 (array(1.5), '1/s')
+    """
+    parsed = _parse(unit)
+    converted = np.array(values, dtype=float) * parsed.factor + parsed.offset
+    return np.asarray(converted), _text(dict(parsed.symbols))
+
+
+def shown_unit(unit: str) -> tuple[float, str]:
+    """Return the factor and the unit in which people read a quantity: degrees for radians.
+
+    Parameters
+    ----------
+    unit : str
+        SI unit of a signal.
+
+    Returns
+    -------
+    factor : float
+        How many of the shown unit are one of the unit.
+    shown : str
+
+    Examples
+    --------
+    >>> factor, unit = shown_unit("rad/s")
+    >>> f"{0.1 * factor:.3f} {unit}", shown_unit("m/s")
+    ('5.730 deg/s', (1.0, 'm/s'))
+    """
+    if unit == "rad" or unit.startswith(("rad/", "rad ")):
+        return 180.0 / pi, f"deg{unit[3:]}"
+    return 1.0, unit
+
+
+def parse_header(text: str) -> tuple[str, str | None]:
+    """Split a column header into name and unit.
+
+    Understood are brackets (``w [m/s]``, ``beta(deg)``) and suffixes
+    (``psi_deg``, ``dx0_mps``), also before a remark (``phi_deg_inferred``).
+
+    Parameters
+    ----------
+    text : str
+        The header.
+
+    Returns
+    -------
+    name : str
+        The header without its unit.
+    unit : str or None
+        The unit as written, ``None`` if the header has none. What stands in
+        brackets is not checked before it is converted.
+
+    Examples
+    --------
+    >>> parse_header("w [m/s]"), parse_header("r_degps"), parse_header("m_pitch")
+    (('w', 'm/s'), ('r', 'degps'), ('m_pitch', None))
+    >>> parse_header("pitch_rad_corrected")
+    ('pitch_corrected', 'rad')
+    """
+    header = text.strip()
+    match = re.fullmatch(r"(.*?)\s*(?:\[([^\]]*)\]|\(([^()]*)\))", header)
+    if match:
+        unit = match.group(2) if match.group(2) is not None else match.group(3)
+        return match.group(1).strip(), unit.strip() or "1"
+    words = header.split("_")
+    for index in range(len(words) - 1, 0, -1):
+        word = words[index]
+        is_last = index == len(words) - 1
+        # A single letter inside a name ("dive_m_2") is too often not a unit.
+        if word in UNITS and word not in _NOT_A_SUFFIX and (is_last or len(word) > 1):
+            return "_".join(words[:index] + words[index + 1 :]), word
+    return header, None
