@@ -569,7 +569,8 @@ IMPORT = "import oed_sysid"
 # What a user's first lines do: load a problem, read a record from a CSV file, fit.
 PREPARE = (
     "import sys, numpy as np; from oed_sysid import load_problem, write_csv; "
-    "from oed_sysid.experiments.simulation import simulate; p = load_problem('remus_diving_plane'); "
+    "from oed_sysid.experiments.simulation import simulate; "
+    "p = load_problem('remus_diving_plane'); "
     "r = simulate(p.model, p.experiment('steps'), rng=np.random.default_rng(0)); "
     "write_csv(r, sys.argv[1])"
 )

@@ -55,7 +55,6 @@ PACKAGES = {
     "oed_sysid.data.logs": "Logs in",
     "oed_sysid.evidence.log_check": "Checks of logs",
     "oed_sysid.baselines": "Estimators",
-    "oed_sysid.likelihood.noise": "Noise",
     "oed_sysid.information": "Sensitivity",
     "oed_sysid.design": "Design of trials",
     "oed_sysid.evidence": "Missing physics",
@@ -75,13 +74,14 @@ RESULTS = {
         "rank.Ranking",
         "remainder.Remains",
     ),
-    "oed_sysid.likelihood.noise": ("model.NoiseModel", "disturbances.Place"),
     "oed_sysid.likelihood": (
         "fit.Fit",
         "fit.Status",
         "judgement.Concern",
         "prediction.Prediction",
         "captive.CaptiveTests",
+        "noise_model.NoiseModel",
+        "disturbances.Place",
     ),
 }
 MORE = {"oed_sysid.likelihood": "Results of an estimation"}

@@ -9,7 +9,10 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from oed_sysid.runtime.moved import understand_old_paths
 from oed_sysid.runtime.version import __version__
+
+understand_old_paths()
 
 _HOME = {
     "Actuator": "physics",

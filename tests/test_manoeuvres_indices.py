@@ -137,7 +137,7 @@ def test_zigzag_of_nomoto_model(first):
     zero_heading = times[np.flatnonzero((times > 4.0) & (first * heading < 0))[0]]
     assert result.reach == pytest.approx(zero_heading - 4.0, abs=0.021)
     assert "overshoot" in result.report()
-    assert result.to_dict()["executes"] == result.executes
+    assert tuple(result.to_dict()["executes"]) == result.executes
 
 
 def test_order_and_slow_rudder_angle_agree():

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments.manoeuvres import orthogonal_multisines, peak_factor, schroeder_phases
-from oed_sysid.experiments.sines import Multisine
+from oed_sysid.experiments.manoeuvres import (
+    Multisine,
+    orthogonal_multisines,
+    peak_factor,
+    schroeder_phases,
+)
 
 BAND = {"period": 100.0, "lowest": 0.02, "highest": 0.3}
 

@@ -48,9 +48,9 @@ def _compiler() -> str | None:
 _GENERATOR = (
     "compiled/graph.py",
     "text/expressions.py",
-    "text/grammar.py",
+    "text/expressions.py",
     "text/callables.py",
-    "physics/validation.py",
+    "physics/structure.py",
     "compiled/generate.py",
     "compiled/trajectory.c",
     "compiled/filter.c",

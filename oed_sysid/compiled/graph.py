@@ -44,7 +44,7 @@ import casadi as ca
 from oed_sysid.errors import ModelError
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.validation import is_sampled
+from oed_sysid.physics.structure import is_sampled
 from oed_sysid.text.expressions import names, to_casadi
 
 Scope = dict[str, ca.SX]

@@ -30,7 +30,7 @@ from typing import Protocol
 
 import numpy as np
 
-from oed_sysid.data.libraries import library
+from oed_sysid.data.log import library
 from oed_sysid.design.assurance import TRUSTED, Assurance
 from oed_sysid.design.library import Reference
 from oed_sysid.design.limits import quantity, span, units_of

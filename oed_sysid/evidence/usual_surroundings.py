@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from oed_sysid.evidence.dictionary import HORIZONTAL
 from oed_sysid.evidence.sizes import Sizes
 from oed_sysid.physics import Effect, Environment, Force, forces
-from oed_sysid.physics.attitude import rotation
+from oed_sysid.physics.frames import rotation
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 

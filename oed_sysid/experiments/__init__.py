@@ -1,1 +1,1 @@
-"""."""
+"""What is done with a vehicle: manoeuvres, experiments and their limits, simulation, problems."""

@@ -2,7 +2,9 @@
 
 A new manoeuvre is a frozen dataclass derived from :class:`OpenLoop` (its
 command depends on time only) or :class:`Stepwise` (it may look at measured
-signals), with a class attribute ``kind`` that names it in stored files.
+signals), with a class attribute ``kind`` that names it in stored files. Its
+settings are checked once, when it is made: those of the names in ``RULES`` by
+their name, others by ``rules`` of the class.
 """
 
 from __future__ import annotations
@@ -13,11 +15,142 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments.checks import FloatArray, Numbers
 
+FloatArray = NDArray[np.float64]
+Numbers = Sequence[float] | FloatArray
 Waveform = Callable[[FloatArray], FloatArray]
+#: Check of a setting: from owner, name and value to the value that is kept.
+Rule = Callable[[str, str, Any], Any]
+
+
+def finite(owner: str, name: str, value: float) -> float:
+    """Return ``value`` as a float, or raise if it is not a finite number."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = float("nan")
+    if not np.isfinite(number):
+        raise ModelError(f"{owner} has {name} {value!r}. Give a finite number.")
+    return number
+
+
+def positive(owner: str, name: str, value: float, advice: str = "") -> float:
+    """Return ``value`` as a float, or raise if it is not above zero."""
+    number = finite(owner, name, value)
+    if number <= 0:
+        raise ModelError(f"{owner} has {name} {number:g}; it must be above zero. {advice}".rstrip())
+    return number
+
+
+def not_zero(advice: str) -> Rule:
+    """Rule of a number that is not zero, with advice for one that is."""
+
+    def check(owner: str, name: str, value: float) -> float:
+        number = finite(owner, name, value)
+        if number == 0:
+            raise ModelError(f"{owner} has {name} 0, which moves nothing. {advice}")
+        return number
+
+    return check
+
+
+def optional(rule: Rule) -> Rule:
+    """Rule of a setting that may be None."""
+    return lambda owner, name, value: None if value is None else rule(owner, name, value)
+
+
+def above_zero(advice: str = "") -> Rule:
+    """Rule of a number above zero, with advice for one that is not."""
+    return lambda owner, name, value: positive(owner, name, value, advice)
+
+
+def side(owner: str, name: str, value: int) -> int:
+    """Return +1 or -1, or raise."""
+    if value not in (1, -1):
+        raise ModelError(f"{owner} has {name} {value!r}; it must be +1 or -1.")
+    return int(value)
+
+
+def numbers(owner: str, name: str, values: Numbers) -> tuple[float, ...]:
+    """Return a tuple of finite floats, or raise."""
+    array = np.asarray(values, dtype=float)
+    if array.ndim != 1 or len(array) < 1:
+        raise ModelError(
+            f"{owner} has {name} of shape {array.shape}; give a sequence of at least 1 number(s)."
+        )
+    if not np.all(np.isfinite(array)):
+        where = int(np.flatnonzero(~np.isfinite(array))[0])
+        raise ModelError(
+            f"{owner} has {array[where]} at position {where} of {name}. A command needs a value "
+            "everywhere: fill or cut the gap first."
+        )
+    return tuple(array.tolist())
+
+
+def increasing(owner: str, name: str, values: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the values, or raise if they are not strictly increasing."""
+    steps = np.diff(values)
+    if np.any(steps <= 0):
+        where = int(np.flatnonzero(steps <= 0)[0])
+        raise ModelError(
+            f"{owner} has {name} that do not increase: {values[where]:g} is followed by "
+            f"{values[where + 1]:g} at position {where + 1}. Sort them and remove repetitions."
+        )
+    return values
+
+
+def one_of(*options: str) -> Rule:
+    """Rule of a word among several."""
+
+    def check(owner: str, name: str, value: str) -> str:
+        if value not in options:
+            raise ModelError(f"{owner} has {name} {value!r}. Choose one of {', '.join(options)}.")
+        return value
+
+    return check
+
+
+def each_positive(advice: str) -> Rule:
+    """Rule of one number above zero, or several, kept as a tuple."""
+
+    def check(owner: str, name: str, values: float | Numbers) -> tuple[float, ...]:
+        sequence = (values,) if isinstance(values, int | float) else values
+        return tuple(
+            positive(owner, f"{name}[{index}]", value, advice)
+            for index, value in enumerate(numbers(owner, name, sequence))
+        )
+
+    return check
+
+
+def feedback_of(owner: str, signals: Sequence[str], more: Sequence[str] = ()) -> tuple[str, ...]:
+    """Return the measured signals that a manoeuvre reacts to: one, and what ``more`` says."""
+    names = (signals,) if isinstance(signals, str) else tuple(signals)
+    if len(names) != 1 + len(more) or not all(names):
+        words = "".join(f", then {one}" for one in more)
+        wanted = "exactly one measured signal" if not more else f"the attitude{words}"
+        raise ModelError(
+            f"{owner} has feedback {names!r}; it reacts to {wanted}, for instance "
+            f"{('psi', 'r', 'y')[: 1 + len(more)] if more else 'psi'!r}."
+        )
+    return names
+
+
+#: Rules of settings that mean the same in every manoeuvre.
+RULES: Mapping[str, Rule] = {
+    **dict.fromkeys(("start", "neutral", "initial", "lead", "keep_gain"), finite),
+    **dict.fromkeys(("hold", "turn_duration", "pulse_time", "unit_time", "bit_time"), positive),
+    **dict.fromkeys(("sweep_time", "first_frequency", "last_frequency"), positive),
+    **dict.fromkeys(("amplitude", "limit", "reset_time"), positive),
+    **dict.fromkeys(("first", "sign"), side),
+    **dict.fromkeys(("angles", "rates", "values"), numbers),
+    "times": lambda owner, name, value: increasing(owner, name, numbers(owner, name, value)),
+    "rate": optional(above_zero("Leave it None for a command without rate limit.")),
+    "reference": optional(finite),
+}
 
 
 class Controller(ABC):
@@ -134,7 +267,14 @@ class Manoeuvre(Excitation):
 
     input: str
 
+    rules: ClassVar[Mapping[str, Rule]] = {}
+
     def __post_init__(self) -> None:
+        rules = {**RULES, **self.rules}
+        for field in _settings(self):
+            if field.name in rules:
+                given = getattr(self, field.name)
+                self._set(**{field.name: rules[field.name](self._owner, field.name, given)})
         self._validate()
         if not isinstance(self.input, str) or not self.input:
             raise ModelError(
@@ -159,9 +299,9 @@ class Manoeuvre(Excitation):
     def commands(self, times: Numbers) -> FloatArray:
         """Return the commands ``(n_times,)`` of a manoeuvre without feedback."""
 
-    @abstractmethod
     def _validate(self) -> None:
-        """Check and normalise the settings, at construction."""
+        """Check what more than one setting decides; for kinds that have such."""
+        return
 
     @property
     def _owner(self) -> str:

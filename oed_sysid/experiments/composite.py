@@ -11,10 +11,18 @@ from typing import ClassVar
 import numpy as np
 
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments import checks
-from oed_sysid.experiments.base import Controller, Excitation, Manoeuvre, Stepwise
-from oed_sysid.experiments.checks import Numbers
-from oed_sysid.experiments.waveforms import SlopeLimit, interval
+from oed_sysid.experiments.base import (
+    Controller,
+    Excitation,
+    Manoeuvre,
+    Numbers,
+    Rule,
+    Stepwise,
+    numbers,
+    positive,
+)
+from oed_sysid.experiments.reacting import SlopeLimit
+from oed_sysid.experiments.schedules import interval
 
 
 @dataclass(frozen=True)
@@ -98,9 +106,13 @@ class Sequence(Stepwise):
     _: KW_ONLY
     durations: Numbers | None = None
 
-    def _validate(self) -> None:
+    def __post_init__(self) -> None:
         parts = _parts("Sequence", self.manoeuvres)
         self._set(manoeuvres=parts, input=parts[0].input)
+        super().__post_init__()
+
+    def _validate(self) -> None:
+        parts = self.manoeuvres
         if len({part.input for part in parts}) > 1:
             raise ModelError(
                 f"Sequence has inputs {', '.join(part.input for part in parts)}; all must be the "
@@ -114,9 +126,9 @@ class Sequence(Stepwise):
                         "Give durations, one for each manoeuvre."
                     )
             return
-        times = checks.numbers(self._owner, "durations", self.durations)
+        times = numbers(self._owner, "durations", self.durations)
         for index, time in enumerate(times):
-            checks.positive(self._owner, f"durations[{index}]", time)
+            positive(self._owner, f"durations[{index}]", time)
         if len(times) not in (len(parts), len(parts) - 1):
             raise ModelError(
                 f"{self._owner} has {len(parts)} manoeuvres but {len(times)} durations. Give one "
@@ -152,7 +164,29 @@ class Sequence(Stepwise):
 
 
 @dataclass(frozen=True)
-class RateLimited(Stepwise):
+class _Shaped(Stepwise):
+    """A manoeuvre that shapes what another one orders."""
+
+    input: str = field(init=False)
+    manoeuvre: Manoeuvre
+
+    def __post_init__(self) -> None:
+        self._set(input=_parts(type(self).__name__, (self.manoeuvre,))[0].input)
+        super().__post_init__()
+
+    @property
+    def feedback(self) -> abc.Sequence[str]:
+        """Names of the measured signals that the manoeuvre reacts to."""
+        return self.manoeuvre.feedback
+
+    @property
+    def duration(self) -> float | None:
+        """That of the manoeuvre [s]."""
+        return self.manoeuvre.duration
+
+
+@dataclass(frozen=True)
+class RateLimited(_Shaped):
     """A manoeuvre whose command changes at a limited rate, as a steering gear's does.
 
     Between two samples the command moves towards the order of the earlier one.
@@ -177,33 +211,15 @@ class RateLimited(Stepwise):
     """
 
     kind: ClassVar[str] = "rate_limited"
-    input: str = field(init=False)
-    manoeuvre: Manoeuvre
+    rules: ClassVar[Mapping[str, Rule]] = {"rate": positive}
     rate: float
     _: KW_ONLY
     initial: float = 0.0
 
-    def _validate(self) -> None:
-        self._set(input=_parts("RateLimited", (self.manoeuvre,))[0].input)
-        self._set(
-            rate=checks.positive(self._owner, "rate", self.rate),
-            initial=checks.finite(self._owner, "initial", self.initial),
-        )
-
-    @property
-    def feedback(self) -> abc.Sequence[str]:
-        """Names of the measured signals that the manoeuvre reacts to."""
-        return self.manoeuvre.feedback
-
-    @property
-    def duration(self) -> float | None:
-        """That of the manoeuvre [s]."""
-        return self.manoeuvre.duration
-
     def controller(self) -> Controller:
         """Return a fresh controller."""
         limit = SlopeLimit(self.rate, initial=self.initial)
-        return _SlopeLimited(self.manoeuvre.controller(), limit)
+        return _Shaper(self.manoeuvre.controller(), limit.follow)
 
     def describe(self) -> str:
         """Return one line in words."""
@@ -211,7 +227,7 @@ class RateLimited(Stepwise):
 
 
 @dataclass(frozen=True)
-class Saturated(Stepwise):
+class Saturated(_Shaped):
     """A manoeuvre whose command is cut off at a limit to either side.
 
     Parameters
@@ -229,27 +245,12 @@ class Saturated(Stepwise):
     """
 
     kind: ClassVar[str] = "saturated"
-    input: str = field(init=False)
-    manoeuvre: Manoeuvre
     limit: float
-
-    def _validate(self) -> None:
-        self._set(input=_parts("Saturated", (self.manoeuvre,))[0].input)
-        self._set(limit=checks.positive(self._owner, "limit", self.limit))
-
-    @property
-    def feedback(self) -> abc.Sequence[str]:
-        """Names of the measured signals that the manoeuvre reacts to."""
-        return self.manoeuvre.feedback
-
-    @property
-    def duration(self) -> float | None:
-        """That of the manoeuvre [s]."""
-        return self.manoeuvre.duration
 
     def controller(self) -> Controller:
         """Return a fresh controller."""
-        return _CutOff(self.manoeuvre.controller(), self.limit)
+        limit = self.limit
+        return _Shaper(self.manoeuvre.controller(), lambda order, _: min(max(order, -limit), limit))
 
     def describe(self) -> str:
         """Return one line in words."""
@@ -268,26 +269,14 @@ class _InTurn(Controller):
         return self._controllers[index].command(time - self._begins[index], signals)
 
 
-class _SlopeLimited(Controller):
-    """Follow another controller at a limited rate."""
+class _Shaper(Controller):
+    """Shape what another controller orders at each time."""
 
-    def __init__(self, ordering: Controller, limit: SlopeLimit) -> None:
-        self._ordering = ordering
-        self._limit = limit
-
-    def command(self, time: float, signals: Mapping[str, float]) -> float:
-        return self._limit.follow(self._ordering.command(time, signals), time)
-
-
-class _CutOff(Controller):
-    """Cut another controller's command off at a limit."""
-
-    def __init__(self, ordering: Controller, limit: float) -> None:
-        self._ordering = ordering
-        self._limit = limit
+    def __init__(self, ordering: Controller, shape: abc.Callable[[float, float], float]) -> None:
+        self._ordering, self._shape = ordering, shape
 
     def command(self, time: float, signals: Mapping[str, float]) -> float:
-        return min(max(self._ordering.command(time, signals), -self._limit), self._limit)
+        return self._shape(self._ordering.command(time, signals), time)
 
 
 def _parts(owner: str, manoeuvres: abc.Iterable[object]) -> tuple[Manoeuvre, ...]:

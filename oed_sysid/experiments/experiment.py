@@ -183,29 +183,9 @@ class Experiment:
 
     def _validate(self) -> None:
         owner = f"Experiment {self.name!r}"
-        if self.duration is None:
-            raise DesignError(
-                f"{owner} has no duration, and its manoeuvre has no natural end. "
-                "Give duration in seconds."
-            )
-        for key in ("duration", "sample_time"):
-            if isinstance(getattr(self, key), str | bool) or np.ndim(getattr(self, key)):
-                raise DesignError(f"{owner} has {key} {getattr(self, key)!r:.40}. Give seconds.")
         if not isinstance(self.name, str):
             raise DesignError(f"{owner} is named by a {type(self.name).__name__}. Give text.")
-        if not (self.sample_time > 0 and math.isfinite(self.sample_time)):
-            raise DesignError(f"{owner} has sample_time {self.sample_time}. Give seconds above 0.")
-        if not (self.duration >= self.sample_time and math.isfinite(self.duration)):
-            raise DesignError(
-                f"{owner} lasts {self.duration} s with a sample every {self.sample_time} s. "
-                "Give a duration of several samples."
-            )
-        if self.duration > MOST_SAMPLES * self.sample_time:
-            raise DesignError(
-                f"{owner} lasts {self.duration:g} s with a sample every {self.sample_time:g} s: "
-                f"that is {self.duration / self.sample_time:.0e} samples. Give a shorter run, or a "
-                "longer time between samples."
-            )
+        self._check_times(owner)
         if self.feedback not in FEEDBACKS:
             raise DesignError(
                 f"{owner} has feedback {self.feedback!r}. Choose one of {', '.join(FEEDBACKS)}."
@@ -214,8 +194,7 @@ class Experiment:
             for name, value in getattr(self, key).items():
                 if not math.isfinite(value) or (key == "noise" and value < 0):
                     raise DesignError(f"{owner} has {key} {name!r} = {value}. Correct the number.")
-        twice = set(self.constants) & set(self._commanded)
-        if twice:
+        if twice := set(self.constants) & set(self._commanded):
             raise DesignError(
                 f"{owner} commands {', '.join(sorted(twice))} by a manoeuvre and as a constant. "
                 "Remove one of the two."
@@ -229,6 +208,31 @@ class Experiment:
             raise DesignError(
                 f"{owner} breaks its limits: {'; '.join(broken)}. Make the "
                 "manoeuvre smaller or slower (Saturated, RateLimited), or widen the limit."
+            )
+
+    def _check_times(self, owner: str) -> None:
+        """Refuse a run without end, without samples, or of more than there is room for."""
+        if self.duration is None:
+            raise DesignError(
+                f"{owner} has no duration, and its manoeuvre has no natural end. "
+                "Give duration in seconds."
+            )
+        for key in ("duration", "sample_time"):
+            given = getattr(self, key)
+            if isinstance(given, str | bool) or np.ndim(given):
+                raise DesignError(f"{owner} has {key} {given!r:.40}. Give seconds.")
+        if not 0 < self.sample_time < math.inf:
+            raise DesignError(f"{owner} has sample_time {self.sample_time}. Give seconds above 0.")
+        if not self.sample_time <= self.duration < math.inf:
+            raise DesignError(
+                f"{owner} lasts {self.duration} s with a sample every {self.sample_time} s. "
+                "Give a duration of several samples."
+            )
+        if self.duration > MOST_SAMPLES * self.sample_time:
+            raise DesignError(
+                f"{owner} lasts {self.duration:g} s with a sample every {self.sample_time:g} s: "
+                f"that is {self.duration / self.sample_time:.0e} samples. Give a shorter run, or a "
+                "longer time between samples."
             )
 
     @property
@@ -358,7 +362,9 @@ class Experiment:
 def _range(kind: str, name: str, given: Sequence[float]) -> tuple[float, float]:
     try:
         words = any(isinstance(bound, str | bool) for bound in given)
-        pair = () if words else tuple(float(bound) for bound in given)
+        # A stored open side is no number: JSON knows no infinity.
+        sides = zip(given, (-math.inf, math.inf), strict=True)
+        pair = () if words else tuple(float(open_ if b is None else b) for b, open_ in sides)
     except (TypeError, ValueError):
         pair = ()
     if len(pair) != 2 or not pair[0] < pair[1]:

@@ -24,46 +24,26 @@ from oed_sysid.experiments.indices import (
     turning_indices,
     zigzag_indices,
 )
-from oed_sysid.experiments.orthogonal import orthogonal_multisines, peak_factor
-from oed_sysid.experiments.prbs import PRBS, maximum_length_sequence
-from oed_sysid.experiments.pulses import Doublet, ThreeTwoOneOne
-from oed_sysid.experiments.sines import Chirp, Multisine, schroeder_phases
-from oed_sysid.experiments.spirals import ReverseSpiral, Spiral
-from oed_sysid.experiments.tabulated import FromRecord, Piecewise
-from oed_sysid.experiments.turning import Constant, PullOut, TurningCircle
-from oed_sysid.experiments.zigzag import ZigZag, ZigZagLike
+from oed_sysid.experiments.reacting import ReverseSpiral, ZigZag, ZigZagLike
+from oed_sysid.experiments.schedules import (
+    PRBS,
+    Constant,
+    Doublet,
+    FromRecord,
+    Piecewise,
+    PullOut,
+    Spiral,
+    ThreeTwoOneOne,
+    TurningCircle,
+    maximum_length_sequence,
+)
+from oed_sysid.experiments.sines import (
+    Chirp,
+    Multisine,
+    orthogonal_multisines,
+    peak_factor,
+    schroeder_phases,
+)
+from oed_sysid.runtime.version import exported
 
-__all__ = [
-    "PRBS",
-    "Chirp",
-    "Combined",
-    "Constant",
-    "Controller",
-    "Doublet",
-    "Excitation",
-    "FromRecord",
-    "Manoeuvre",
-    "Multisine",
-    "OpenLoop",
-    "Piecewise",
-    "PullOut",
-    "RateLimited",
-    "ReverseSpiral",
-    "Saturated",
-    "Sequence",
-    "Spiral",
-    "Stepwise",
-    "ThreeTwoOneOne",
-    "TurningCircle",
-    "TurningIndices",
-    "ZigZag",
-    "ZigZagIndices",
-    "ZigZagLike",
-    "command_all",
-    "maximum_length_sequence",
-    "orthogonal_multisines",
-    "peak_factor",
-    "schroeder_phases",
-    "turning_indices",
-    "zigzag_indices",
-]
+__all__ = exported(globals())

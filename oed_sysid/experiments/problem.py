@@ -7,5 +7,6 @@
 from oed_sysid.experiments.catalogue import catalogue_folder, list_problems, load_problem
 from oed_sysid.experiments.definition import Problem
 from oed_sysid.experiments.starter import new_problem
+from oed_sysid.runtime.version import exported
 
-__all__ = ["Problem", "catalogue_folder", "list_problems", "load_problem", "new_problem"]
+__all__ = exported(globals())

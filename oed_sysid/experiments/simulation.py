@@ -15,14 +15,6 @@ from oed_sysid.experiments.reference import reference_trajectory
 from oed_sysid.experiments.run import simulate
 from oed_sysid.experiments.steady import Equilibrium, equilibrium, linearise
 from oed_sysid.experiments.trajectory import Trajectory, simulate_inputs
+from oed_sysid.runtime.version import exported
 
-__all__ = [
-    "Equilibrium",
-    "Trajectory",
-    "equilibrium",
-    "linearise",
-    "reference_trajectory",
-    "simulate",
-    "simulate_batch",
-    "simulate_inputs",
-]
+__all__ = exported(globals())

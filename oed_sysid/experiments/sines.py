@@ -1,22 +1,50 @@
-"""Inputs made of sines: multisine and frequency sweep."""
+r"""Inputs made of sines: multisine, frequency sweep, several multisines that share no line.
+
+Several inputs at once:
+
+.. math:: u_j(t) = \sum_{k \in K_j} a_{jk} \cos(2\pi k t/T + \varphi_{jk}), \qquad
+    K_i \cap K_j = \emptyset
+
+Over one period ``T`` signals with disjoint lines are orthogonal, also delayed against each other,
+so that the answers to rudder and propeller can be told apart although both move at the same time
+(Morelli 2012, *Flight test maneuvers for efficient aerodynamic modeling*, J. Aircraft 49). Phases
+begin as Schroeder's; the signal is clipped, and the phases of what is left are taken, over and
+over (van der Ouderaa, Schoukens & Renneboog 1988, IEEE Trans. Instrum. Meas. 37): the peak factor
+
+.. math:: \mathrm{PF} = \frac{\max u - \min u}{2 \sqrt 2\, \mathrm{rms}(u)}
+
+of one sine is one, that of Schroeder's phases for the lines of several inputs often 1.3 to 2.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments import checks
-from oed_sysid.experiments.base import OpenLoop, Waveform
-from oed_sysid.experiments.checks import FloatArray, Numbers
-from oed_sysid.experiments.waveforms import about, centre, within
+from oed_sysid.experiments.base import (
+    FloatArray,
+    Numbers,
+    OpenLoop,
+    Rule,
+    Waveform,
+    increasing,
+    numbers,
+    one_of,
+    positive,
+)
+from oed_sysid.experiments.schedules import about, centre, within
 
 _OVERSAMPLING = 64  # grid points in the shortest cycle of a multisine
 _MOST_HARMONICS = 20_000  # beyond, a multisine counts as not periodic
+_SWEEPS = 400  # of clipping, from this share of the peak to the peak itself
+_FIRST_CLIP = 0.75
 
 
 @dataclass(frozen=True)
@@ -71,32 +99,25 @@ class Multisine(OpenLoop):
 
     def _validate(self) -> None:
         owner = self._owner
-        lines = checks.numbers(owner, "frequencies", self.frequencies)
-        checks.increasing(owner, "frequencies", lines)
-        checks.positive(owner, "first frequency", lines[0], "Use Constant for a mean value.")
+        lines = increasing(owner, "frequencies", numbers(owner, "frequencies", self.frequencies))
+        positive(owner, "first frequency", lines[0], "Use Constant for a mean value.")
         if self.amplitudes is None and self.peak is None:
             raise ModelError(f"{owner} has neither amplitudes nor a peak. Give one of them.")
         given = [1.0] * len(lines) if self.amplitudes is None else self.amplitudes
-        sizes = checks.numbers(owner, "amplitudes", given)
+        sizes = numbers(owner, "amplitudes", given)
         for index, size in enumerate(sizes):
-            checks.positive(owner, f"amplitudes[{index}]", size, "Use a phase of pi to invert it.")
+            positive(owner, f"amplitudes[{index}]", size, "Use a phase of pi to invert it.")
         angles = schroeder_phases(sizes) if self.phases is None else self.phases
-        angles = checks.numbers(owner, "phases", angles)
+        angles = numbers(owner, "phases", angles)
         for name, values in (("amplitudes", sizes), ("phases", angles)):
             if len(values) != len(lines):
                 raise ModelError(
                     f"{owner} has {len(lines)} frequencies but {len(values)} {name}. "
                     "Give one of each for every line."
                 )
-        self._set(
-            frequencies=lines,
-            amplitudes=sizes,
-            phases=angles,
-            start=checks.finite(owner, "start", self.start),
-            neutral=checks.finite(owner, "neutral", self.neutral),
-        )
+        self._set(frequencies=lines, amplitudes=sizes, phases=angles)
         if self.peak is not None:
-            factor = checks.positive(owner, "peak", self.peak) / self.largest
+            factor = positive(owner, "peak", self.peak) / self.largest
             # Stored numbers that are already at the limit are kept as they are.
             if abs(factor - 1) > 1e-9:
                 self._set(amplitudes=tuple(factor * size for size in sizes))
@@ -197,6 +218,7 @@ class Chirp(OpenLoop):
     """
 
     kind: ClassVar[str] = "chirp"
+    rules: ClassVar[Mapping[str, Rule]] = {"law": one_of("linear", "log")}
     amplitude: float
     _: KW_ONLY
     first_frequency: float
@@ -205,18 +227,6 @@ class Chirp(OpenLoop):
     law: str = "linear"
     start: float = 0.0
     neutral: float = 0.0
-
-    def _validate(self) -> None:
-        owner = self._owner
-        self._set(
-            amplitude=checks.positive(owner, "amplitude", self.amplitude),
-            first_frequency=checks.positive(owner, "first_frequency", self.first_frequency),
-            last_frequency=checks.positive(owner, "last_frequency", self.last_frequency),
-            sweep_time=checks.positive(owner, "sweep_time", self.sweep_time),
-            law=checks.choice(owner, "law", self.law, ("linear", "log")),
-            start=checks.finite(owner, "start", self.start),
-            neutral=checks.finite(owner, "neutral", self.neutral),
-        )
 
     @property
     def duration(self) -> float | None:
@@ -246,3 +256,130 @@ class Chirp(OpenLoop):
             cycles = self.first_frequency * self.sweep_time / growth * np.expm1(growth * share)
         wave: FloatArray = self.amplitude * np.sin(2 * math.pi * cycles)
         return wave
+
+
+def orthogonal_multisines(
+    peaks: Mapping[str, float],
+    *,
+    period: float,
+    lowest: float,
+    highest: float,
+    spectra: Mapping[str, Callable[[FloatArray], FloatArray]] | None = None,
+    start: float = 0.0,
+    neutral: Mapping[str, float] | None = None,
+) -> tuple[Multisine, ...]:
+    """Return one multisine for each input, on lines that no other has.
+
+    Parameters
+    ----------
+    peaks : mapping of str to float
+        Largest departure from neutral by input, in its unit.
+    period : float
+        Common period [s]; lines are multiples of its inverse.
+    lowest, highest : float
+        Band [Hz].
+    spectra : mapping of str to callable, optional
+        Relative amplitude over frequency [Hz] by input; flat by default.
+    start : float
+        Time at which all begin [s].
+    neutral : mapping of str to float, optional
+        Command about which each swings.
+
+    Returns
+    -------
+    tuple of Multisine
+        In the order of ``peaks``; give them to one experiment together.
+
+    Raises
+    ------
+    ModelError
+        If the band holds fewer than two lines for each input.
+
+    Examples
+    --------
+    >>> rudder, propeller = orthogonal_multisines(
+    ...     {"rudder": 0.2, "propeller": 1.0}, period=100.0, lowest=0.01, highest=0.2
+    ... )
+    >>> set(rudder.frequencies) & set(propeller.frequencies)
+    set()
+    >>> round(peak_factor(rudder), 2), round(peak_factor(propeller), 2)
+    (1.02, 1.07)
+    """
+    for given in (spectra, neutral):
+        if peaks and (unknown := [name for name in given or {} if name not in peaks]):
+            raise ModelError(f"{unknown[0]!r} has no peak. Inputs are {', '.join(peaks)}.")
+    lines = _common_lines(tuple(peaks), period, lowest, highest)
+    found = []
+    for position, (name, peak) in enumerate(peaks.items()):
+        own = lines[position :: len(peaks)]
+        shape = (spectra or {}).get(name, np.ones_like)
+        amplitudes = np.asarray(shape(own / period), dtype=float)
+        found.append(
+            Multisine(
+                name, (own / period).tolist(), amplitudes=amplitudes.tolist(),
+                phases=low_peak_phases(own, amplitudes).tolist(), peak=peak, start=start,
+                neutral=(neutral or {}).get(name, 0.0),
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def _common_lines(
+    inputs: tuple[str, ...], period: float, lowest: float, highest: float
+) -> NDArray[np.int64]:
+    """Multiples of the base frequency within the band, enough for all inputs."""
+    if not inputs or not (np.isfinite(period) and period > 0) or not 0 < lowest < highest:
+        raise ModelError(
+            f"Orthogonal multisines of {', '.join(inputs) or 'no input'} with period {period} s "
+            f"and band {lowest} to {highest} Hz. Give inputs with peaks, a period and a rising "
+            "band."
+        )
+    first = int(np.ceil(lowest * period - 1e-9))
+    last = int(np.floor(highest * period + 1e-9))
+    lines = np.arange(max(first, 1), last + 1)
+    if len(lines) < 2 * len(inputs):
+        raise ModelError(
+            f"The band {lowest:g} to {highest:g} Hz holds {len(lines)} lines of period "
+            f"{period:g} s for {len(inputs)} inputs. Give a longer period or a wider band: two "
+            "lines each."
+        )
+    return lines
+
+
+def low_peak_phases(lines: np.ndarray, amplitudes: np.ndarray) -> FloatArray:
+    """Return phases [rad] that give a sum of cosines a low peak.
+
+    Parameters
+    ----------
+    lines : ndarray of int (n,)
+        Multiples of the base frequency.
+    amplitudes : ndarray (n,)
+
+    Returns
+    -------
+    ndarray (n,)
+    """
+    n = 16 * int(lines.max())
+    phases = schroeder_phases(amplitudes.tolist())
+    best, best_peak = phases, np.inf
+    for sweep in range(_SWEEPS):
+        spectrum = np.zeros(n // 2 + 1, dtype=complex)
+        spectrum[lines] = 0.5 * n * amplitudes * np.exp(1j * phases)
+        signal = np.fft.irfft(spectrum, n)
+        peak = float(np.abs(signal).max())
+        if peak < best_peak:
+            best, best_peak = phases, peak
+        share = _FIRST_CLIP + (1 - _FIRST_CLIP) * sweep / _SWEEPS
+        clipped = np.clip(signal, -share * peak, share * peak)
+        phases = np.angle(np.fft.rfft(clipped)[lines])
+    found: FloatArray = best
+    return found
+
+
+def peak_factor(signal: Multisine) -> float:
+    """Half the range of a periodic multisine over that of a sine of equal power."""
+    if signal.period is None:
+        raise ModelError("The multisine has no period, so its peak factor is not known.")
+    n = _OVERSAMPLING * round(signal.period * signal.frequencies[-1])
+    values = signal._sum(np.arange(n) * signal.period / n)
+    return float(np.ptp(values) / (2 * np.sqrt(2) * np.sqrt(np.mean(values**2))))

@@ -100,37 +100,6 @@ from oed_sysid.physics.unknown import (
     UnknownInput,
 )
 from oed_sysid.physics.variants import in_each_record, unknown_start
+from oed_sysid.runtime.version import exported
 
-__all__ = [
-    "LIBRARY",
-    "STAGES",
-    "Actuator",
-    "Effect",
-    "Environment",
-    "ExtraState",
-    "Force",
-    "Inertia",
-    "InputNoise",
-    "Memory",
-    "RandomForce",
-    "Sensor",
-    "SensorDrift",
-    "UnknownForce",
-    "UnknownInput",
-    "amplitude",
-    "derivative",
-    "derivative_group",
-    "diving_plane_effects",
-    "hull_derivatives",
-    "in_each_record",
-    "maximum_rate",
-    "mechanical_effects",
-    "nonlinear_yaw_damping",
-    "roll_effects",
-    "rudder_neutral_angle",
-    "speed_loss_in_turn",
-    "surface_ship_effects",
-    "table_from_csv",
-    "unknown_start",
-    *LIBRARY,
-]
+__all__ = exported(globals())

@@ -16,18 +16,9 @@ Examples
 (12, ['K', 'M', 'N', 'X', 'Y', 'Z'])
 """
 
-from oed_sysid.physics.appendages import fin, thruster
 from oed_sysid.physics.body_candidates import catamaran_effects, underwater_vehicle_effects
 from oed_sysid.physics.builder import rigid_body
-from oed_sysid.physics.rigid_body import RigidBody
-from oed_sysid.physics.sensing import load_cell
+from oed_sysid.physics.rigid_body import RigidBody, fin, load_cell, thruster
+from oed_sysid.runtime.version import exported
 
-__all__ = [
-    "RigidBody",
-    "catamaran_effects",
-    "fin",
-    "load_cell",
-    "rigid_body",
-    "thruster",
-    "underwater_vehicle_effects",
-]
+__all__ = exported(globals())

@@ -10,8 +10,8 @@ from collections.abc import Collection, Sequence
 
 from oed_sysid.physics import forces, signals
 from oed_sysid.physics.base import Effect, Force, amplitude
+from oed_sysid.physics.frames import plus, times
 from oed_sysid.physics.rigid_body import RigidBody
-from oed_sysid.physics.texts import plus, times
 from oed_sysid.text import notation
 
 WATER = 1025.0  # kg/m3, sea water

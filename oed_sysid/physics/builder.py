@@ -6,14 +6,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from oed_sysid.errors import ModelError
-from oed_sysid.physics import attitude as orientation
-from oed_sysid.physics import momentum as inertial
+from oed_sysid.physics import frames
 from oed_sysid.physics.base import Effect, Force
-from oed_sysid.physics.momentum import AXES, VELOCITIES, Matrix
-from oed_sysid.physics.motions import DEGREES, MOTIONS
+from oed_sysid.physics.frames import (
+    AXES,
+    DEGREES,
+    MOTIONS,
+    VELOCITIES,
+    Attitude,
+    Matrix,
+    cross,
+    minus,
+    plus,
+    times,
+)
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.rigid_body import FOSSEN, Number, RigidBody
-from oed_sysid.physics.texts import cross, minus, plus, times
 from oed_sysid.text import notation
 
 
@@ -87,47 +95,36 @@ def rigid_body(
     (m - X_udot) u' = P_y r + A_y r - X_udot r (v - v_r) + T + X_u u_r
     """
     active = _active(dof)
-    if attitude not in ("euler", "quaternion"):
-        raise ModelError(f"Attitude {attitude!r} is not known. Choose 'euler' or 'quaternion'.")
-    if attitude == "quaternion" and not {"p", "q", "r"} <= set(active):
-        raise ModelError("A quaternion needs roll, pitch and yaw. Use attitude='euler' here.")
-    oriented = orientation.quaternion() if attitude == "quaternion" else orientation.euler(active)
-    floating = metacentric_height is not None or heave_stiffness is not None
+    oriented = _oriented(attitude, active)
     constants = _Constants()
     constants.add("m", mass, "kg", "mass")
     for letter, value in zip("xyz", _three("centre_of_gravity", centre_of_gravity), strict=True):
         constants.add(f"{letter}_G", value, "m", "centre of gravity", optional=True)
     for pair, value in _moments(inertia, active).items():
         constants.add(f"I_{pair}", value, "kg m^2", "inertia about the origin", optional=True)
-    rigid = inertial.rigid_matrix(constants.names)
-    added = inertial.added_matrix(_added_mass(constants, added_mass, active))
+    rigid = frames.rigid_matrix(constants.names)
+    added = frames.added_matrix(_added_mass(constants, added_mass, active))
+    axes = {axis: v for axis, v in zip(AXES, VELOCITIES, strict=True) if v in active}
+    # Rigid-body forces go with the velocity over ground, those of the water with the velocity
+    # through it; a steady current turns in body axes.
     velocity = [v if v in active else "0" for v in VELOCITIES]
-    through = [f"{v}_r" if v in active and v in "uvw" else v for v in velocity]
-    through = [v if w != "0" else "0" for v, w in zip(through, velocity, strict=True)]
-    axes = {axis: v for axis, v in zip(AXES, velocity, strict=True) if v != "0"}
-    effects: list[Effect] = []
-    effects += _coriolis("rigid_body", rigid, velocity, "PH", axes)
+    through = [f"{v}_r" if v in "uvw" and v != "0" else v for v in velocity]
     drift = [f"({v} - {v}_r)" if v in active else "0" for v in "uvw"]
-    effects += _coriolis("added_mass", added, through, "AB", axes, drift)
+    effects = [
+        *_coriolis("rigid_body", rigid, velocity, "PH", axes),
+        *_coriolis("added_mass", added, through, "AB", axes, drift),
+    ]
     down = oriented.rotation[2]
-    if floating:
+    if metacentric_height is not None or heave_stiffness is not None:
         effects += _floating(constants, weight, metacentric_height, heave_stiffness, active)
     elif weight is not None:
         effects += _submerged(constants, weight, buoyancy, centre_of_buoyancy, down, axes)
     elif buoyancy is not None:
         raise ModelError("This body has a buoyancy and no weight. Give both, or none.")
-    ground = {
-        name: plus(*(times(e, v) for e, v in zip(row, velocity[:3], strict=True)))
-        for name, row in zip("xyz", oriented.rotation, strict=True)
-    }
-    moving = [name for name, rate in ground.items() if rate != "0"]
-    wanted = moving if position is None else list(position)
-    if unknown := [name for name in wanted if name not in moving]:
-        raise ModelError(f"Position {unknown[0]!r} does not change; it has {', '.join(moving)}.")
     return RigidBody(
         velocities=active,
         axes=axes,
-        kinematics=oriented.states | {name: ground[name] for name in wanted},
+        kinematics=oriented.states | _positions(oriented, velocity, position),
         inertia=_inertia((rigid, added), axes),
         signals=oriented.signals | {f"{v}_r": v for v in active if v in "uvw"},
         effects=tuple(effects),
@@ -137,6 +134,32 @@ def rigid_body(
         rigid=rigid,
         added=added,
     )
+
+
+def _oriented(attitude: str, active: Sequence[str]) -> Attitude:
+    """The attitude as Euler angles or as a quaternion."""
+    if attitude not in ("euler", "quaternion"):
+        raise ModelError(f"Attitude {attitude!r} is not known. Choose 'euler' or 'quaternion'.")
+    if attitude == "euler":
+        return frames.euler(active)
+    if not {"p", "q", "r"} <= set(active):
+        raise ModelError("A quaternion needs roll, pitch and yaw. Use attitude='euler' here.")
+    return frames.quaternion()
+
+
+def _positions(
+    oriented: Attitude, velocity: Sequence[str], wanted: Sequence[str] | None
+) -> dict[str, str]:
+    """Rates of the positions in NED that are carried as states."""
+    ground = {
+        name: plus(*(times(e, v) for e, v in zip(row, velocity[:3], strict=True)))
+        for name, row in zip("xyz", oriented.rotation, strict=True)
+    }
+    moving = [name for name, rate in ground.items() if rate != "0"]
+    names = moving if wanted is None else wanted
+    if unknown := [name for name in names if name not in moving]:
+        raise ModelError(f"Position {unknown[0]!r} does not change; it has {', '.join(moving)}.")
+    return {name: ground[name] for name in names}
 
 
 class _Constants:
@@ -185,19 +208,18 @@ def _moments(
     inertia: Sequence[Number] | Mapping[str, Number] | Number, active: Sequence[str]
 ) -> dict[str, Number]:
     """Moments and products of inertia by pair of letters."""
+    known = ("xx", "yy", "zz", "xy", "xz", "yz")
     if isinstance(inertia, Mapping):
-        known = ("xx", "yy", "zz", "xy", "xz", "yz")
         if unknown := [key for key in inertia if key not in known]:
             raise ModelError(f"Inertia {unknown[0]!r} is not known. Choose {', '.join(known)}.")
         found = dict(inertia)
     elif isinstance(inertia, float | int | Parameter):
-        turning = [rate for rate in "pqr" if rate in active]
+        turning = [pair for pair, rate in zip(known, "pqr", strict=False) if rate in active]
         if len(turning) != 1:
             raise ModelError(
                 f"One moment of inertia for {len(turning)} rotations. Give (I_xx, I_yy, I_zz)."
             )
-        found = {"pqr".index(turning[0]): inertia}  # type: ignore[dict-item]
-        found = {["xx", "yy", "zz"][int(i)]: value for i, value in found.items()}
+        found = {turning[0]: inertia}
     else:
         found = dict(zip(("xx", "yy", "zz"), _three("inertia", inertia), strict=True))
     for letters, rate in (("xx", "p"), ("yy", "q"), ("zz", "r")):
@@ -259,9 +281,9 @@ def _coriolis(
 ) -> list[Effect]:
     """Coriolis-centripetal forces of one inertia matrix as an effect, if there are any."""
     symbols = [f"{letter}_{axis}" for letter in letters for axis in "xyz"]
-    definitions, forces = inertial.gyroscopic(matrix, velocity, symbols)
+    definitions, forces = frames.gyroscopic(matrix, velocity, symbols)
     if drift is not None:
-        turning = inertial.current_rotation(matrix, velocity, drift)
+        turning = frames.current_rotation(matrix, velocity, drift)
         forces = [plus(force, extra) for force, extra in zip(forces, turning, strict=True)]
     terms = {
         axis: text for axis, text in zip(AXES, forces, strict=True) if axis in axes and text != "0"

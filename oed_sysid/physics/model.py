@@ -14,9 +14,7 @@ from functools import cached_property
 from oed_sysid.errors import ModelError
 from oed_sysid.physics import Effect
 from oed_sysid.physics.parameters import Parameter, with_parameters
-from oed_sysid.physics.parts import settle_parts
-from oed_sysid.physics.structure import Structure
-from oed_sysid.physics.validation import validate
+from oed_sysid.physics.structure import Structure, settle_parts, validate
 from oed_sysid.runtime.display import as_html
 from oed_sysid.text import callables, expressions, notation
 

@@ -70,25 +70,7 @@ class Parameter:
 
     def __post_init__(self) -> None:
         check_signal("Parameter", self.name, self.unit)
-        for field in ("value", "lower", "upper", "prior_mean", "prior_std", "scale"):
-            given = getattr(self, field)
-            if given is None and field not in ("value", "lower", "upper"):
-                continue
-            if isinstance(given, bool) or not isinstance(given, int | float | np.number):
-                raise ModelError(
-                    f"Parameter {self.name!r} has {field} {given!r:.40}. Expected a number."
-                )
-        for field in ("fixed", "log", "per_record"):
-            given = getattr(self, field)
-            if not isinstance(given, bool | np.bool_):
-                raise ModelError(
-                    f"Parameter {self.name!r} has {field} {given!r:.40}. Expected True or False."
-                )
-        for field in ("value", "lower", "upper"):
-            if math.isnan(getattr(self, field)):
-                raise ModelError(f"Parameter {self.name!r} has {field} NaN. Give a number.")
-        if not math.isfinite(self.value):
-            raise ModelError(f"Parameter {self.name!r} has value {self.value}. Give a number.")
+        self._check_types()
         if self.log:
             self._check_log()
         if self.lower > self.upper:
@@ -101,15 +83,6 @@ class Parameter:
                 f"Parameter {self.name!r} starts at {self.value:g}, outside its bounds "
                 f"[{self.lower:g}, {self.upper:g}]. Move the start value or widen the bounds."
             )
-        if self.prior_mean is not None and not math.isfinite(self.prior_mean):
-            raise ModelError(
-                f"Parameter {self.name!r} has prior_mean {self.prior_mean}. Give a number."
-            )
-        if self.prior_std is not None and not 0 < self.prior_std < math.inf:
-            raise ModelError(
-                f"Parameter {self.name!r} has prior_std {self.prior_std}. "
-                "Give a positive number, or fixed=True for a known value."
-            )
         if self.prior_std is not None and self.prior_mean is None:
             object.__setattr__(self, "prior_mean", self.value)
         if self.prior_mean is not None and not self.lower <= self.prior_mean <= self.upper:
@@ -117,10 +90,31 @@ class Parameter:
                 f"Parameter {self.name!r} has its prior at {self.prior_mean:g}, outside its bounds "
                 f"[{self.lower:g}, {self.upper:g}]. Move the prior or widen the bounds."
             )
-        if self.scale is not None and not self.scale > 0:
+
+    def _check_types(self) -> None:
+        """Refuse what is no number, or none of the size that its name asks for."""
+        who = f"Parameter {self.name!r}"
+        for field in ("value", "lower", "upper", "prior_mean", "prior_std", "scale"):
+            given = getattr(self, field)
+            if given is None and field not in ("value", "lower", "upper"):
+                continue
+            if isinstance(given, bool) or not isinstance(given, int | float | np.number):
+                raise ModelError(f"{who} has {field} {given!r:.40}. Expected a number.")
+            bound = field in ("lower", "upper")
+            if math.isnan(given) or not (bound or field == "scale" or math.isfinite(given)):
+                shown = "NaN" if math.isnan(given) and bound else given
+                raise ModelError(f"{who} has {field} {shown}. Give a number.")
+        for field in ("fixed", "log", "per_record"):
+            given = getattr(self, field)
+            if not isinstance(given, bool | np.bool_):
+                raise ModelError(f"{who} has {field} {given!r:.40}. Expected True or False.")
+        if self.prior_std is not None and self.prior_std <= 0:
             raise ModelError(
-                f"Parameter {self.name!r} has scale {self.scale}. Give a positive one."
+                f"{who} has prior_std {self.prior_std}. Give a positive number, or fixed=True for "
+                "a known value."
             )
+        if self.scale is not None and not self.scale > 0:
+            raise ModelError(f"{who} has scale {self.scale}. Give a positive one.")
 
     def _check_log(self) -> None:
         if self.lower == -math.inf:

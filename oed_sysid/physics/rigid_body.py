@@ -17,32 +17,54 @@ References
 ----------
 Fossen (2011), Handbook of marine craft hydrodynamics and motion control, Wiley: sections
 2.2 (attitude), 3.3 (rigid body), 4.1 and 4.2 (restoring), 6.3 (added mass), 8.3 (current).
+
+*What is mounted on it.* A force :math:`F` at the place :math:`r` has the moment
+:math:`r \times F` about the origin. A fin of normal :math:`n` (the side to which a positive
+angle lifts) sees the flow :math:`v_f = \nu_{r1} + \omega \times r` of its own place,
+
+.. math:: F = L\,u_f (u_f\,\delta - v_f \cdot n)\,n - D\,u_f^2\delta^2\,e_x, \qquad
+          L = \tfrac{\rho}{2} S\,C_{L\alpha},
+
+the lift of a thin wing at small angles of attack; Prestero (2001), section 4.4.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from oed_sysid.errors import ModelError
-from oed_sysid.physics import appendages, attitude
-from oed_sysid.physics import momentum as inertial
+from oed_sysid.physics import frames
 from oed_sysid.physics.base import Effect, Environment, Force, amplitude
 from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.frames import (
+    AXES,
+    LABELS,
+    SIZES,
+    UNITS,
+    VELOCITIES,
+    Component,
+    Matrix,
+    Place,
+    cross,
+    minus,
+    plus,
+    text_of,
+    times,
+)
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.momentum import VELOCITIES, Matrix
-from oed_sysid.physics.motions import LABELS, SIZES, UNITS
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.physics.sensing import accelerometer_text
 from oed_sysid.physics.table import SNAME, hull_derivatives
-from oed_sysid.physics.texts import Place, minus, plus, times
 from oed_sysid.text import expressions, notation
 
 Number = float | Parameter
 
 FOSSEN = "Fossen (2011), Handbook of marine craft hydrodynamics and motion control, Wiley."
+PROPULSION = FOSSEN.replace("control,", "control, ch. 9,")
+PRESTERO = "Prestero (2001), Verification of a six-degree of freedom simulation model, MIT."
+NORMALS: Mapping[str, Place] = {"horizontal": (0, 0, -1), "vertical": (0, 1, 0)}
 
 
 @dataclass(frozen=True)
@@ -98,7 +120,7 @@ class RigidBody:
         By default everything is measured, a quaternion as roll, pitch and yaw (yaw between
         -180 and 180 degrees). ``e0 e1 e2 e3`` are the unit quaternion itself.
         """
-        plain = [n for n in self.kinematics if n not in (*attitude.QUATERNION, *self.angles)]
+        plain = [n for n in self.kinematics if n not in (*frames.QUATERNION, *self.angles)]
         usual = [*self.velocities, *self.angles, *plain]
         wanted = dict.fromkeys(usual) if noise is None else dict(noise)
         whole = ("e0", "e1", "e2", "e3") if "de0" in self.kinematics else ()
@@ -180,7 +202,7 @@ class RigidBody:
         """
         given = {"phi": phi, "theta": theta, "psi": psi}
         if "de0" in self.kinematics:
-            turned = attitude.quaternion_of(phi, theta, psi)
+            turned = frames.quaternion_of(phi, theta, psi)
         else:
             turned = {name: given[name] for name in self.angles}
             lost = [name for name, value in given.items() if value and name not in turned]
@@ -254,7 +276,7 @@ class RigidBody:
         parameters : sequence of Parameter
             Those that ``thrust`` and ``torque`` introduce.
         """
-        return appendages.thruster(
+        return thruster(
             name,
             thrust,
             axes=tuple(self.axes),
@@ -294,7 +316,7 @@ class RigidBody:
         """
         turning = [rate if rate in self.velocities else "0" for rate in "pqr"]
         flow = [f"{v}_r" if v in self.velocities else "0" for v in "uvw"]
-        return appendages.fin(
+        return fin(
             name,
             deflection,
             axes=tuple(self.axes),
@@ -396,4 +418,165 @@ class RigidBody:
 
     def coriolis_matrix(self, velocity: Sequence[float], part: str = "total") -> np.ndarray:
         """Skew Coriolis-centripetal matrix ``(6, 6)`` at a velocity ``(6,)``."""
-        return inertial.coriolis_matrix(self.inertia_matrix(part), np.asarray(velocity, float))
+        return frames.coriolis_matrix(self.inertia_matrix(part), np.asarray(velocity, float))
+
+
+# -- what is mounted on a body, and what measures it ------------------------------------
+
+
+def placed(name: str, at: Sequence[float | Parameter]) -> tuple[list[str], list[Parameter]]:
+    """Coordinates of a place as texts, and a parameter for each that is not zero."""
+    if len(at) != 3:
+        raise ModelError(f"{name!r} has the place {at!r}; give x, y and z in m.")
+    texts, parameters = [], []
+    for letter, value in zip("xyz", at, strict=True):
+        if not isinstance(value, Parameter) and float(value) == 0.0:
+            texts.append("0")
+            continue
+        if not isinstance(value, Parameter):
+            value = Parameter(
+                f"{letter}_{name}", float(value), "m", fixed=True, description=f"place of {name}"
+            )
+        parameters.append(value)
+        texts.append(value.name)
+    return texts, parameters
+
+
+def thruster(
+    name: str,
+    thrust: str,
+    *,
+    axes: Sequence[str],
+    at: Sequence[float | Parameter] = (0.0, 0.0, 0.0),
+    direction: Place = (1, 0, 0),
+    torque: str = "0",
+    parameters: Sequence[Parameter] = (),
+) -> Force:
+    """Thrust at a place in a direction; see :meth:`RigidBody.thruster`.
+
+    >>> thruster("port", "T_p", axes="XYN", at=(-1.0, -0.5, 0.0)).terms
+    {'X': 'T_p', 'N': '-y_port*T_p'}
+    """
+    place, own = placed(name, at)
+    along = [text_of(component) for component in direction]
+    force = [times(thrust, component) for component in along]
+    moment = [
+        plus(lever, times(torque, component))
+        for lever, component in zip(cross(place, force), along, strict=True)
+    ]
+    return Force(
+        name,
+        _on(axes, [*force, *moment], name),
+        (*parameters, *own),
+        description=f"thrust of {name}",
+        source=PROPULSION,
+        needs="several thrusts at several speeds",
+        amplitudes=(),
+    )
+
+
+def fin(
+    name: str,
+    deflection: str,
+    *,
+    axes: Sequence[str],
+    flow: Sequence[str],
+    turning: Sequence[str],
+    at: Sequence[float | Parameter],
+    normal: str | Place,
+    lift: float | Parameter,
+    drag: float | Parameter | None = None,
+) -> Force:
+    """Lift and drag of a fin; see :meth:`RigidBody.fin`."""
+    place, own = placed(name, at)
+    if isinstance(normal, str) and normal not in NORMALS:
+        raise ModelError(
+            f"Fin {name!r} has the normal {normal!r}. Choose horizontal, vertical, or (x, y, z)."
+        )
+    side = [text_of(c) for c in (NORMALS[normal] if isinstance(normal, str) else normal)]
+    swept = cross(turning, place)
+    ahead, *across = (plus(v, w) for v, w in zip(flow, swept, strict=True))
+    u, v = f"{name}_u", f"{name}_v"
+    into = plus(*(times(n, part) for n, part in zip(side[1:], across, strict=True)))
+    slope = _coefficient(lift, f"L_{name}", "kg/m", f"lift slope of {name}")
+    parameters = [slope]
+    angle = plus(times(u, deflection), minus(v)) if into != "0" else times(u, deflection)
+    push = times(slope.name, u, angle)
+    force = [times(push, n) for n in side]
+    if drag is not None:
+        loss = _coefficient(drag, f"D_{name}", "kg/m", f"drag of a deflected {name}")
+        parameters.append(loss)
+        force[0] = plus(force[0], minus(times(loss.name, f"{u}**2", f"({deflection})**2")))
+    return Force(
+        name,
+        _on(axes, [*force, *cross(place, force)], name),
+        (*parameters, *own),
+        definitions={u: ahead, v: into} if into != "0" else {u: ahead},
+        description=f"lift{' and drag' if drag is not None else ''} of {name}",
+        source=PRESTERO,
+        needs=f"{deflection} of varied size at several speeds",
+        amplitudes=tuple(p.name for p in parameters if not p.fixed),
+    )
+
+
+def _coefficient(value: float | Parameter, name: str, unit: str, words: str) -> Parameter:
+    if isinstance(value, Parameter):
+        return value
+    return Parameter(name, float(value), unit, lower=0.0, description=words)
+
+
+def _on(axes: Sequence[str], six: Sequence[Component], name: str) -> dict[str, str]:
+    """Terms of the axes that a body has; none is an error."""
+    terms = {
+        axis: str(text)
+        for axis, text in zip(AXES, six, strict=True)
+        if axis in axes and text != "0"
+    }
+    if not terms:
+        raise ModelError(
+            f"{name!r} acts on none of the axes {', '.join(axes)} of this body. Check its "
+            "direction."
+        )
+    return terms
+
+
+def accelerometer_text(
+    axis: str, active: Collection[str], at: Place, down: Sequence[str], gravity: float
+) -> str:
+    """Specific force along a body axis; ``down`` is the direction of gravity in body axes.
+
+    >>> accelerometer_text("y", "uvr", (0.3, 0, 0), ("0", "0", "1"), 9.81)
+    'dot(v) + r*u + dot(r)*0.3'
+    """
+    if axis not in ("x", "y", "z"):
+        raise ModelError(f"An accelerometer along {axis!r} does not exist. Choose x, y or z.")
+    i = "xyz".index(axis)
+
+    def present(names: str) -> list[str]:
+        return [name if name in active else "0" for name in names]
+
+    def rates(names: str) -> list[str]:
+        return [f"dot({name})" if name in active else "0" for name in names]
+
+    place, spin, speed = [text_of(c) for c in at], present("pqr"), present("uvw")
+    turning = cross(spin, cross(spin, place))
+    parts = (rates("uvw"), cross(spin, speed), cross(rates("pqr"), place), turning)
+    weight = "0" if gravity == 0 else minus(times(text_of(gravity), down[i]))
+    return plus(*(part[i] for part in parts), weight)
+
+
+def load_cell(
+    name: str,
+    axis: str,
+    effect: str | None = None,
+    *,
+    unit: str = "N",
+    noise_std: float | None = None,
+) -> Output:
+    """Force on an axis as a measured signal: of all effects, or of one.
+
+    >>> load_cell("stock", "Y", "rudder").source
+    'force("Y", "rudder")'
+    """
+    text = f'force("{axis}")' if effect is None else f'force("{axis}", "{effect}")'
+    return Output(name, unit, f"measured force {axis}", text, noise_std=noise_std)

@@ -1,1 +1,1 @@
-"""Many calculations on cores or a cluster, none done twice."""
+"""How it is run and shown: files, processes, results as data and documents."""

@@ -1,4 +1,8 @@
-"""Zigzag manoeuvres: reverse the command when a measured signal has swung far enough."""
+"""Manoeuvres that react to what is measured: zigzags and the reverse spiral.
+
+Both zigzags are one event detector: the order is reversed whenever the feedback's deviation has
+reached the switch on the side of the order.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +14,102 @@ from typing import Any, ClassVar
 import numpy as np
 
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments import checks
-from oed_sysid.experiments.base import Controller, Stepwise
-from oed_sysid.experiments.checks import FloatArray, Numbers
-from oed_sysid.experiments.waveforms import SlopeLimit
+from oed_sysid.experiments.base import (
+    Controller,
+    FloatArray,
+    Numbers,
+    Rule,
+    Stepwise,
+    above_zero,
+    each_positive,
+    feedback_of,
+)
+from oed_sysid.experiments.schedules import interval
+
+_OTHER_SIDE = "Use first=-1 to begin to the other side."
+_SWITCH = "It is the deviation at which the command reverses."
+# Amplitudes and switches of the swings, lead [s] and gain of the signal that is kept.
+Swings = tuple[tuple[float, ...], tuple[float, ...], float, float]
+
+
+class SlopeLimit:
+    """Follow an order that may jump, at a limited rate.
+
+    Between two samples the command moves towards the order of the earlier one,
+    as a steering gear does: an order is first seen in the command one sample
+    after it was given.
+
+    Parameters
+    ----------
+    rate : float or None
+        Largest slope [unit/s]; None passes every order through.
+    initial : float
+        Command at the first sample, if there is a rate.
+    """
+
+    def __init__(self, rate: float | None, *, initial: float) -> None:
+        self._rate = rate
+        self._command = initial
+        self._order = initial
+        self._time: float | None = None
+
+    def follow(self, order: float, time: float) -> float:
+        """Return the command at ``time`` [s] and remember the order given there."""
+        if self._time is not None and time < self._time:
+            raise ModelError(
+                f"A controller was asked for {time:g} s after {self._time:g} s. Call it with "
+                "increasing times, and make a fresh controller() for each run."
+            )
+        self._command = self._moved(self._command, self._order, order, self._time, time)
+        self._order, self._time = order, time
+        return self._command
+
+    def _moved(
+        self, command: float, standing: float, order: float, before: float | None, time: float
+    ) -> float:
+        """The command at a time, towards the order that stood since the time before."""
+        if self._rate is None:
+            return order
+        if before is None:
+            return command
+        reach = self._rate * (time - before)
+        return command + min(max(standing - command, -reach), reach)
+
+    def foreseen(self, order: float, times: FloatArray) -> FloatArray:
+        """Commands ``(n_times,)`` at later times [s] while one order stands; nothing is kept."""
+        found = np.full(len(times), float(order))
+        command, standing, before = self._command, self._order, self._time
+        for index, time in enumerate(times.tolist() if self._rate is not None else ()):
+            # By the same steps as follow(), so that the same numbers come out.
+            command = self._moved(command, standing, order, before, time)
+            standing, before = order, time
+            found[index] = command
+            if command == order:
+                break
+        return found
+
+    def skip(self, order: float, times: FloatArray) -> None:
+        """Go on past later times [s] at which one order stood."""
+        if len(times):
+            self._command = float(self.foreseen(order, times)[-1])
+            self._order, self._time = order, float(times[-1])
+
+
+class _Reversing(Stepwise):
+    """What both zigzags share."""
+
+    @property
+    def duration(self) -> float | None:
+        """None: it depends on the vehicle; 5 reversals are usual."""
+        return None
+
+    def controller(self) -> Controller:
+        """Return a fresh controller."""
+        return _Swings(self)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
-class ZigZag(Stepwise):
+class ZigZag(_Reversing):
     r"""Zigzag test, for instance 10/10 of the IMO standards.
 
     After a straight approach the rudder is put over to ``amplitude``; when the
@@ -81,6 +173,10 @@ class ZigZag(Stepwise):
     """
 
     kind: ClassVar[str] = "zigzag"
+    rules: ClassVar[Mapping[str, Rule]] = {
+        "amplitude": above_zero(_OTHER_SIDE),
+        "switch": above_zero(_SWITCH),
+    }
     amplitude: float
     switch: float
     _: KW_ONLY
@@ -95,30 +191,15 @@ class ZigZag(Stepwise):
     keep_gain: float = 0.0
 
     def _validate(self) -> None:
-        owner = self._owner
-        self._set(
-            lead=checks.finite(owner, "lead", self.lead),
-            keep_gain=checks.finite(owner, "keep_gain", self.keep_gain),
-        )
         if self.lead < 0:
-            raise ModelError(f"{owner} has lead {self.lead:g} s. Give zero or more.")
-        more = ("its rate", *("the signal kept",) * (self.keep_gain != 0))
-        _validate_swings(self, more if self.lead else more[1:])
-        self._set(
-            amplitude=checks.positive(owner, "amplitude", self.amplitude, _OTHER_SIDE),
-            switch=checks.positive(owner, "switch", self.switch, _SWITCH),
-        )
+            raise ModelError(f"{self._owner} has lead {self.lead:g} s. Give zero or more.")
+        more = ("its rate",) * (self.lead != 0) + ("the signal kept",) * (self.keep_gain != 0)
+        self._set(feedback=feedback_of(self._owner, self.feedback, more))
 
     @property
-    def duration(self) -> float | None:
-        """None: it depends on the vehicle; 5 reversals are usual."""
-        return None
-
-    def controller(self) -> Controller:
-        """Return a fresh controller."""
-        return _Swings(
-            self, (self.amplitude,), (self.switch,), lead=self.lead, keep_gain=self.keep_gain
-        )
+    def swings(self) -> Swings:
+        """Amplitudes, switches, lead and gain of the kept signal."""
+        return (self.amplitude,), (self.switch,), self.lead, self.keep_gain
 
     def describe(self) -> str:
         """Return one line in words."""
@@ -131,7 +212,7 @@ class ZigZag(Stepwise):
 
 
 @dataclass(frozen=True)
-class ZigZagLike(Stepwise):
+class ZigZagLike(_Reversing):
     """Zigzag with an amplitude and a switch of its own for each swing.
 
     The diving-plane version: the fin is put to +amplitude, which lowers the
@@ -174,6 +255,11 @@ class ZigZagLike(Stepwise):
     """
 
     kind: ClassVar[str] = "zigzag_like"
+    rules: ClassVar[Mapping[str, Rule]] = {
+        "amplitudes": each_positive(_OTHER_SIDE),
+        "switches": each_positive(_SWITCH),
+        "feedback": lambda owner, _, signals: feedback_of(owner, signals),
+    }
     amplitudes: float | Numbers
     switches: float | Numbers
     _: KW_ONLY
@@ -185,23 +271,10 @@ class ZigZagLike(Stepwise):
     neutral: float = 0.0
     reference: float | None = 0.0
 
-    def _validate(self) -> None:
-        _validate_swings(self)
-        self._set(
-            amplitudes=_each_positive(self._owner, "amplitudes", self.amplitudes, _OTHER_SIDE),
-            switches=_each_positive(self._owner, "switches", self.switches, _SWITCH),
-        )
-
     @property
-    def duration(self) -> float | None:
-        """None: it depends on the vehicle."""
-        return None
-
-    def controller(self) -> Controller:
-        """Return a fresh controller."""
-        owner = self._owner
-        amplitudes = _each_positive(owner, "amplitudes", self.amplitudes, "")
-        return _Swings(self, amplitudes, _each_positive(owner, "switches", self.switches, ""))
+    def swings(self) -> Swings:
+        """Amplitudes and switches as tuples; neither lead nor a signal that is kept."""
+        return tuple(self.amplitudes), tuple(self.switches), 0.0, 0.0  # type: ignore[arg-type]
 
     def describe(self) -> str:
         """Return one line in words."""
@@ -211,39 +284,23 @@ class ZigZagLike(Stepwise):
         )
 
 
-_OTHER_SIDE = "Use first=-1 to begin to the other side."
-_SWITCH = "It is the deviation at which the command reverses."
-
-
 class _Swings(Controller):
     """Reverse the order whenever the feedback's deviation reaches the switch."""
 
-    def __init__(
-        self,
-        settings: ZigZag | ZigZagLike,
-        amplitudes: tuple[float, ...],
-        switches: tuple[float, ...],
-        *,
-        lead: float = 0.0,
-        keep_gain: float = 0.0,
-    ) -> None:
+    def __init__(self, settings: ZigZag | ZigZagLike) -> None:
         self._settings = settings
         self._signal = settings.feedback[0]
-        self._amplitudes = amplitudes
-        self._switches = switches
+        self._amplitudes, self._switches, self._lead, self._keep_gain = settings.swings
         self._limit = SlopeLimit(settings.rate, initial=settings.neutral)
         self._reference = settings.reference
         self._reversals = 0
-        self._lead, self._keep_gain = lead, keep_gain
         self._kept: float | None = None
 
     def command(self, time: float, signals: Mapping[str, float]) -> float:
         if time < self._settings.start:
             return self._limit.follow(self._settings.neutral, time)
-        seen = {
-            name: measured_signal(self._settings.input, name, signals)
-            for name in self._settings.feedback
-        }
+        names = self._settings.feedback
+        seen = {name: measured_signal(self._settings.input, name, signals) for name in names}
         measured = seen[self._signal]
         if self._reference is None and math.isfinite(measured):
             self._reference = measured
@@ -255,8 +312,15 @@ class _Swings(Controller):
         return self._limit.follow(self._order, time)
 
     def foreseen(self, times: FloatArray) -> FloatArray | None:
+        return self._limit.foreseen(self._standing(times), times)
+
+    def skip(self, times: FloatArray) -> None:
+        self._limit.skip(self._standing(times), times)
+
+    def _standing(self, times: FloatArray) -> float:
+        """The order at these times while nothing is reached."""
         before = len(times) and times[0] < self._settings.start
-        return self._limit.foreseen(self._settings.neutral if before else self._order, times)
+        return self._settings.neutral if before else self._order
 
     def undisturbed(self, times: FloatArray, signals: Mapping[str, FloatArray]) -> int:
         early = int(np.searchsorted(times, self._settings.start))
@@ -266,10 +330,6 @@ class _Swings(Controller):
             return 0
         reached = self._swing(signals) >= self._switch
         return int(np.argmax(reached)) if reached.any() else len(times)
-
-    def skip(self, times: FloatArray) -> None:
-        before = len(times) and times[0] < self._settings.start
-        self._limit.skip(self._settings.neutral if before else self._order, times)
 
     def _swing(self, seen: Mapping[str, Any]) -> Any:
         """How far the feedback has gone to the side of the order, rad; a number or an array."""
@@ -306,30 +366,6 @@ def measured_signal(owner: str, name: str, signals: Mapping[str, float]) -> floa
     return float(signals[name])
 
 
-def _validate_swings(manoeuvre: ZigZag | ZigZagLike, more: Sequence[str] = ()) -> None:
-    """Check and normalise the settings that both zigzags have; ``more`` are further signals."""
-    owner, reference = manoeuvre._owner, manoeuvre.reference
-    manoeuvre._set(
-        feedback=checks.feedback(owner, manoeuvre.feedback, more),
-        rate=checks.slope(owner, manoeuvre.rate),
-        first=checks.side(owner, "first", manoeuvre.first),
-        start=checks.finite(owner, "start", manoeuvre.start),
-        sign=checks.side(owner, "sign", manoeuvre.sign),
-        neutral=checks.finite(owner, "neutral", manoeuvre.neutral),
-        reference=None if reference is None else checks.finite(owner, "reference", reference),
-    )
-
-
-def _each_positive(
-    owner: str, name: str, values: float | Numbers, advice: str
-) -> tuple[float, ...]:
-    sequence = (values,) if isinstance(values, int | float) else values
-    return tuple(
-        checks.positive(owner, f"{name}[{index}]", value, advice)
-        for index, value in enumerate(checks.numbers(owner, name, sequence))
-    )
-
-
 def _item(values: tuple[float, ...], index: int) -> float:
     return values[min(index, len(values) - 1)]
 
@@ -344,3 +380,97 @@ def _ending(manoeuvre: ZigZag | ZigZagLike) -> str:
     rate = manoeuvre.rate
     limit = "" if rate is None else f", at most {math.degrees(rate):.3g} deg/s"
     return f"{side} side first, from {manoeuvre.start:g} s{limit}"
+
+
+@dataclass(frozen=True)
+class ReverseSpiral(Stepwise):
+    """Reverse (Bech) spiral: steer a sequence of constant yaw rates.
+
+    The mean command at each rate gives the steady curve also where the vehicle
+    is unstable, which a direct spiral jumps over. The command is
+    proportional-integral in the error of the yaw rate.
+
+    Parameters
+    ----------
+    input : str
+        Commanded channel.
+    rates : sequence of float, shape (n,)
+        Yaw rates to steer [rad/s].
+    hold : float
+        Time on each rate [s].
+    gain : float
+        Command per error of the yaw rate [s], above zero.
+    reset_time : float
+        Integral time [s].
+    limit : float
+        Largest command to either side [rad].
+    feedback : str
+        Measured yaw rate.
+    sign : int
+        +1 if a positive command lets the feedback grow, -1 if it falls.
+    start : float
+        Time of the first rate [s].
+    neutral : float
+        Command about which it moves, held before: 0, or the trim of the command.
+    """
+
+    kind: ClassVar[str] = "reverse_spiral"
+    rules: ClassVar[Mapping[str, Rule]] = {
+        "gain": above_zero("Use sign=-1 for a reversed command."),
+        "feedback": lambda owner, _, signals: feedback_of(owner, signals),
+    }
+    rates: Numbers
+    _: KW_ONLY
+    hold: float
+    gain: float
+    reset_time: float
+    limit: float
+    feedback: Sequence[str] = ("r",)
+    sign: int = 1
+    start: float = 0.0
+    neutral: float = 0.0
+
+    @property
+    def duration(self) -> float | None:
+        """Until the last rate has been held [s]."""
+        return self.start + self.hold * len(self.rates)
+
+    def controller(self) -> Controller:
+        """Return a fresh controller."""
+        return _RateSteering(self)
+
+    def describe(self) -> str:
+        """Return one line in words."""
+        return (
+            f"reverse spiral of {self.input}: {len(self.rates)} values of {self.feedback[0]}, "
+            f"{self.hold:g} s each"
+        )
+
+
+class _RateSteering(Controller):
+    """Proportional-integral steering of a sequence of yaw rates."""
+
+    def __init__(self, settings: ReverseSpiral) -> None:
+        self._settings = settings
+        self._edges = settings.start + settings.hold * np.arange(len(settings.rates))
+        self._integral = 0.0
+        self._time: float | None = None
+        self._command = settings.neutral
+
+    def command(self, time: float, signals: Mapping[str, float]) -> float:
+        settings = self._settings
+        leg = int(interval(np.array([time]), self._edges)[0]) - 1
+        if leg < 0:
+            return settings.neutral
+        measured = measured_signal(settings.input, settings.feedback[0], signals)
+        elapsed = 0.0 if self._time is None else time - self._time
+        self._time = time
+        if math.isnan(measured):  # no new measurement: keep the command
+            return self._command
+        error = settings.sign * settings.gain * (settings.rates[leg] - measured)
+        integral = self._integral + error * elapsed / settings.reset_time
+        # An integral beyond the limit could not be undone in time (windup).
+        self._integral = float(np.clip(integral, -settings.limit, settings.limit))
+        swing = float(np.clip(error + self._integral, -settings.limit, settings.limit))
+        self._command = settings.neutral + swing
+        return self._command
