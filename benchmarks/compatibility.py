@@ -33,7 +33,7 @@ from oed_sysid import (
     load_problem,
     read_csv,
 )
-from oed_sysid.evidence.log_check import LogCheck, check, quick_check
+from oed_sysid.evidence.check import LogCheck, check, quick_check
 
 Spoil = Callable[[dict[str, np.ndarray], np.ndarray, np.random.Generator], None]
 

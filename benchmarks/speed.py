@@ -72,7 +72,7 @@ from oed_sysid.compiled.kernels import kernel as compiled
 from oed_sysid.evidence.study import Study, fitting_candidates
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.information import Play, noise_of, respond
-from oed_sysid.information.bound import run_factor, triangle
+from oed_sysid.information.bound import triangle, whitened_factor
 
 N_SAMPLES, STEP = 2400, 0.1
 EXTRA = ("X_udot", "Z_wdot", "M_wdot", "M_qdot")
@@ -242,8 +242,13 @@ def information() -> None:
     reference = factor_of(theirs)
     matrix = reference.T @ reference
     unit = np.sqrt(np.outer(*[np.diag(matrix)] * 2))
+
+    def by_us() -> np.ndarray:
+        response = respond(model, play)
+        return whitened_factor(model, response.jacobian, response.present, noise)
+
     ways: dict[str, Callable[[], np.ndarray]] = {
-        "ours": lambda: run_factor(model, respond(model, play), noise),
+        "ours": by_us,
         "one-sided differences": lambda: factor_of(differences(1e-7, {1: 1.0, 0: -1.0})),
         "CasADi jacobian": lambda: factor_of(by_casadi()),
     }

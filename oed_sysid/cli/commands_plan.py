@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from oed_sysid.cli.answers import of_design, of_ranking
 from oed_sysid.cli.options import (
     Criterion,
     Effort,
@@ -30,12 +29,11 @@ from oed_sysid.cli.options import (
 )
 from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.terminal import (
-    answer,
-    draw,
+    deliver,
+    drawn,
     journal,
     note,
     progress,
-    store,
     write,
 )
 from oed_sysid.errors import DesignError, FileError, ProblemError
@@ -43,7 +41,7 @@ from oed_sysid.errors import DesignError, FileError, ProblemError
 if TYPE_CHECKING:
     from oed_sysid.cli.terminal import Shown
     from oed_sysid.data.dataset import Dataset
-    from oed_sysid.design import Design, Servo, Tracks
+    from oed_sysid.design import Design, PredictedTracks, Servo
     from oed_sysid.design.search import Progress as SearchProgress
     from oed_sysid.experiments.experiment import Experiment, Limits
     from oed_sysid.experiments.problem import Problem
@@ -91,17 +89,11 @@ def rank(
         subset = identifiable_subset(
             information_of(chosen.model, runs, priors=None), chosen.model.values
         )
-    answer(of_ranking(ranking, subset), f"{ranking.report()}\n\n{subset.report()}")
-    store({"ranking": ranking.to_dict(), "subset": subset.to_dict()}, json_file)
-    if picture is not None:
-        from oed_sysid.results import plot_sensitivity
-
-        draw(partial(plot_sensitivity, ranking), picture)
-    if html_file is not None:
-        from oed_sysid.results import ranking_page
-
-        page = ranking_page(ranking, subset, title=chosen.title)
-        note(f"Written: {page.write(html_file)}")
+    deliver(
+        ranking.document(subset, title=chosen.title),
+        {"ranking": ranking.to_dict(), "subset": subset.to_dict()},
+        picture=partial(drawn, "plot_sensitivity", ranking),
+    )
 
 
 def _card_place(value: Any) -> Any:
@@ -250,10 +242,13 @@ def design(
     from oed_sysid.cli.limit_words import with_limits
     from oed_sysid.design import (
         Caution,
+        Knowledge,
+        Search,
+        Trial,
         accuracy_range,
         assess_limits,
         design_experiment,
-        plausible_tracks,
+        predicted_tracks,
         write_bag,
         write_overrides,
     )
@@ -273,26 +268,19 @@ def design(
     caution: Caution | str | None = "auto" if after and certainty is None else None
     if certainty:
         caution = Caution(certainty, spread)
-    n_starts, n_candidates, n_steps = _choice("effort", effort, EFFORTS)
+    n_starts, _, n_steps = _choice("effort", effort, EFFORTS)
     nominal = Fit.load(after) if after else chosen.model
     noise = _noise(chosen, nominal, sea)
     with journal(kept_in, fresh) as keep:
         with progress("Designing") as show:
             found = design_experiment(
                 nominal,
-                limits=limits,
-                duration=float(pattern.duration or 0.0) if duration is None else duration,
-                sample_time=pattern.sample_time,
+                Trial.like(pattern, limits, duration=duration),
                 rng=np.random.default_rng(seed),
                 criterion=_criterion(chosen, criterion, discriminate or [], reveal or []),
-                parametrisation=_family(family, avoid or []),
-                constants=pattern.constants,
-                initial=pattern.initial,
-                noise=noise,
+                search=Search(_family(family, avoid or []), *EFFORTS[effort]),
+                knowledge=Knowledge(noise=noise),
                 caution=caution,
-                n_starts=n_starts,
-                n_candidates=n_candidates,
-                n_steps=n_steps,
                 journal=keep,
                 progress=partial(_tell, show, n_starts, n_steps),
             )
@@ -300,7 +288,7 @@ def design(
                 show.say("simulating other vehicles")
                 stated = partial(
                     assess_limits, found.model, found.experiment, limits=limits, spread=spread,
-                    prior=found.prior, rng=np.random.default_rng(seed), n_vehicles=200,
+                    prior=found.prior, rng=np.random.default_rng(seed), vehicles=200,
                     sea=found.sea,
                 )  # fmt: skip
                 found = replace(found, assurance=keep.once("assurance", stated))
@@ -312,13 +300,18 @@ def design(
                     prior=found.prior,
                 )  # fmt: skip
                 found = replace(found, spread=keep.once("accuracy", other))
-        answer(of_design(found), found.report() if card is not None else found.sea_trial_card())
+        deliver(
+            found.document(title=chosen.title),
+            found.to_dict(),
+            text=None if card is not None else found.sea_trial_card(),
+            picture=partial(drawn, "figure_design", found),
+        )
         if out is not None:
             found.write_csv(out)
             note(f"Written: {out}")
         if card is not None and card.suffix.lower() in (".html", ".pdf"):
             show_track = partial(
-                plausible_tracks, found.model, found.experiment, spread=spread, sea=found.sea,
+                predicted_tracks, found.model, found.experiment, spread=spread, sea=found.sea,
                 prior=found.prior, rng=np.random.default_rng(seed), length=length,
             )  # fmt: skip
             _card(found, keep.once("track", show_track), card, chosen.title)
@@ -329,15 +322,6 @@ def design(
             note(f"Written: {write_overrides(overrides, found.model, *played, servos=servos)}")
         if bag is not None:
             note(f"Written: {write_bag(bag, found.model, *played)}")
-        store(found.to_dict(), json_file)
-        if html_file is not None:
-            from oed_sysid.results import design_page
-
-            note(f"Written: {design_page(found, title=chosen.title).write(html_file)}")
-        if picture is not None:
-            from oed_sysid.results import figure_design
-
-            draw(partial(figure_design, found), picture)
 
 
 def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None:
@@ -348,12 +332,12 @@ def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None
     show.share((done * n_steps + now.round + 1) / rounds, at_most=True)
 
 
-def _card(design: Design, tracks: Tracks | None, path: Path, title: str) -> None:
+def _card(design: Design, tracks: PredictedTracks | None, path: Path, title: str) -> None:
     """Write the card as a page or as one sheet of A4."""
-    from oed_sysid.results import card_page, figure_card, save_figure
+    from oed_sysid.results import figure_card, save_figure
 
     if path.suffix.lower() == ".html":
-        card_page(design, tracks, title=title).write(path)
+        design.card(tracks, title=title).write(path)
     else:
         save_figure(figure_card(design, tracks), path)
     note(f"Written: {path}")
@@ -400,7 +384,7 @@ def _noise(problem: Problem, nominal: Any, sea: str | None) -> Any:
 
 
 def _criterion(problem: Problem, name: str, rivals: list[str], hidden: list[str]) -> Any:
-    from oed_sysid.design import AOptimal, Discriminate, DOptimal, EOptimal, Reveal
+    from oed_sysid.design import AOptimal, Detect, Discriminate, DOptimal, EOptimal
     from oed_sysid.evidence.usual import equipped
 
     if rivals and hidden:
@@ -412,9 +396,9 @@ def _criterion(problem: Problem, name: str, rivals: list[str], hidden: list[str]
     if hidden == ["all"]:
         if not problem.effects:
             raise DesignError(f"Problem {problem.name!r} has no candidate effect. Name none.")
-        return Reveal(problem.effects)
+        return Detect(problem.effects)
     if hidden:
-        return Reveal([problem.effect(one) for one in hidden])
+        return Detect([problem.effect(one) for one in hidden])
     return _choice("criterion", name, {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()})
 
 

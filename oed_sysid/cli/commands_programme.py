@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from oed_sysid.cli.answers import of_decision, of_programme
 from oed_sysid.cli.options import (
     HtmlFile,
     JsonFile,
@@ -19,7 +19,7 @@ from oed_sysid.cli.options import (
     Variant,
     folder_place,
 )
-from oed_sysid.cli.terminal import answer, note, progress, store
+from oed_sysid.cli.terminal import answer, deliver, drawn, note, progress, store
 from oed_sysid.errors import DesignError
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def programme(
     import numpy as np
 
     from oed_sysid.cli.commands_plan import _criterion, _noise
-    from oed_sysid.design import design_programme
+    from oed_sysid.design import Budget, Knowledge, ProgrammeSearch, design_programme
     from oed_sysid.experiments.problem import load_problem
     from oed_sysid.likelihood.fit import Fit
 
@@ -147,32 +147,25 @@ def programme(
             _patterns(chosen, patterns or []),
             limits=_limits(chosen, limit or []),
             rng=np.random.default_rng(seed),
-            hours=hours,
-            n_runs=runs,
+            budget=Budget(hours, runs, 60.0 * turnaround, _numbers("--sensor", sensor or [])),
             criterion=_criterion(chosen, criterion, discriminate or [], reveal or []),
-            noise=_noise(chosen, nominal, sea),
-            spread=_spread(chosen, uncertainty, after),
-            turnaround=60.0 * turnaround,
-            durations=None if duration is None else (duration,),
-            sensors=_numbers("--sensor", sensor or []),
-            n_rounds=rounds,
+            knowledge=Knowledge(
+                noise=_noise(chosen, nominal, sea), spread=_spread(chosen, uncertainty, after)
+            ),
+            search=ProgrammeSearch(
+                durations=None if duration is None else (duration,), n_rounds=rounds
+            ),
             progress=show.say,
         )
-    answer(of_programme(found), found.report())
+    deliver(
+        found.document(title=chosen.title),
+        found.to_dict(),
+        picture=partial(drawn, "figure_programme", found),
+    )
     note(f"Planned in {found.seconds:.0f} s.")
     if out is not None:
         for path in found.write(out):
             note(f"Written: {path}")
-    store(found.to_dict(), json_file)
-    if html_file is not None:
-        from oed_sysid.results import programme_page
-
-        note(f"Written: {programme_page(found, title=chosen.title).write(html_file)}")
-    if picture is not None:
-        from oed_sysid.results import figure_programme, save_figure
-
-        save_figure(figure_programme(found), picture, dpi=150, bbox_inches="tight")
-        note(f"Written: {picture}")
 
 
 def campaign(
@@ -280,7 +273,7 @@ def campaign(
         concerns = "; ".join(str(one) for one in journal.fit.concerns)
         estimate = f"{journal.fit.status}{' ' + concerns if concerns else ''}"
         report += f"\n  estimate from {len(journal.records)} records: {estimate}"
-    answer(of_decision(decision, len(journal.records), journal.hours_used), report)
+    answer(decision.answer(len(journal.records), journal.hours_used), report)
     note(f"Decided in {decision.seconds:.2f} s.")
     path = journal.write_next(decision)
     if path is not None:

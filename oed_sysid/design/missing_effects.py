@@ -232,45 +232,17 @@ def pair_misfits(
     return pairs
 
 
-@dataclass(frozen=True, eq=False)
-class Completing:
-    """A criterion by shifts with the joint information in hand, such as that of other runs.
-
-    Parameters
-    ----------
-    criterion : ByShifts
-    known : ndarray (n_parameters + n_columns, n_parameters + n_columns)
-        Parameters in SI units, effects in units of their size; priors included.
-    """
-
-    criterion: ByShifts
-    known: np.ndarray
-
-    @property
-    def name(self) -> str:
-        """Name for reports."""
-        return self.criterion.name
-
-    def shifts(self, nominal: Model) -> Shifts:
-        """Return those of the criterion."""
-        return self.criterion.shifts(nominal)
-
-    def bind_shifts(self, shifts: Shifts, n_parameters: int) -> Measure:
-        """Return that of the criterion."""
-        return self.criterion.bind_shifts(shifts, n_parameters)
-
-
 FALSE_CLAIMS = 0.01
 # Beyond this expected gain everything shows; the distribution is not evaluated.
 _CERTAIN = 300.0
 # Share of an effect that parameters cannot imitate, below which no run of this kind shows it.
 _ABSORBED = 1e-6
 # Probability with which the smallest size that shows is stated.
-_SURE = 0.9
+SURE = 0.9
 
 
 @dataclass(frozen=True)
-class Reveal:
+class Detect:
     """Maximise the chance that a search over a vocabulary finds what is missing.
 
     Parameters
@@ -319,7 +291,7 @@ class Reveal:
         """Gain in twice the log-likelihood that a claim needs.
 
         >>> from oed_sysid import load_problem
-        >>> round(Reveal(load_problem("remus_diving_plane").effects).needed(1), 1)
+        >>> round(Detect(load_problem("remus_diving_plane").effects).needed(1), 1)
         13.4
         """
         return float(chdtri(freedom, self.false_claims / len(self.candidates)))
@@ -358,9 +330,9 @@ class Reveal:
         weights = np.where(kept, np.exp(-(logs - logs[kept].min()) / _SOFTNESS), 0.0)
         return weights / weights.sum()
 
-    def chances(
+    def detections(
         self, shifts: Shifts, before: np.ndarray, after: np.ndarray, n_parameters: int
-    ) -> tuple[Chance, ...]:
+    ) -> tuple[Detection, ...]:
         """How surely every effect shows, before a run and after it.
 
         Parameters
@@ -376,16 +348,16 @@ class Reveal:
             gain = self.needed(group.freedom)
             values = [noncentrality(gram, group)[0] for gram in grams]
             powers = [float(np.exp(log_power(v, group.freedom, gain)[0])) for v in values]
-            least = np.sqrt(_for_power(_SURE, group.freedom, gain) / max(values[1], 1e-300))
+            least = np.sqrt(_for_power(SURE, group.freedom, gain) / max(values[1], 1e-300))
             gains, chances = (values[0], values[1]), (powers[0], powers[1])
             found.append(
-                Chance(group.name, dict(group.sizes), *gains, *chances, least=float(least))
+                Detection(group.name, dict(group.sizes), *gains, *chances, least=float(least))
             )
         return tuple(found)
 
 
 @dataclass(frozen=True)
-class Chance:
+class Detection:
     """How surely one effect would show.
 
     Attributes
@@ -413,7 +385,7 @@ class Chance:
 
 
 def missing_physics(
-    misfits: Mapping[tuple[str, str], float], chances: Sequence[Chance]
+    misfits: Mapping[tuple[str, str], float], chances: Sequence[Detection]
 ) -> list[str]:
     """Lines on rivals told apart and on effects revealed, records in hand included."""
     lines = [
@@ -425,7 +397,7 @@ def missing_physics(
     return lines + (chance_table(chances) if chances else [])
 
 
-def chance_table(chances: Sequence[Chance], *, most: int = 12) -> list[str]:
+def chance_table(chances: Sequence[Detection], *, most: int = 12) -> list[str]:
     """Lines with the effects that a run makes visible, and those that stay hidden."""
     lines = [f"  {'effect':<32} {'chance before':>13} {'after':>7} {'shows from':>14}"]
     gained = sorted(chances, key=lambda one: one.before - one.after)
@@ -433,10 +405,10 @@ def chance_table(chances: Sequence[Chance], *, most: int = 12) -> list[str]:
         least = f"{one.least:.2g} of usual" if one.least < 1e3 else "-"
         lines.append(f"  {one.name:<32} {one.before:>13.0%} {one.after:>7.0%} {least:>14}")
     hidden = [one.name for one in chances if one.after < 0.5]
-    shown = sum(one.after >= _SURE for one in chances)
+    shown = sum(one.after >= SURE for one in chances)
     lines.append(
         f"  {shown} of {len(chances)} effects would show at their usual size with 90 % or more, "
-        f"{sum(one.before >= _SURE for one in chances)} before."
+        f"{sum(one.before >= SURE for one in chances)} before."
     )
     if hidden:
         lines.append(f"  Would stay hidden: {', '.join(hidden)}.")

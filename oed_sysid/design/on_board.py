@@ -34,13 +34,14 @@ from oed_sysid.data.log import library
 from oed_sysid.design.assurance import TRUSTED, Assurance
 from oed_sysid.design.library import Reference
 from oed_sysid.design.limits import quantity, span, units_of
-from oed_sysid.design.missing_effects import Chance, missing_physics
+from oed_sysid.design.missing_effects import Detection, missing_physics
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import Trajectory
 from oed_sysid.information.noise import sea_words
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import Table
 from oed_sysid.runtime.files import make_folder
 from oed_sysid.text.csv_table import write_table
 
@@ -82,7 +83,7 @@ class Planned(Protocol):
         """Expected misfit of each rival."""
 
     @property
-    def chances(self) -> tuple[Chance, ...]:
+    def chances(self) -> tuple[Detection, ...]:
         """How surely each candidate effect would show."""
 
     @property
@@ -100,8 +101,8 @@ class Planned(Protocol):
     def gain(self, reference: Reference) -> tuple[float, float]:
         """How much larger a reference's errors are."""
 
-    def accuracy_table(self, *, sort: bool = False) -> list[str]:
-        """Lines about every parameter."""
+    def accuracy(self, *, sort: bool = False) -> Table:
+        """A row about every parameter."""
 
 
 def sea_trial_card(design: Planned) -> str:
@@ -280,7 +281,7 @@ def _accuracy(design: Planned) -> list[str]:
             f"  Against a {reference.name}{note}, equally long: errors {mean:.2g} times smaller on "
             f"geometric mean, {worst:.2g} times for the worst."
         )
-    lines += design.accuracy_table(sort=True)
+    lines += [f"  {line}" for line in design.accuracy(sort=True).lines()]
     errors = dict(zip(design.names, design.relative_errors, strict=True))
     usable = _USABLE if design.sea is None else TRUSTED
     for title, low, high in (
