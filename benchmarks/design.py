@@ -28,8 +28,11 @@ from oed_sysid.design import (
     Design,
     DOptimal,
     EOptimal,
+    Knowledge,
     Levels,
     Multisines,
+    Search,
+    Trial,
     assess_limits,
     design_experiment,
 )
@@ -46,10 +49,19 @@ def designed(
 ) -> Design:
     limits, _ = system.limits(degrees, envelope=envelope)
     return design_experiment(
-        system.model, limits=limits, duration=system.duration, sample_time=system.sample_time,
-        criterion=criterion, parametrisation=Levels(60), constants=system.constants,
-        initial=system.initial, prior=None, rng=np.random.default_rng(1), n_workers=2,
-    )  # fmt: skip
+        system.model,
+        Trial(
+            limits=limits,
+            duration=system.duration,
+            sample_time=system.sample_time,
+            constants=system.constants,
+            initial=system.initial,
+        ),
+        criterion=criterion,
+        rng=np.random.default_rng(1),
+        search=Search(family=Levels(60), n_workers=2),
+        knowledge=Knowledge(prior=None),
+    )
 
 
 def gains(model: Model, zigzag: Experiment, other: Experiment) -> tuple[float, float]:
@@ -118,20 +130,35 @@ def robustness(
     what = "drawn from what a 5/5 zigzag tells" if informed else "off by up to 30 %"
     print(f"{name}, coefficients {what}:", flush=True)
     standard = assess_limits(
-        system.model, zigzag, limits=limits, spread=spread, prior=prior, n_vehicles=100,
+        system.model,
+        zigzag,
+        limits=limits,
+        spread=spread,
+        prior=prior,
+        vehicles=100,
         rng=np.random.default_rng(3),
-    )  # fmt: skip
+    )
     print(f"  {zigzag.name} itself: {standard.report()}", flush=True)
     nominal = 0.0
     for label, caution in (("nominal", None), ("cautious", Caution(0.95, spread))):
         began = time.perf_counter()
         try:
             design = design_experiment(
-                system.model, limits=limits, duration=system.duration,
-                sample_time=system.sample_time, parametrisation=Levels(30),
-                constants=system.constants, initial=system.initial, prior=prior, caution=caution,
-                n_starts=1, n_candidates=40, n_steps=12, rng=np.random.default_rng(1), n_workers=2,
-            )  # fmt: skip
+                system.model,
+                Trial(
+                    limits=limits,
+                    duration=system.duration,
+                    sample_time=system.sample_time,
+                    constants=system.constants,
+                    initial=system.initial,
+                ),
+                caution=caution,
+                rng=np.random.default_rng(1),
+                search=Search(
+                    family=Levels(30), n_starts=1, n_candidates=40, n_steps=12, n_workers=2
+                ),
+                knowledge=Knowledge(prior=prior),
+            )
         except DesignError as error:
             print(f"  {label} design: {error}", flush=True)
             continue
@@ -145,9 +172,11 @@ def robustness(
             finer = replace(truth, step=truth.step / 5)
             try:
                 run = simulate_inputs(
-                    finer, design.trajectory.times, inputs=design.trajectory.inputs,
+                    finer,
+                    design.trajectory.times,
+                    inputs=design.trajectory.inputs,
                     initial=system.initial,
-                )  # fmt: skip
+                )
                 outside += bool(limits.violations(run.times, run.signals))
                 if index < 20:
                     found.append(gains(truth, zigzag, design.experiment)[0])
@@ -170,11 +199,18 @@ def globally(name: str, system: System, degrees: float) -> None:
     families = (Levels(60), Levels(30), Levels(40, "linear"), Multisines(20))
     for family in families:
         design = design_experiment(
-            system.model, limits=limits, duration=system.duration, sample_time=system.sample_time,
-            parametrisation=family, constants=system.constants, initial=system.initial,
-            prior=None, n_starts=6, n_candidates=200, n_steps=15, rng=np.random.default_rng(11),
-            n_workers=2,
-        )  # fmt: skip
+            system.model,
+            Trial(
+                limits=limits,
+                duration=system.duration,
+                sample_time=system.sample_time,
+                constants=system.constants,
+                initial=system.initial,
+            ),
+            rng=np.random.default_rng(11),
+            search=Search(family=family, n_starts=6, n_candidates=200, n_steps=15, n_workers=2),
+            knowledge=Knowledge(prior=None),
+        )
         mean, worst = gains(system.model, zigzag, design.experiment)
         ends = ", ".join(f"{value:.2f}" for value in sorted(design.start_values))
         print(

@@ -32,7 +32,17 @@ from benchmarks.design_systems import remus
 from benchmarks.fit_peers import run_peer
 from benchmarks.measure import machine
 from oed_sysid import Experiment, Limits
-from oed_sysid.design import AOptimal, Design, DOptimal, EOptimal, Levels, design_experiment
+from oed_sysid.design import (
+    AOptimal,
+    Design,
+    DOptimal,
+    EOptimal,
+    Knowledge,
+    Levels,
+    Search,
+    Trial,
+    design_experiment,
+)
 from oed_sysid.design.library import as_piecewise
 from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
 from oed_sysid.information import information_of
@@ -87,12 +97,19 @@ CRITERIA = {"D": (DOptimal(), "determinant"), "A": (AOptimal(), "trace"), "E": (
 def designed(case: Case, n_starts: int = 3, criterion: str = "D") -> Design:
     """Design by us, with the settings that a user gets, but one thread."""
     return design_experiment(
-        case.model, criterion=CRITERIA[criterion][0], limits=LIMITS, duration=case.duration,
-        sample_time=STEP, parametrisation=Levels(case.n_levels), constants={"thrust": THRUST},
-        initial=INITIAL,
-        prior=None, start="known", rng=np.random.default_rng(1), n_workers=1,
-        n_starts=n_starts,
-    )  # fmt: skip
+        case.model,
+        Trial(
+            limits=LIMITS,
+            duration=case.duration,
+            sample_time=STEP,
+            constants={"thrust": THRUST},
+            initial=INITIAL,
+        ),
+        criterion=CRITERIA[criterion][0],
+        rng=np.random.default_rng(1),
+        search=Search(family=Levels(case.n_levels), n_starts=n_starts, n_workers=1),
+        knowledge=Knowledge(prior=None, start="known"),
+    )
 
 
 def played(case: Case, levels: np.ndarray) -> Experiment:

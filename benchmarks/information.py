@@ -20,7 +20,7 @@ from oed_sysid.compiled import graph as graphs
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.information import Play, noise_of, respond
-from oed_sysid.information.bound import run_factor, triangle
+from oed_sysid.information.bound import triangle, whitened_factor
 
 N_SAMPLES, STEP, REPEATS = 2400, 0.1, 25
 EXTRA = ("X_udot", "Z_wdot", "M_wdot", "M_qdot")
@@ -41,7 +41,8 @@ free = [model.parameter_names.index(name) for name in model.free_names]
 
 
 def ours() -> np.ndarray:
-    return run_factor(model, respond(model, play), noise)
+    response = respond(model, play)
+    return whitened_factor(model, response.jacobian, response.present, noise)
 
 
 def outputs(unknowns: np.ndarray) -> np.ndarray:

@@ -29,7 +29,10 @@ from oed_sysid.design import (
     Caution,
     Design,
     DOptimal,
+    Knowledge,
     Levels,
+    Search,
+    Trial,
     assess_limits,
     design_experiment,
 )
@@ -113,12 +116,20 @@ def inside(
 def designed(problem: Problem, sea: NoiseModel, spread: float, sample: float) -> Design:
     """Design a dive that keeps its limits on 95 % of the vehicles."""
     return design_experiment(
-        problem.model, limits=problem.limits, duration=DURATION, sample_time=sample,
-        rng=np.random.default_rng(1), criterion=DOptimal(), parametrisation=Levels(20),
-        constants={"thrust": THRUST}, initial={"u": SPEED, "z": DEPTH}, noise=sea,
-        caution=Caution(0.95, spread=spread, n_sets=60, n_checks=3000), n_starts=1,
-        n_candidates=20, n_steps=15, n_workers=1,
-    )  # fmt: skip
+        problem.model,
+        Trial(
+            limits=problem.limits,
+            duration=DURATION,
+            sample_time=sample,
+            constants={"thrust": THRUST},
+            initial={"u": SPEED, "z": DEPTH},
+        ),
+        rng=np.random.default_rng(1),
+        criterion=DOptimal(),
+        caution=Caution(0.95, spread=spread, n_sets=60, n_checks=3000),
+        search=Search(family=Levels(20), n_starts=1, n_candidates=20, n_steps=15, n_workers=1),
+        knowledge=Knowledge(noise=sea),
+    )
 
 
 def compared(name: str, stated: float, n_stated: int, found: float, n_found: int) -> str:
@@ -137,35 +148,53 @@ def main() -> None:
     parser.add_argument("--vehicles", type=int, default=1000)
     parser.add_argument("--spread", type=float, nargs="+", default=[0.25])
     parser.add_argument("--degrees", type=float, nargs="*", default=[3.0, 6.0])
-    parser.add_argument("--sample", type=float, nargs="*", default=[0.5],
-                        help="of designed dives, s; none for no design")  # fmt: skip
+    parser.add_argument(
+        "--sample",
+        type=float,
+        nargs="*",
+        default=[0.5],
+        help="of designed dives, s; none for no design",
+    )
     options = parser.parse_args()
     print(machine())
     problem = load_problem("remus_diving_plane")
     sea = NoiseModel(
-        np.array([output.noise_std for output in problem.model.outputs]), np.zeros(5), FORCES,
-        force_time=FORCE_TIME, outputs=problem.model.output_names,
+        np.array([output.noise_std for output in problem.model.outputs]),
+        np.zeros(5),
+        FORCES,
+        force_time=FORCE_TIME,
+        outputs=problem.model.output_names,
         places=("force X", "force Z", "force M"),
-    )  # fmt: skip
+    )
     runs = [
         Experiment(
             f"3-2-1-1 of {size:g} deg",
             ThreeTwoOneOne("fin_command", math.radians(size), unit_time=3.0),
-            duration=DURATION, sample_time=0.1, constants={"thrust": THRUST},
-            initial={"u": SPEED, "z": DEPTH}, limits=problem.limits,
+            duration=DURATION,
+            sample_time=0.1,
+            constants={"thrust": THRUST},
+            initial={"u": SPEED, "z": DEPTH},
+            limits=problem.limits,
         )
         for size in options.degrees
-    ]  # fmt: skip
+    ]
     n = options.vehicles
     for number, spread in enumerate(options.spread):
         for index, run in enumerate(runs):
             rng = np.random.default_rng([10, number, index])
-            stated = assess_limits(problem.model, run, rng=rng, spread=spread, n_vehicles=n,
-                                   sea=sea)  # fmt: skip
+            stated = assess_limits(problem.model, run, rng=rng, spread=spread, vehicles=n, sea=sea)
             free = replace(run, limits=type(run.limits)())
             commands = simulate(problem.model, free, noise=False).inputs
-            print(compared(f"{run.name}, {spread:.0%} off", stated.probability, n,
-                           kept(commands, spread, n, rng), n), flush=True)  # fmt: skip
+            print(
+                compared(
+                    f"{run.name}, {spread:.0%} off",
+                    stated.probability,
+                    n,
+                    kept(commands, spread, n, rng),
+                    n,
+                ),
+                flush=True,
+            )
         for sample in options.sample:
             try:
                 design = designed(problem, sea, spread, sample)
@@ -177,8 +206,16 @@ def main() -> None:
             found = kept(commands, spread, n, np.random.default_rng([11, number]))
             card = design.assurance
             assert card is not None
-            print(compared(f"designed at {sample:g} s, {spread:.0%} off", card.probability,
-                           card.n_checked, found, n), flush=True)  # fmt: skip
+            print(
+                compared(
+                    f"designed at {sample:g} s, {spread:.0%} off",
+                    card.probability,
+                    card.n_checked,
+                    found,
+                    n,
+                ),
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

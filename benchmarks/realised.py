@@ -28,7 +28,7 @@ from benchmarks.random_forces.scenarios import MEDIUM
 from benchmarks.random_forces.simulator import gauss_markov
 from benchmarks.random_forces.vehicles import REMUS
 from oed_sysid import Dataset, Experiment, Model, MultipleShooting, Record, load_problem
-from oed_sysid.design import DOptimal, Levels, design_experiment
+from oed_sysid.design import DOptimal, Knowledge, Levels, Search, Trial, design_experiment
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import information_of
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -64,11 +64,19 @@ def plan(model: Model, name: str, noise: NoiseModel) -> list[Experiment]:
     largest = math.radians(20.0 if name == "designed" else 1.0)
     limits = replace(problem.limits, inputs={"fin_command": (-largest, largest)})
     found = design_experiment(
-        model, limits=limits, duration=62.0, sample_time=0.1, rng=np.random.default_rng(1),
-        criterion=DOptimal(), parametrisation=Levels(20), constants=pattern.constants,
-        initial={**pattern.initial, "z": 25.0}, noise=noise, n_starts=2, n_candidates=30,
-        n_steps=10, n_workers=1,
-    )  # fmt: skip
+        model,
+        Trial(
+            limits=limits,
+            duration=62.0,
+            sample_time=0.1,
+            constants=pattern.constants,
+            initial={**pattern.initial, "z": 25.0},
+        ),
+        rng=np.random.default_rng(1),
+        criterion=DOptimal(),
+        search=Search(family=Levels(20), n_starts=2, n_candidates=30, n_steps=10, n_workers=1),
+        knowledge=Knowledge(noise=noise),
+    )
     return [found.experiment]
 
 

@@ -30,13 +30,14 @@ import numpy as np
 from benchmarks.missing_physics.cases import SPREAD
 from benchmarks.missing_physics.simulator import PRIORS, TRAIN, Case, simulate
 from oed_sysid import Dataset, Problem, Record, load_problem
-from oed_sysid.design import Caution, Discriminate, Levels, design_experiment
+from oed_sysid.design import Caution, Discriminate, Levels, Search, Trial, design_experiment
 from oed_sysid.design.criteria import eliminate
 from oed_sysid.design.missing_effects import told_apart
 from oed_sysid.design.result import Design
 from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.study import Study
-from oed_sysid.information.shifts import Shifts, joint_information
+from oed_sysid.information.bound import joint_information
+from oed_sysid.information.shifts import Shifts
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 
 RESULTS = Path(__file__).parent / "results" / "separating.jsonl"
@@ -128,20 +129,17 @@ def designed(
     speed = float(np.sqrt(9.0 / 3.9))
     return design_experiment(
         fit,
+        Trial(
+            limits=problem.limits,
+            duration=DURATION,
+            sample_time=1.0,
+            neutral={"thrust": 9.0},
+            initial={"u": speed, "z": 10.0},
+        ),
         criterion=Discriminate(rivals, against_believed=False),
-        limits=problem.limits,
-        duration=DURATION,
-        sample_time=1.0,
-        neutral={"thrust": 9.0},
-        initial={"u": speed, "z": 10.0},
-        parametrisation=Levels(30),
-        # Limits hold with either explanation.
         caution=Caution(0.9, n_sets=20, n_checks=40, others=rivals),
-        n_starts=1,
-        n_candidates=12,
-        n_steps=6,
-        n_workers=1,
         rng=np.random.default_rng(0),
+        search=Search(family=Levels(30), n_starts=1, n_candidates=12, n_steps=6, n_workers=1),
     )
 
 

@@ -53,7 +53,14 @@ from benchmarks.limits import inside
 from benchmarks.measure import machine
 from benchmarks.random_forces.scenarios import MEDIUM
 from oed_sysid import Experiment, Limits, Model, NoiseModel, load_problem
-from oed_sysid.design import AOptimal, DOptimal, design_programme
+from oed_sysid.design import (
+    AOptimal,
+    Budget,
+    DOptimal,
+    Knowledge,
+    ProgrammeSearch,
+    design_programme,
+)
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
 from oed_sysid.experiments.simulation import simulate
@@ -165,10 +172,15 @@ def planned(task: Task, criterion: str) -> dict[str, Any]:
     """Plan a programme on the believed vehicle."""
     began = time.process_time()
     found = design_programme(
-        task.model, task.patterns, limits=task.limits, rng=np.random.default_rng(0),
-        n_runs=N_RUNS, criterion=CRITERIA[criterion], noise=task.sea, spread=SPREAD, prior=None,
-        turnaround=TURNAROUND, durations=task.durations,
-    )  # fmt: skip
+        task.model,
+        task.patterns,
+        limits=task.limits,
+        rng=np.random.default_rng(0),
+        criterion=CRITERIA[criterion],
+        budget=Budget(n_runs=N_RUNS, turnaround=TURNAROUND),
+        search=ProgrammeSearch(durations=task.durations),
+        knowledge=Knowledge(noise=task.sea, spread=SPREAD, prior=None),
+    )
     return {
         "task": task.name, "plan": criterion, "runs": [run.name for run in found.runs],
         "experiments": [run.experiment.to_dict() for run in found.runs],

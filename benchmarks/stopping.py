@@ -27,7 +27,17 @@ from typing import Any
 import numpy as np
 
 from oed_sysid import Dataset, Limits, Model, MultipleShooting, Problem, improve, load_problem
-from oed_sysid.design import Candidate, Decision, Programme, decide, design_programme, goals_of
+from oed_sysid.design import (
+    Budget,
+    Candidate,
+    Decision,
+    Knowledge,
+    Programme,
+    ProgrammeSearch,
+    decide,
+    design_programme,
+    goals_of,
+)
 from oed_sysid.errors import OedSysidError
 from oed_sysid.information import sea_noise
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -55,10 +65,16 @@ class Trial:
         pattern = replace(run, initial={**run.initial, "z": 25.0}, duration=60.0, sample_time=0.2)
         sea = sea_noise(problem.model, "moderate", [pattern])
         programme = design_programme(
-            problem.model, pattern, limits=problem.limits, hours=HOURS / 4, noise=sea,
-            rng=np.random.default_rng(7), n_draws=1, n_vehicles=4, n_rounds=0,
-            kinds=("zigzag", "3-2-1-1", "levels"),
-        )  # fmt: skip
+            problem.model,
+            pattern,
+            limits=problem.limits,
+            rng=np.random.default_rng(7),
+            budget=Budget(hours=HOURS / 4),
+            search=ProgrammeSearch(
+                kinds=("zigzag", "3-2-1-1", "levels"), n_draws=1, n_vehicles=4, n_rounds=0
+            ),
+            knowledge=Knowledge(noise=sea),
+        )
         return cls(problem, sea, programme)
 
     def truth(self, hidden: str, rng: np.random.Generator) -> Model:

@@ -36,7 +36,7 @@ from oed_sysid import (
 from oed_sysid import (
     results as report,
 )
-from oed_sysid.design import Levels, design_experiment
+from oed_sysid.design import Levels, Search, Trial, design_experiment
 from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
 from oed_sysid.information import rank_parameters
 from oed_sysid.likelihood.multistart import Multistart
@@ -209,12 +209,13 @@ def _designed():  # type: ignore[no-untyped-def]
     """Ninety seconds of rudder that identify the ferry best within 20 degrees of either."""
     return design_experiment(
         FERRY.free("A"),
-        limits=Limits(inputs={"rudder": (-0.35, 0.35)}, signals={"psi": (-0.6, 0.6)}),
-        duration=90.0,
-        sample_time=0.5,
-        parametrisation=Levels(12),
-        n_starts=2,
+        Trial(
+            limits=Limits(inputs={"rudder": (-0.35, 0.35)}, signals={"psi": (-0.6, 0.6)}),
+            duration=90.0,
+            sample_time=0.5,
+        ),
         rng=np.random.default_rng(0),
+        search=Search(family=Levels(12), n_starts=2),
     )
 
 

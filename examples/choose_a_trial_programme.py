@@ -10,7 +10,15 @@ from math import radians
 import numpy as np
 
 from oed_sysid import Dataset, Experiment, MultipleShooting, ZigZagLike, load_problem
-from oed_sysid.design import Caution, DOptimal, Levels, assess_limits, design_experiment
+from oed_sysid.design import (
+    Caution,
+    DOptimal,
+    Levels,
+    Search,
+    Trial,
+    assess_limits,
+    design_experiment,
+)
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import information_of
 
@@ -40,18 +48,17 @@ def zigzag(fin: float, switch: float, thrust: float) -> Experiment:
 # Designed for what is still unknown, and for limits that hold on 95 % of the likely vehicles.
 designed = design_experiment(
     fit,
-    limits=problem.limits,
-    duration=90.0,
-    sample_time=0.5,
+    Trial(
+        limits=problem.limits,
+        duration=90.0,
+        sample_time=0.5,
+        constants={"thrust": 9.0},
+        initial={"u": 1.5, "z": 20.0},
+    ),
     criterion=DOptimal(),
-    parametrisation=Levels(15),
     caution=Caution(0.95, n_sets=40, n_checks=100),
-    constants={"thrust": 9.0},
-    initial={"u": 1.5, "z": 20.0},
-    n_starts=1,
-    n_candidates=20,
-    n_steps=10,
     rng=rng,
+    search=Search(family=Levels(15), n_starts=1, n_candidates=20, n_steps=10),
 ).experiment
 
 programmes = {
@@ -65,7 +72,7 @@ for name, runs in programmes.items():
     known = information_of(fit.model, runs, priors=fit.information)
     errors = known.std_errors / sizes
     kept = [
-        assess_limits(fit.model, run, prior=fit.information, spread=None, n_vehicles=60, rng=rng)
+        assess_limits(fit.model, run, prior=fit.information, spread=None, vehicles=60, rng=rng)
         for run in {run.name: run for run in runs}.values()
     ]
     safe = min(one.probability for one in kept)

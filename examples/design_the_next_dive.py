@@ -7,7 +7,7 @@ but complete it, within the limits of fins, pitch and depth.
 import numpy as np
 
 from oed_sysid import Dataset, MultipleShooting, load_problem
-from oed_sysid.design import DOptimal, Levels, design_experiment
+from oed_sysid.design import DOptimal, Levels, Search, Trial, design_experiment
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import confirm_bound
 
@@ -21,17 +21,16 @@ fit = MultipleShooting(noise="given").fit(problem.model, Dataset((first,)))
 # The second: sixty seconds, designed to complete it.
 design = design_experiment(
     fit,
-    limits=problem.limits,
-    duration=60.0,
-    sample_time=0.5,
+    Trial(
+        limits=problem.limits,
+        duration=60.0,
+        sample_time=0.5,
+        constants={"thrust": 9.0},
+        initial={"u": 1.5, "z": 20.0},
+    ),
     criterion=DOptimal(),
-    parametrisation=Levels(30),
-    constants={"thrust": 9.0},
-    initial={"u": 1.5, "z": 20.0},
-    n_starts=2,
-    n_candidates=30,
-    n_steps=15,
     rng=rng,
+    search=Search(family=Levels(30), n_starts=2, n_candidates=30, n_steps=15),
 )
 print(design.report())
 print()

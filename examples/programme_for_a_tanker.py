@@ -13,7 +13,15 @@ from math import radians
 import numpy as np
 
 from oed_sysid import Dataset, Limits, MultipleShooting, load_problem
-from oed_sysid.design import DOptimal, PredictionGoal, decide, design_programme
+from oed_sysid.design import (
+    Budget,
+    DOptimal,
+    Knowledge,
+    PredictionGoal,
+    ProgrammeSearch,
+    decide,
+    design_programme,
+)
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import sea_noise
 from oed_sysid.likelihood.realisation import simulate_at_sea
@@ -24,9 +32,17 @@ model, rng = problem.model, np.random.default_rng(3)
 pattern = replace(problem.experiment("zigzag_10_10"), duration=120.0, sample_time=1.0)
 sea = sea_noise(model, "moderate", [pattern])
 programme = design_programme(
-    model, pattern, limits=problem.limits, hours=1.0, criterion=DOptimal(), noise=sea, rng=rng,
-    n_draws=1, n_vehicles=4, n_rounds=0, kinds=("zigzag", "circle", "3-2-1-1"),
-)  # fmt: skip
+    model,
+    pattern,
+    limits=problem.limits,
+    criterion=DOptimal(),
+    rng=rng,
+    budget=Budget(hours=1.0),
+    search=ProgrammeSearch(
+        kinds=("zigzag", "circle", "3-2-1-1"), n_draws=1, n_vehicles=4, n_rounds=0
+    ),
+    knowledge=Knowledge(noise=sea),
+)
 print(programme.report(), "\n")
 
 # The ship as it is: half a prior deviation off, and a hull that pulls to one side.

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from oed_sysid import Dataset, Limits, MultipleShooting, improve, load_problem
-from oed_sysid.design import decide, design_programme, goals_of
+from oed_sysid.design import Budget, Knowledge, ProgrammeSearch, decide, design_programme, goals_of
 from oed_sysid.information import sea_noise
 from oed_sysid.likelihood.realisation import simulate_at_sea
 
@@ -26,9 +26,16 @@ pattern = replace(pattern, initial={**pattern.initial, "z": 25.0}, duration=60.0
 sea = sea_noise(problem.model, "moderate", [pattern])
 
 programme = design_programme(
-    problem.model, pattern, limits=problem.limits, hours=HOURS / 4, noise=sea, rng=rng,
-    n_draws=1, n_vehicles=4, n_rounds=0, kinds=("zigzag", "3-2-1-1", "levels"),
-)  # fmt: skip
+    problem.model,
+    pattern,
+    limits=problem.limits,
+    rng=rng,
+    budget=Budget(hours=HOURS / 4),
+    search=ProgrammeSearch(
+        kinds=("zigzag", "3-2-1-1", "levels"), n_draws=1, n_vehicles=4, n_rounds=0
+    ),
+    knowledge=Knowledge(noise=sea),
+)
 print(programme.report(), "\n")
 
 # The vehicle as it is: nobody on board knows this.

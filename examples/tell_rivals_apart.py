@@ -7,7 +7,7 @@ fails even after everything else has been estimated anew.
 import numpy as np
 
 from oed_sysid import load_problem
-from oed_sysid.design import Discriminate, DOptimal, Levels, design_experiment
+from oed_sysid.design import Discriminate, DOptimal, Levels, Search, Trial, design_experiment
 
 problem = load_problem("remus_diving_plane")
 rivals = [problem.effect("heave_crossflow_drag"), problem.effect("fin_stall")]
@@ -15,17 +15,16 @@ rivals = [problem.effect("heave_crossflow_drag"), problem.effect("fin_stall")]
 for criterion in (DOptimal(), Discriminate(rivals)):
     design = design_experiment(
         problem.model,
-        limits=problem.limits,
-        duration=40.0,
-        sample_time=0.5,
+        Trial(
+            limits=problem.limits,
+            duration=40.0,
+            sample_time=0.5,
+            constants={"thrust": 9.0},
+            initial={"u": 1.5, "z": 20.0},
+        ),
         criterion=criterion,
-        parametrisation=Levels(20),
-        constants={"thrust": 9.0},
-        initial={"u": 1.5, "z": 20.0},
-        n_starts=2,
-        n_candidates=20,
-        n_steps=12,
         rng=np.random.default_rng(0),
+        search=Search(family=Levels(20), n_starts=2, n_candidates=20, n_steps=12),
     )
     print(f"{design.criterion}: {design.active[0] if design.active else 'no limit reached'}")
 

@@ -6,6 +6,13 @@ A solver that does not converge is not an error but a status (see
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
+
 
 class OedSysidError(ValueError):
     """Base class of all errors raised on purpose by this package."""
@@ -41,3 +48,64 @@ class UnitWarning(UserWarning):
 
 class PrecisionWarning(UserWarning):
     """A calculation has lost so many digits to rounding that its result is not to be trusted."""
+
+
+# -- old spellings ---------------------------------------------------------------------
+
+
+def respelled(
+    error: type[OedSysidError], table: Mapping[str, str]
+) -> Callable[[Callable[_Arguments, _Result]], Callable[_Arguments, _Result]]:
+    """Let a function raise an error that says the new spelling of arguments that are gone.
+
+    Parameters
+    ----------
+    error : type
+        Of the error.
+    table : mapping of str to str
+        Old argument, and what to write now.
+
+    Examples
+    --------
+    >>> @respelled(DesignError, {"duration": "Trial(duration=...)"})
+    ... def design(trial):
+    ...     return trial
+    >>> design(duration=60.0)
+    Traceback (most recent call last):
+        ...
+    oed_sysid.errors.DesignError: design has no argument 'duration'. Write Trial(duration=...).
+    """
+
+    def decorated(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
+        @wraps(function)
+        def checked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
+            gone = [name for name in kwargs if name in table]
+            if gone:
+                write = "; ".join(dict.fromkeys(table[name] for name in gone))
+                raise error(
+                    f"{function.__name__} has no argument {', '.join(map(repr, gone))}. "
+                    f"Write {write}."
+                )
+            return function(*args, **kwargs)
+
+        return checked
+
+    return decorated
+
+
+def respelled_names(module: str, table: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return a module's ``__getattr__`` that says the new spelling of names that are gone.
+
+    Parameters
+    ----------
+    module : str
+    table : mapping of str to str
+        Old name, and the new one.
+    """
+
+    def missing(name: str) -> Any:
+        if name in table:
+            raise AttributeError(f"{module}.{name} is {table[name]} now. Write {table[name]}.")
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+
+    return missing

@@ -20,7 +20,7 @@ from oed_sysid import (
     State,
     read_csv,
 )
-from oed_sysid.data.angles import clear_wraps, unwrapped
+from oed_sysid.data.record import clear_wraps, unwrapped
 
 T = np.arange(200) * 0.5
 TURNING = np.radians(300.0 + 1.5 * T)  # from 300 to 449 degrees: passes north once

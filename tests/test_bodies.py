@@ -11,7 +11,7 @@ from free_body import FreeBody, rotation
 from oed_sysid import Input, Model, Parameter
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.physics.bodies import RigidBody, load_cell, rigid_body
-from oed_sysid.testing.effect_contract import check_effect
+from oed_sysid.testing.problem_contract import check_effect
 from oed_sysid.text import expressions
 
 CENTRE = np.array([0.03, -0.02, 0.05])

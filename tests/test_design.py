@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -30,20 +31,23 @@ from oed_sysid.design import (
     EOptimal,
     GOptimal,
     Grid,
+    Knowledge,
     Levels,
     ModifiedE,
     Multisines,
     Pulses,
     Robust,
+    Search,
     Setting,
+    Trial,
     VOptimal,
     ZigZags,
     design_experiment,
     design_series,
 )
 from oed_sysid.design.criteria import eliminate
-from oed_sysid.design.limits import Corridor
-from oed_sysid.design.objective import Objective, Scene
+from oed_sysid.design.limits import LimitBounds
+from oed_sysid.design.objective import Objective, VehicleInformation
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment as Plan
 from oed_sysid.experiments.manoeuvres import Doublet
@@ -71,18 +75,16 @@ def ship(**changes: object) -> Model:
 
 def quick(model: Model | object = None, **changes: object) -> Design:
     """Small design task, a few hundred milliseconds."""
-    settings: dict[str, object] = {
-        "limits": LIMITS,
-        "duration": 40.0,
-        "sample_time": 0.5,
-        "parametrisation": Levels(20),
-        "n_starts": 2,
-        "n_candidates": 25,
-        "n_steps": 10,
-        "n_workers": 1,
+    settings = {
+        "limits": LIMITS, "duration": 40.0, "sample_time": 0.5, "family": Levels(20),
+        "n_starts": 2, "n_candidates": 25, "n_steps": 10, "n_workers": 1,
         "rng": np.random.default_rng(4),
+    } | changes  # fmt: skip
+    taken: dict[str, object] = {
+        word: kind(**{f.name: settings.pop(f.name) for f in fields(kind) if f.name in settings})
+        for word, kind in (("trial", Trial), ("search", Search), ("knowledge", Knowledge))
     }
-    return design_experiment(model or ship(), **(settings | changes))  # type: ignore[arg-type]
+    return design_experiment(model or ship(), **taken, **settings)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -192,11 +194,11 @@ def test_derivatives_equal_differences(family: Levels, colour: dict | None) -> N
     fitted = grid()
     shape = family.on(fitted)
     noise = noise_of(model, coloured=colour)
-    scene = Scene(model, fitted.times, shape.edges, np.array([0.0, 0.01]), noise)
-    corridor = Corridor.of(model, Limits(signals={"psi": (-0.3, 0.3)}), {"r": (-0.1, 0.1)}, 2)
+    vehicle = VehicleInformation(model, fitted.times, shape.edges, np.array([0.0, 0.01]), noise)
+    bounds = LimitBounds.of(model, Limits(signals={"psi": (-0.3, 0.3)}), {"r": (-0.1, 0.1)})
     measure = DOptimal().bind(SETTING)
     objective = Objective(
-        [scene], [measure], [np.eye(3)], shape, np.array([0]), np.zeros(1), corridor
+        [vehicle], [measure], [np.eye(3)], shape, np.array([0]), np.zeros(1), bounds
     )
     numbers = 0.5 + 0.3 * (np.random.default_rng(5).random(shape.size) - 0.5)
     score = objective.score(numbers)
@@ -207,7 +209,9 @@ def test_derivatives_equal_differences(family: Levels, colour: dict | None) -> N
         above, below = objective.score(numbers + step), objective.score(numbers - step)
         central = (above.value - below.value) / 2e-4
         assert slope.criterion[index] == pytest.approx(central, rel=2e-3, abs=1e-3)
-        moved = (above.views[0].signals - below.views[0].signals)[:, corridor.columns] / 2e-4
+        moved = (above.evaluations[0].signals - below.evaluations[0].signals)[
+            :, bounds.columns
+        ] / 2e-4
         np.testing.assert_allclose(
             slope.signals[0, :, :, index], moved, atol=2e-3 * np.abs(moved).max() + 1e-9
         )
@@ -239,9 +243,9 @@ def towed(**settings: object) -> Design:
         parameters=(Parameter("b", 0.1), Parameter("d", 0.3), Parameter("k", 0.5)),
         step=0.25,
     )
-    given: dict[str, object] = {"duration": 30.0, "sample_time": 0.5, "n_starts": 1}
+    given: dict[str, object] = {"duration": 30.0, "n_starts": 1, "family": Levels()}
     given |= {"n_candidates": 8, "n_steps": 2, "rng": np.random.default_rng(0)}
-    return design_experiment(model, **(given | settings))  # type: ignore[arg-type]
+    return quick(model, **(given | settings))
 
 
 def test_range_without_zero_has_its_middle_as_neutral() -> None:
@@ -334,9 +338,10 @@ def test_prior_knowledge_is_completed() -> None:
 
 def test_series_accumulates() -> None:
     """Each experiment of a series includes what those before it tell."""
+    search = Search(Levels(10), n_starts=1, n_candidates=10, n_steps=6, n_workers=1)
     first, second = design_series(
-        ship(), 2, limits=LIMITS, duration=30.0, sample_time=0.5, parametrisation=Levels(10),
-        n_starts=1, n_candidates=10, n_steps=6, rng=np.random.default_rng(1), n_workers=1,
+        ship(), Trial(LIMITS, duration=30.0, sample_time=0.5), 2,
+        design=partial(design_experiment, rng=np.random.default_rng(1), search=search),
     )  # fmt: skip
     assert second.experiment.name == "designed_2"
     alone = information_of(ship(), second.experiment)
@@ -346,8 +351,8 @@ def test_series_accumulates() -> None:
 
 
 def test_zigzag_family_reacts_and_keeps_limits() -> None:
-    """A designed zigzag is an experiment with feedback inside the corridor."""
-    found = quick(parametrisation=ZigZags("psi", 0.5, n_swings=2, n_trials=40))
+    """A designed zigzag is an experiment with feedback inside the bounds."""
+    found = quick(family=ZigZags("psi", 0.5, n_swings=2, n_trials=40))
     assert found.experiment.reacts
     assert LIMITS.violations(found.trajectory.times, found.trajectory.signals) == ()
     assert found.gain(found.references[0])[0] > 1.0

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from test_design import LIMITS, grid, quick, ship
 
 from oed_sysid import Dataset, Force, Limits, MultipleShooting, Parameter, load_problem
-from oed_sysid.design import Discriminate, Levels, Multisines, campaign, design_experiment
+from oed_sysid.design import (
+    Discriminate,
+    Levels,
+    Multisines,
+    Search,
+    Trial,
+    campaign,
+    design_experiment,
+)
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.simulation import simulate
 
@@ -17,14 +26,14 @@ from oed_sysid.experiments.simulation import simulate
 def test_forbidden_frequencies_get_no_power() -> None:
     """The designed command has no power in the band, and still tells most things."""
     band = (0.08, 0.16)
-    found = quick(parametrisation=Multisines(7, forbidden=[band]))
+    found = quick(family=Multisines(7, forbidden=[band]))
     commands = found.trajectory.inputs[1:, 0]
     power = np.abs(np.fft.rfft(commands)) ** 2
     frequencies = np.fft.rfftfreq(len(commands), 0.5)
     inside = (frequencies >= band[0]) & (frequencies <= band[1])
     assert inside.sum() >= 3
     assert power[inside].sum() < 1e-12 * power.sum()
-    free = quick(parametrisation=Multisines(7)).trajectory.inputs[1:, 0]
+    free = quick(family=Multisines(7)).trajectory.inputs[1:, 0]
     assert (np.abs(np.fft.rfft(free)) ** 2)[inside].sum() > 1e-3 * power.sum()
     assert found.gain(found.references[0])[0] > 1.0
     assert "outside 0.08 to 0.16 Hz" in found.report()
@@ -52,10 +61,13 @@ def test_speed_distance_depth_and_return_are_kept_together() -> None:
     )
     end = {"z": (99.8, 100.2), "theta": (-0.02, 0.02)}
     found = design_experiment(
-        problem.model, limits=limits, duration=40.0, sample_time=0.5, parametrisation=Levels(16),
-        initial={"u": 1.34, "z": 100.0}, end=end, n_starts=1, n_candidates=15, n_steps=10,
-        n_workers=1, rng=np.random.default_rng(0),
-    )  # fmt: skip
+        problem.model,
+        Trial(
+            limits=limits, duration=40.0, sample_time=0.5, initial={"u": 1.34, "z": 100.0}, end=end
+        ),
+        rng=np.random.default_rng(0),
+        search=Search(family=Levels(16), n_starts=1, n_candidates=15, n_steps=10, n_workers=1),
+    )
     # Another integration step, so that nothing is kept by the coincidence of one.
     run = simulate(replace(problem.model, step=0.05), found.experiment, noise=False)
     for name, (low, high) in limits.signals.items():
@@ -73,10 +85,11 @@ def test_distance_that_nothing_can_keep_is_named() -> None:
     limits = replace(problem.limits, signals={"x": (-np.inf, 30.0)})
     with pytest.raises(DesignError, match=r"x is 5\d\.\d+ m .*above its limit of 30 m"):
         design_experiment(
-            problem.model, limits=limits, duration=40.0, sample_time=0.5,
-            parametrisation=Levels(6), initial={"u": 1.34, "z": 100.0}, n_starts=1,
-            n_candidates=3, n_steps=2, n_workers=1, rng=np.random.default_rng(0),
-        )  # fmt: skip
+            problem.model,
+            Trial(limits=limits, duration=40.0, sample_time=0.5, initial={"u": 1.34, "z": 100.0}),
+            rng=np.random.default_rng(0),
+            search=Search(family=Levels(6), n_starts=1, n_candidates=3, n_steps=2, n_workers=1),
+        )
 
 
 def test_campaign_learns_from_each_run() -> None:
@@ -84,10 +97,11 @@ def test_campaign_learns_from_each_run() -> None:
     truth = ship()
     nominal = truth.with_values({"b": 0.08, "d": 0.55, "c": 1.0})
     rng = np.random.default_rng(2)
+    search = Search(Levels(12), n_starts=1, n_candidates=10, n_steps=6, n_workers=1)
     stages = campaign(
-        nominal, lambda experiment: simulate(truth, replace(experiment, limits=Limits()), rng=rng),
-        2, limits=LIMITS, duration=40.0, sample_time=0.5, parametrisation=Levels(12), n_starts=1,
-        n_candidates=10, n_steps=6, n_workers=1, rng=rng,
+        nominal, Trial(LIMITS, duration=40.0, sample_time=0.5, name="run"),
+        lambda experiment: simulate(truth, replace(experiment, limits=Limits()), rng=rng), 2,
+        design=partial(design_experiment, rng=rng, search=search),
     )  # fmt: skip
     assert [stage.record.name for stage in stages] == ["run_1", "run_2"]
     first, second = stages

@@ -12,9 +12,10 @@ from test_design import LIMITS, grid, quick, ship
 
 from oed_sysid import Limits
 from oed_sysid.design import Caution, Design, Levels, ZigZags, assess_limits
-from oed_sysid.design.limits import Corridor
-from oed_sysid.design.vehicles import Guards
+from oed_sysid.design.limits import LimitBounds
+from oed_sysid.design.vehicles import Scenarios
 from oed_sysid.errors import DesignError
+from oed_sysid.experiments.simulation import simulate_inputs
 
 CAUTION = Caution(0.9, 0.3, n_sets=60, n_checks=300)
 
@@ -73,17 +74,17 @@ def test_guards_have_the_derivatives_of_differences() -> None:
     """Changes of limited signals from an edge on equal those of whole runs."""
     model, fitted = ship(), grid()
     shape = Levels(12).on(fitted)
-    corridor = Corridor.of(model, Limits(signals={"psi": (-0.3, 0.3)}), {"r": (-0.1, 0.1)}, 2)
-    guards = Guards(
-        [model.with_values({"d": 0.3})], fitted.times, shape.edges, np.array([0.0, 0.01]), corridor
+    bounds = LimitBounds.of(model, Limits(signals={"psi": (-0.3, 0.3)}), {"r": (-0.1, 0.1)})
+    scenarios = Scenarios(
+        [model.with_values({"d": 0.3})], fitted.times, shape.edges, np.array([0.0, 0.01]), bounds
     )
-    assert guards.corridor.names == ("psi",), "the end is a goal of the nominal vehicle"
+    assert scenarios.bounds.names == ("psi",), "the end is a goal of the nominal vehicle"
     numbers = np.full((2, 12), 0.6)
     numbers[1, 7] = 0.9
     first, second = shape.commands(numbers)
-    before, after = guards.run(0, first), guards.run(0, second)
+    before, after = scenarios.run(0, first), scenarios.run(0, second)
     edge = int(np.searchsorted(shape.edges, np.flatnonzero((first != second)[:, 0])[0], "right"))
-    changed = guards.change(0, before, second, edge - 1)
+    changed = scenarios.change(0, before, second, edge - 1)
     start = shape.edges[edge - 1]
     np.testing.assert_allclose(changed, (after.signals - before.signals)[start:], atol=1e-12)
 
@@ -91,29 +92,30 @@ def test_guards_have_the_derivatives_of_differences() -> None:
 def test_waived_vehicles_do_not_count() -> None:
     """The level is that of the worst vehicle that still counts, and the first limit is named."""
     model, fitted = ship(), grid()
-    corridor = Corridor.of(model, Limits(signals={"psi": (-0.3, 0.3)}), {}, 2)
+    bounds = LimitBounds.of(model, Limits(signals={"psi": (-0.3, 0.3)}))
     models = [model.with_values({"b": b}) for b in (0.05, 0.12, 0.2)]
-    guards = Guards(models, fitted.times, np.array([0]), np.zeros(2), corridor, n_waived=1)
+    scenarios = Scenarios(models, fitted.times, np.array([0]), np.zeros(2), bounds, n_waived=1)
     commands = np.full((81, 1), 0.1)
-    runs = [guards.run(i, commands) for i in range(3)]
-    assert guards.level(runs) == runs[2].excess
-    guards.waive(runs)
-    assert guards.level(runs) == runs[1].excess
-    assert guards.decisive(runs) == [1, 0]
-    assert guards.first_left(runs[2]) == "psi upper limit"
+    runs = [scenarios.run(i, commands) for i in range(3)]
+    assert scenarios.level(runs) == runs[2].excess
+    scenarios.waive(runs)
+    assert scenarios.level(runs) == runs[1].excess
+    assert scenarios.decisive(runs) == [1, 0]
+    pushed = simulate_inputs(models[2], fitted.times, inputs=commands)
+    assert bounds.first_left(pushed) == "psi upper limit"
 
 
 def test_closed_loop_keeps_limits_on_other_vehicles() -> None:
     """A cautious zigzag closes its loop on each vehicle and keeps the heading there."""
     found = quick(
-        parametrisation=ZigZags("psi", 0.5, n_swings=2, n_trials=40),
+        family=ZigZags("psi", 0.5, n_swings=2, n_trials=40),
         caution=replace(CAUTION, n_sets=20, n_checks=40),
     )
     assert found.experiment.reacts
     assert found.assurance is not None
     assert found.assurance.probability >= 0.9
     again = assess_limits(
-        ship(), found.experiment, limits=LIMITS, rng=np.random.default_rng(8), n_vehicles=40
+        ship(), found.experiment, limits=LIMITS, rng=np.random.default_rng(8), vehicles=40
     )
     assert again.probability >= 0.8
 

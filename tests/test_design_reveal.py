@@ -9,14 +9,25 @@ import pytest
 from test_design import LIMITS, quick, ship
 
 from oed_sysid import Dataset, Experiment, Force, MultipleShooting, NoiseModel, Parameter
-from oed_sysid.design import Discriminate, Reveal, design_experiment, design_programme
+from oed_sysid.design import (
+    Budget,
+    Detect,
+    Discriminate,
+    Knowledge,
+    ProgrammeSearch,
+    Search,
+    Trial,
+    design_experiment,
+    design_programme,
+)
 from oed_sysid.design.missing_effects import log_power, told_apart
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Limits
 from oed_sysid.experiments.manoeuvres import Doublet
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import information_of
-from oed_sysid.information.shifts import Shifts, joint_information
+from oed_sysid.information.bound import joint_information
+from oed_sysid.information.shifts import Shifts
 
 CUBIC = Force("cubic", {"r": "-E_cubic*r**3"}, (Parameter("E_cubic", 0.0, scale=30.0),))
 SINES = Force(
@@ -36,10 +47,10 @@ RUN = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=10.0), duration=40
 
 @pytest.mark.parametrize(
     "criterion",
-    [Reveal(EFFECTS), Reveal(EFFECTS, worst=True), Discriminate(EFFECTS, size=1.0)],
+    [Detect(EFFECTS), Detect(EFFECTS, worst=True), Discriminate(EFFECTS, size=1.0)],
     ids=lambda c: c.name,
 )
-def test_gradients_by_the_information_equal_differences(criterion: Reveal) -> None:
+def test_gradients_by_the_information_equal_differences(criterion: Detect) -> None:
     """Mean and smallest chance, and pairs with several amplitudes, have exact derivatives."""
     shifts = criterion.shifts(ship())
     assert len(shifts) == 4
@@ -66,7 +77,7 @@ def test_power_is_the_share_of_simulated_tests_that_exceed_the_threshold() -> No
 
 def test_concave_log_power_keeps_the_certificate() -> None:
     """Halfway between two informations the mean log chance is at least the mean of both."""
-    criterion = Reveal(EFFECTS)
+    criterion = Detect(EFFECTS)
     measure = criterion.bind_shifts(criterion.shifts(ship()), 3)
     rng = np.random.default_rng(2)
     for _ in range(40):
@@ -104,10 +115,10 @@ def test_expected_gain_is_what_a_refit_gains(effect: Force) -> None:
     effect = effect.with_values({p.name: 0.1 * p.magnitude for p in effect.parameters})
     data = Dataset((simulate(model + effect, RUN, noise=False),))
     plain = MultipleShooting(noise="given", coloured="never", disturbances="none").fit(model, data)
-    criterion = Reveal([effect])
+    criterion = Detect([effect])
     shifts = criterion.shifts(model)
     matrix = joint_information(model, RUN, shifts)
-    (found,) = criterion.chances(shifts, 0 * matrix, matrix, len(model.free_parameters))
+    (found,) = criterion.detections(shifts, 0 * matrix, matrix, len(model.free_parameters))
     assert found.gain_before == pytest.approx(0.0, abs=1e-9)
     assert 2 * plain.cost == pytest.approx(found.gain_after, rel=0.3)
 
@@ -121,9 +132,12 @@ def test_a_design_reveals_what_the_records_could_not_show() -> None:
     )
     hidden = CUBIC.with_values({"E_cubic": 20.0})
     found = design_experiment(
-        fit, criterion=Reveal([hidden, DEAD]), limits=LIMITS, duration=40.0, sample_time=0.5,
-        n_starts=1, n_candidates=15, n_steps=6, rng=np.random.default_rng(0),
-    )  # fmt: skip
+        fit,
+        Trial(limits=LIMITS, duration=40.0, sample_time=0.5),
+        criterion=Detect([hidden, DEAD]),
+        rng=np.random.default_rng(0),
+        search=Search(n_starts=1, n_candidates=15, n_steps=6),
+    )
     cubic = found.chances[0]
     shifts = Shifts.of(fit.model, [hidden])
     told = joint_information(
@@ -147,9 +161,9 @@ def test_told_apart_rises_with_the_misfit_and_wrong_wishes_are_refused() -> None
     for wrong in ({"candidates": ()}, {"candidates": (CUBIC, CUBIC)},
                   {"candidates": (CUBIC,), "size": 0.0}):  # fmt: skip
         with pytest.raises(DesignError):
-            Reveal(**wrong)
+            Detect(**wrong)
     with pytest.raises(DesignError, match="no amplitude"):
-        quick(criterion=Reveal([replace(CUBIC, amplitudes=())]))
+        quick(criterion=Detect([replace(CUBIC, amplitudes=())]))
 
 
 def test_a_programme_is_chosen_for_what_it_reveals() -> None:
@@ -157,10 +171,16 @@ def test_a_programme_is_chosen_for_what_it_reveals() -> None:
     pattern = Experiment("pattern", duration=40.0, sample_time=0.5, constants={})
     hidden = CUBIC.with_values({"E_cubic": 10.0})
     found = design_programme(
-        ship(), pattern, limits=LIMITS, rng=np.random.default_rng(0), n_runs=2,
-        criterion=Reveal([hidden]), spread=0.1, kinds=("zigzag",),
-        n_draws=1, n_vehicles=2, n_rounds=0, certainty=0.5,
-    )  # fmt: skip
+        ship(),
+        pattern,
+        limits=LIMITS,
+        rng=np.random.default_rng(0),
+        criterion=Detect([hidden]),
+        certainty=0.5,
+        budget=Budget(n_runs=2),
+        search=ProgrammeSearch(kinds=("zigzag",), n_draws=1, n_vehicles=2, n_rounds=0),
+        knowledge=Knowledge(spread=0.1),
+    )
     assert found.value <= found.bound + 1e-9
     (chance,) = found.chances
     assert chance.after > chance.before

@@ -22,18 +22,17 @@ from oed_sysid import (
     State,
 )
 from oed_sysid.cli.answers import of_design
-from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design import (
     Caution,
     Design,
     Servo,
     assess_limits,
-    plausible_tracks,
+    predicted_tracks,
     write_bag,
     write_overrides,
 )
-from oed_sysid.design.limits import Corridor
-from oed_sysid.design.vehicles import Guards, in_waves
+from oed_sysid.design.limits import LimitBounds
+from oed_sysid.design.vehicles import Scenarios, in_waves
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.manoeuvres import Doublet, Piecewise
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
@@ -41,21 +40,29 @@ from oed_sysid.results import card_page, design_page, figure_card
 from oed_sysid.results.card_plots import DANGER
 
 SEA = NoiseModel(
-    np.array([5e-3, 2e-3]), np.zeros(2), np.array([0.01]), force_time=3.0,
-    outputs=("psi", "r"), places=("force r",),
-)  # fmt: skip
+    np.array([5e-3, 2e-3]),
+    np.zeros(2),
+    np.array([0.01]),
+    force_time=3.0,
+    outputs=("psi", "r"),
+    places=("force r",),
+)
 RUN = Experiment(
-    "doublet", Doublet("rudder", 0.1, pulse_time=10.0), duration=40.0, sample_time=0.5,
+    "doublet",
+    Doublet("rudder", 0.1, pulse_time=10.0),
+    duration=40.0,
+    sample_time=0.5,
     limits=Limits(signals=LIMITS.signals),
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module", name="design")
 def _design() -> Design:
     """A small design whose limits are judged on vehicles up to 40 % off."""
     found = quick()
-    safe = assess_limits(found.model, found.experiment, rng=np.random.default_rng(0), spread=0.4,
-                         n_vehicles=60)  # fmt: skip
+    safe = assess_limits(
+        found.model, found.experiment, rng=np.random.default_rng(0), spread=0.4, vehicles=60
+    )
     return replace(found, assurance=safe)
 
 
@@ -74,33 +81,40 @@ def turning() -> Model:
 
 def test_the_track_of_a_circle_is_a_circle_and_its_room_the_diameter() -> None:
     """At 2 m/s and 0.05 rad/s the radius is 40 m, all of it to starboard."""
-    run = Experiment("turn", Piecewise("rudder", [0.0], [0.5]), duration=130.0, sample_time=0.5,
-                     initial={"u": 2.0, "r": 0.05})  # fmt: skip
-    found = plausible_tracks(turning(), run, rng=np.random.default_rng(0), spread=0.01,
-                             n_vehicles=3, length=10.0)  # fmt: skip
+    run = Experiment(
+        "turn",
+        Piecewise("rudder", [0.0], [0.5]),
+        duration=130.0,
+        sample_time=0.5,
+        initial={"u": 2.0, "r": 0.05},
+    )
+    found = predicted_tracks(
+        turning(), run, rng=np.random.default_rng(0), spread=0.01, n_vehicles=3, length=10.0
+    )
     assert found is not None
     assert not found.is_vertical
     centre = found.nominal - np.array([0.0, 40.0])
     np.testing.assert_allclose(np.hypot(*centre.T), 40.0, atol=0.15)
     np.testing.assert_allclose(found.room, [[-40, 40], [0, 80]], atol=1.5)
     assert any("L)" in words for words in found.words())
-    assert plausible_tracks(ship(), RUN, rng=np.random.default_rng(0)) is None
+    assert predicted_tracks(ship(), RUN, rng=np.random.default_rng(0)) is None
 
 
 def test_waves_push_the_vehicles_of_the_search() -> None:
     """An uncertain vehicle in waves does what the simulator says of it with the same forces."""
     model = ship()
-    corridor = Corridor.of(model, LIMITS, {}, kernel(model).n_full)
+    bounds = LimitBounds.of(model, LIMITS)
     rng = np.random.default_rng(1)
     waves = in_waves([model, model], replace(RUN, limits=Limits()), SEA, rng)
-    guards = Guards([model, model], RUN.times, np.array([0]), np.zeros(2), corridor, waves=waves)
+    scenarios = Scenarios(
+        [model, model], RUN.times, np.array([0]), np.zeros(2), bounds, waves=waves
+    )
     commands = simulate(model, RUN, noise=False).inputs
-    seen = [guards.run(index, commands).signals[:, 0] for index in (0, 1)]
+    seen = [scenarios.run(index, commands).signals[:, 0] for index in (0, 1)]
     for (vehicle, forces), signal in zip(waves, seen, strict=True):
         assert forces.std() == pytest.approx(0.01, rel=0.6)
-        run = simulate_inputs(vehicle, RUN.times, inputs=np.hstack([commands, forces]),
-                              initial={})  # fmt: skip
-        np.testing.assert_allclose(signal, run.signal(corridor.names[0]), atol=1e-12)
+        run = simulate_inputs(vehicle, RUN.times, inputs=np.hstack([commands, forces]), initial={})
+        np.testing.assert_allclose(signal, run.signal(bounds.names[0]), atol=1e-12)
     assert np.abs(seen[0] - seen[1]).max() > 1e-3
 
 
@@ -108,9 +122,10 @@ def test_other_structures_count_among_the_vehicles() -> None:
     """Where one of two structures leaves the limits on every vehicle, half of all vehicles do."""
     push = Force("push", {"r": "E_push"}, (Parameter("E_push", 0.3, fixed=True),))
     pushed = ship() + push
-    found = assess_limits(ship(), RUN, rng=np.random.default_rng(0), spread=0.01, n_vehicles=20,
-                          others=[pushed])  # fmt: skip
-    alone = assess_limits(ship(), RUN, rng=np.random.default_rng(0), spread=0.01, n_vehicles=20)
+    found = assess_limits(
+        ship(), RUN, rng=np.random.default_rng(0), spread=0.01, vehicles=20, others=[pushed]
+    )
+    alone = assess_limits(ship(), RUN, rng=np.random.default_rng(0), spread=0.01, vehicles=20)
     assert alone.n_kept == 20
     assert found.n_kept == 10
 
@@ -118,7 +133,7 @@ def test_other_structures_count_among_the_vehicles() -> None:
 def test_abort_rules_fire_as_often_as_vehicles_pass_them() -> None:
     """A rule stands at nine tenths of its limit, and its rate is what simulations count."""
     strong = replace(RUN, manoeuvre=Doublet("rudder", 0.2, pulse_time=10.0))
-    found = assess_limits(ship(), strong, rng=np.random.default_rng(0), spread=0.4, n_vehicles=60)
+    found = assess_limits(ship(), strong, rng=np.random.default_rng(0), spread=0.4, vehicles=60)
     (rule,) = (one for one in found.rules if one.signal == "psi")
     assert rule.limited
     assert rule.upper == pytest.approx(0.9 * LIMITS.signals["psi"][1])
@@ -182,8 +197,9 @@ def test_overrides_hold_the_commands(design: Design, tmp_path) -> None:
     ends = LIMITS.inputs["rudder"]
     servo = Servo(3, *ends)
     times, inputs = design.trajectory.times, design.trajectory.inputs
-    path = write_overrides(tmp_path / "o.csv", design.model, times, inputs,
-                           servos={"rudder": servo})  # fmt: skip
+    path = write_overrides(
+        tmp_path / "o.csv", design.model, times, inputs, servos={"rudder": servo}
+    )
     table = np.genfromtxt(path, delimiter=",", skip_header=1)
     rows = np.searchsorted(table[:, 0], np.rint(1000 * times), side="right") - 1
     angles = ends[0] + (table[rows, 1] - 1100) / 800 * (ends[1] - ends[0])

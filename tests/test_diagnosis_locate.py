@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from diving_plane import PROBLEM, records
 
-from oed_sysid.compiled.kernels import kernel
-from oed_sysid.evidence.locate import along_fit, locate
+from oed_sysid.evidence.locate import locate
+from oed_sysid.evidence.residual_forces import let_in
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.disturbances import places
-from oed_sysid.likelihood.linearisation import System
 from oed_sysid.physics import Force
 from oed_sysid.physics.parameters import Parameter
 
@@ -91,43 +90,15 @@ def test_places_cover_the_chain_of_any_model() -> None:
     assert found["sensor z"] == "m"
 
 
-def test_smoothed_trajectory_is_near_the_measurements(drag) -> None:  # type: ignore[no-untyped-def]
-    """The trajectory of linearisation follows the records where the model itself does not."""
+def test_filtered_trajectory_is_near_the_measurements(drag) -> None:  # type: ignore[no-untyped-def]
+    """The path of the filter follows the records where the model itself does not."""
     train, study, fit = drag
-    linear, dataset = along_fit(fit, study.unit)
-    assert len(dataset) == len(train)
+    problem, unknowns = let_in(fit, study.unit)
     noise = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
-    for index, (record, stretch) in enumerate(zip(train, linear.stretches, strict=True)):
-        run, _, _ = fit.problem.kernel.simulate(
-            record.times,
-            record.inputs,
-            fit.problem.values(fit.point.unknowns, index),
-            fit.initial[index],
-        )
-        own = np.sqrt(np.mean(((record.outputs - run) / noise) ** 2))
-        smoothed = np.sqrt(np.mean(((record.outputs - stretch.states) / noise) ** 2))
-        assert smoothed < 1.05
-        assert own > smoothed
-
-
-def test_linear_model_predicts_its_own_columns(drag) -> None:  # type: ignore[no-untyped-def]
-    """Sensitivities along the model's own trajectory equal those of the whole simulation."""
-    train, _, fit = drag
-    model = fit.problem.model.with_values(fit.values)
-    compiled = kernel(model)
-    runs = []
-    for record, own in zip(train, fit.initial, strict=True):
-        z0, _ = compiled.start(own, record.inputs[0], model.value_vector, record.times[0])
-        runs.append(
-            compiled.run(record.times, record.inputs, model.value_vector, z0, sensitivities=True)
-        )
-    system = System.of(model, model.free_names, train)
-    linear = system.linearise([run.states for run in runs], fit.noise)
-    for stretch, run in zip(linear.stretches, runs, strict=True):
-        assert run.output_sensitivities is not None
-        np.testing.assert_allclose(
-            stretch.columns[:, :, : len(model.free_names)],
-            run.output_sensitivities[:, :, 5:],
-            rtol=1e-6,
-            atol=1e-8,
-        )
+    for index, part in enumerate(problem.passes(unknowns, columns=False)):
+        record = train[index]
+        alone, _, _ = problem.alone(unknowns, index)
+        own = np.sqrt(np.mean(((record.outputs - alone) / noise) ** 2))
+        followed = np.sqrt(np.mean(((record.outputs - part.path[:, :5]) / noise) ** 2))
+        assert followed < 1.05
+        assert own > followed

@@ -9,12 +9,11 @@ import pytest
 from diving_plane import PROBLEM, records
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, load_problem
-from oed_sysid.compiled.kernels import kernel
 from oed_sysid.evidence.dictionary import Signal, Term, signals_along, terms
 from oed_sysid.evidence.propose import propose, term_scores
+from oed_sysid.evidence.residual_forces import let_in
 from oed_sysid.evidence.study import Study
-from oed_sysid.likelihood.linearisation import System
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.text.units import same_dimension
 
 VEHICLE = (
@@ -74,45 +73,28 @@ def test_coefficients_get_another_name_where_theirs_is_taken() -> None:
     assert term.effect(PROBLEM.model, UNITS, 1.0).parameters[0].name == "E_M_uq"
 
 
-def test_responses_are_sensitivities() -> None:
-    """Along the model's own trajectory a term's column is the kernel's derivative by it."""
+def test_scores_are_those_of_the_wider_model() -> None:
+    """A term's statistic is what its column on a filter that holds it as a parameter gives."""
     train, _, _ = records(1, duration=20.0)
     term = Term("M", "abs(q)*q", (("q", True), ("q", False)))
     effect = term.effect(PROBLEM.model, UNITS, 1.0)
-    _, fit = Study.begin(PROBLEM.model, train, None, (), known_noise=True)
-    base = PROBLEM.model.with_values(fit.values)
-    names = base.free_names
-    wide = base + effect
-    compiled, runs = kernel(wide), []
-    for record, own in zip(train, fit.initial, strict=True):
-        z0, first = compiled.start(own, record.inputs[0], wide.value_vector, record.times[0])
-        assert np.array_equal(first[:, :5], np.eye(5))
-        runs.append(
-            compiled.run(record.times, record.inputs, wide.value_vector, z0, sensitivities=True)
-        )
-    system = System.of(base, names, train)
-    quiet = NoiseModel(fit.noise.white, np.zeros(5), np.zeros(3))
-    linear = system.linearise([run.states for run in runs], quiet)
-    nodes = [run.states for run in runs]
-    found = term_scores(linear, signals_along(system.model, train, nodes))
+    study, fit = Study.begin(PROBLEM.model, train, None, (), known_noise=True)
+    problem, unknowns = let_in(fit, study.unit)
+    found, _ = term_scores(problem, unknowns)
     score = next(s for s in found.scores if s.term == term)
-    jacobians = [run.output_sensitivities for run in runs]
-    column = np.concatenate([(j[:, :, -1] / quiet.white).ravel() for j in jacobians])  # type: ignore[index]
-    known = np.zeros((len(column) + len(names), len(names) + 5 * len(runs)))
-    begin = 0
-    for index, jacobian in enumerate(jacobians):
-        part = jacobian[:, :, :-1] / quiet.white[:, None]  # type: ignore[index]
-        rows = part.reshape(-1, part.shape[2])
-        block = slice(begin, begin + len(rows))
-        known[block, : len(names)] = rows[:, 5:]
-        known[block, len(names) + 5 * index : len(names) + 5 * (index + 1)] = rows[:, :5]
-        begin += len(rows)
-    for position, name in enumerate(names):
-        known[begin + position, position] = 1.0 / PROBLEM.model.parameter(name).prior_std  # type: ignore[operator]
-    column = np.concatenate([column, np.zeros(len(names))])
-    scaled = known / np.linalg.norm(known, axis=0)
-    left = column - scaled @ np.linalg.lstsq(scaled, column, rcond=None)[0]
-    assert 1.0 / score.std_error == pytest.approx(np.linalg.norm(left), rel=0.02)
+    model = problem.model + effect
+    wide = Filtered(model, train, problem.levels)
+    point = wide.point(fit.initial).unknowns
+    matrix, right = wide.gathered(point, wide.passes(point))
+    limits = wide.limits
+    matrix = matrix + np.diag(limits.prior_weight)
+    right = right + limits.prior_weight * (limits.prior_mean - point)
+    at = wide.layout.free_names.index(effect.parameters[0].name)
+    size = 1.0 / np.sqrt(np.diag(matrix))
+    inverse = size[:, None] * np.linalg.inv(matrix * size[:, None] * size) * size
+    # Terms are evaluated halfway between samples, and held over the step.
+    assert score.std_error == pytest.approx(np.sqrt(inverse[at, at]), rel=0.03)
+    assert score.estimate == pytest.approx(float(inverse[at] @ right), abs=0.05 * score.std_error)
 
 
 def test_a_cubic_damping_is_proposed_with_its_value() -> None:

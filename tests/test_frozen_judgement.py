@@ -13,7 +13,7 @@ from turning_ship import CANDIDATES, SHIP, dataset
 import oed_sysid
 from benchmarks.compatibility_logs import spoil
 from oed_sysid import Dataset, DOptimal, Limits, design_experiment, diagnose, improve
-from oed_sysid.design import Levels
+from oed_sysid.design import Levels, Search, Trial
 
 AUV = "remus_diving_plane"
 SPOILT = ("theta_sign", "q_deg", "spikes", "fin_sign", "q_bias", "u_scale", "z_late", "w_lever")
@@ -94,15 +94,10 @@ def test_design() -> None:
     )
     found = design_experiment(
         SHIP,
-        limits=limits,
-        duration=40.0,
-        sample_time=0.5,
+        Trial(limits=limits, duration=40.0, sample_time=0.5),
         rng=np.random.default_rng(5),
         criterion=DOptimal(),
-        parametrisation=Levels(n_levels=8),
-        n_starts=1,
-        n_candidates=12,
-        n_steps=6,
+        search=Search(family=Levels(n_levels=8), n_starts=1, n_candidates=12, n_steps=6),
     )
     told = found.to_dict()
     kept = {key: told[key] for key in ("criterion", "parametrisation", "value", "parameters")}

@@ -217,7 +217,7 @@ def test_settings_without_equality_keep_nothing(tmp_path: Path) -> None:
 def test_refinement_resumes_in_the_middle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cut off between two linearisations, a refinement ends where the whole one ends."""
     from oed_sysid import load_problem
-    from oed_sysid.design import design_experiment
+    from oed_sysid.design import Search, Trial, design_experiment
     from oed_sysid.runtime import journal as module
 
     monkeypatch.setattr(module, "EVERY", 0.0)
@@ -233,10 +233,13 @@ def test_refinement_resumes_in_the_middle(tmp_path: Path, monkeypatch: pytest.Mo
                 raise KeyboardInterrupt
 
         found = design_experiment(
-            problem.model, limits=problem.limits, duration=40.0, sample_time=0.5,
-            rng=np.random.default_rng(4), n_starts=1, n_candidates=5, n_steps=6, n_workers=1,
-            progress=count, journal=journal,
-        )  # fmt: skip
+            problem.model,
+            Trial(limits=problem.limits, duration=40.0, sample_time=0.5),
+            rng=np.random.default_rng(4),
+            progress=count,
+            journal=journal,
+            search=Search(n_starts=1, n_candidates=5, n_steps=6, n_workers=1),
+        )
         return found.value, found.n_evaluations
 
     whole = run(None, -1)

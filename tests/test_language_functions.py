@@ -21,7 +21,7 @@ from oed_sysid import (
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.archive import decode, encode
-from oed_sysid.testing.effect_contract import check_effect
+from oed_sysid.testing.problem_contract import check_effect
 from oed_sysid.text import expressions
 from oed_sysid.text.callables import interpolate
 

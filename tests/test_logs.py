@@ -19,9 +19,7 @@ from log_writers import (
 
 from oed_sysid import Channels, Dataset, Input, Output, new_problem, read_csv
 from oed_sysid.cli import main
-from oed_sysid.data.cuts import CommandCuts, Cut
-from oed_sysid.data.derived import euler_angles, local_position
-from oed_sysid.data.log import assemble
+from oed_sysid.data.log import assemble, euler_angles, local_position
 from oed_sysid.data.logs import (
     LogMapping,
     Source,
@@ -31,7 +29,7 @@ from oed_sysid.data.logs import (
     open_log,
     read_mapping,
 )
-from oed_sysid.data.mapping import parse
+from oed_sysid.data.mapping import CommandCuts, Cut, parse
 from oed_sysid.errors import DataError
 
 VOYAGE = Voyage.short()

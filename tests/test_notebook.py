@@ -10,7 +10,7 @@ import pytest
 from bs4 import BeautifulSoup
 
 from oed_sysid import MultipleShooting, compare, improve, load_problem, new_problem
-from oed_sysid.design import design_experiment
+from oed_sysid.design import Search, Trial, design_experiment
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.log_check import quick_check
 from oed_sysid.results.notebook import html
@@ -26,9 +26,11 @@ def _story(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
         problem.model, train, test, candidates=problem.effects, known_noise=True, max_effects=1
     )
     design = design_experiment(
-        problem.model, limits=problem.limits, duration=40.0, sample_time=1.0,
-        rng=np.random.default_rng(0), n_starts=1, n_candidates=3, n_steps=1,
-    )  # fmt: skip
+        problem.model,
+        Trial(limits=problem.limits, duration=40.0, sample_time=1.0),
+        rng=np.random.default_rng(0),
+        search=Search(n_starts=1, n_candidates=3, n_steps=1),
+    )
     return {
         "model": problem.model,
         "record": test.records[0],

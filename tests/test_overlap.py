@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from yaw_vehicle import NOISE, yaw_record
 
-from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
-from oed_sysid.data.overlap import check_disjoint, overlap
+from oed_sysid.data.dataset import Dataset, Record, check_disjoint, overlap, read_csv, write_csv
 from oed_sysid.errors import DataError
 
 STEP, SAMPLES = 0.5, 200

@@ -17,6 +17,7 @@ from oed_sysid import (
     new_problem,
 )
 from oed_sysid.cli import DONE, main
+from oed_sysid.design import Search, Trial
 from oed_sysid.errors import ProblemError
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.experiments.starter import TEMPLATES
@@ -53,18 +54,18 @@ def test_template_fits_improves_and_designs(tmp_path: Path, template: str) -> No
     command, held, start = DESIGNED[template]
     design = design_experiment(
         fit.model,
+        Trial(
+            limits=problem.limits,
+            duration=20.0,
+            sample_time=0.5,
+            inputs=[command],
+            constants=held,
+            neutral={command: 60.0} if template == "usv" else None,
+            initial=start,
+        ),
         criterion=DOptimal(),
-        limits=problem.limits,
-        duration=20.0,
-        sample_time=0.5,
         rng=np.random.default_rng(2),
-        inputs=[command],
-        constants=held,
-        initial=start,
-        neutral={command: 60.0} if template == "usv" else None,
-        n_starts=1,
-        n_candidates=12,
-        n_steps=5,
+        search=Search(n_starts=1, n_candidates=12, n_steps=5),
     )
     record = simulate(fit.model, design.experiment, noise=False)
     low, high = problem.limits.inputs[command]

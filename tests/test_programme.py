@@ -8,9 +8,18 @@ import numpy as np
 import pytest
 from test_design import LIMITS, ship
 
-from oed_sysid import Experiment, NoiseModel
+from oed_sysid import Experiment, Limits, NoiseModel, design
 from oed_sysid.cli.answers import of_programme
-from oed_sysid.design import AOptimal, DOptimal, Programme, candidate_runs, design_programme
+from oed_sysid.design import (
+    AOptimal,
+    Budget,
+    DOptimal,
+    Knowledge,
+    Programme,
+    ProgrammeSearch,
+    candidate_runs,
+    design_programme,
+)
 from oed_sysid.design.allocation import Library, enumerated, select, weights
 from oed_sysid.design.criteria import Setting
 from oed_sysid.design.vehicles import draw_models
@@ -136,9 +145,15 @@ def test_all_runs_together_keep_their_limits_on_as_many_vehicles_as_wanted() -> 
     """The share is of vehicles on which every run keeps them, so it is below that of any run."""
     narrow = replace(LIMITS, signals={"psi": (-0.5, 0.5)})
     found = design_programme(
-        ship(), PATTERN, limits=narrow, rng=np.random.default_rng(2), n_runs=3, noise=SEA,
-        spread=0.3, turnaround=300.0, n_draws=1, n_vehicles=4, n_rounds=0, certainty=0.9,
-    )  # fmt: skip
+        ship(),
+        PATTERN,
+        limits=narrow,
+        rng=np.random.default_rng(2),
+        certainty=0.9,
+        budget=Budget(n_runs=3, turnaround=300.0),
+        search=ProgrammeSearch(n_draws=1, n_vehicles=4, n_rounds=0),
+        knowledge=Knowledge(noise=SEA, spread=0.3),
+    )
     shares = [one.probability for one in found.assurances.values()]
     masks = np.array([one.kept for one in found.assurances.values()])
     assert found.limited
@@ -151,9 +166,14 @@ def test_all_runs_together_keep_their_limits_on_as_many_vehicles_as_wanted() -> 
 def _programme() -> Programme:
     """A programme of half an hour and four runs at most, under random forces."""
     return design_programme(
-        ship(), PATTERN, limits=LIMITS, rng=np.random.default_rng(1), hours=0.5, n_runs=4,
-        noise=SEA, spread=0.1, turnaround=300.0, n_draws=2, n_vehicles=6,
-    )  # fmt: skip
+        ship(),
+        PATTERN,
+        limits=LIMITS,
+        rng=np.random.default_rng(1),
+        budget=Budget(hours=0.5, n_runs=4, turnaround=300.0),
+        search=ProgrammeSearch(n_draws=2, n_vehicles=6),
+        knowledge=Knowledge(noise=SEA, spread=0.1),
+    )
 
 
 def test_programme_keeps_to_its_budget_and_states_what_it_is_worth(programme: Programme) -> None:
@@ -214,9 +234,15 @@ def test_refined_commands_keep_the_rate_at_the_samples_of_the_run() -> None:
     slow = replace(LIMITS, rates={"rudder": 0.05}, signals={"psi": (-1.5, 1.5)})
     long = replace(PATTERN, duration=200.0)
     found = design_programme(
-        ship(), long, limits=slow, rng=np.random.default_rng(1), n_runs=2, noise=SEA, spread=0.05,
-        n_draws=1, n_vehicles=4, kinds=("zigzag",), criterion=DOptimal(),
-    )  # fmt: skip
+        ship(),
+        long,
+        limits=slow,
+        rng=np.random.default_rng(1),
+        criterion=DOptimal(),
+        budget=Budget(n_runs=2),
+        search=ProgrammeSearch(kinds=("zigzag",), n_draws=1, n_vehicles=4),
+        knowledge=Knowledge(noise=SEA, spread=0.05),
+    )
     refined = [run for run in found.candidates if run.kind == "designed"]
     assert refined
     for run in refined:
@@ -236,16 +262,15 @@ def test_programme_writes_every_run(programme: Programme, tmp_path) -> None:
 
 def test_sensors_are_chosen_by_what_they_cost() -> None:
     """A gyro that costs nothing is taken, one that costs all the time is not."""
-    settings = {
-        "limits": LIMITS, "hours": 0.5, "noise": SEA, "spread": 0.1, "turnaround": 300.0,
-        "n_draws": 1, "n_vehicles": 4, "n_rounds": 0, "kinds": ("zigzag", "3-2-1-1"),
-    }  # fmt: skip
+    few = ProgrammeSearch(kinds=("zigzag", "3-2-1-1"), n_draws=1, n_vehicles=4, n_rounds=0)
     found = [
         design_programme(
-            ship(), PATTERN, rng=np.random.default_rng(1), sensors={"r": cost}, **settings
+            ship(), PATTERN, limits=LIMITS, rng=np.random.default_rng(1), search=few,
+            budget=Budget(hours=0.5, turnaround=300.0, sensors={"r": cost}),
+            knowledge=Knowledge(noise=SEA, spread=0.1),
         )
         for cost in (0.0, 0.4)
-    ]
+    ]  # fmt: skip
     assert found[0].outputs == ("psi", "r")
     assert found[1].outputs == ("psi",)
     assert found[0].sensor_options["none"][1] < 1.0 < found[1].sensor_options["none"][1] + 1e-9
@@ -253,13 +278,28 @@ def test_sensors_are_chosen_by_what_they_cost() -> None:
 
 def test_impossible_programmes_are_named() -> None:
     """No time, no kind, no end: each is said with what to do."""
-    settings = {"limits": LIMITS, "rng": np.random.default_rng(0), "spread": 0.1, "n_vehicles": 2}
+
+    def planned(hours: float, limits: Limits = LIMITS, kind: str = "zigzag") -> Programme:
+        return design_programme(
+            ship(), PATTERN, limits=limits, rng=np.random.default_rng(0), budget=Budget(hours),
+            search=ProgrammeSearch(kinds=(kind,), n_vehicles=2), knowledge=Knowledge(spread=0.1),
+        )  # fmt: skip
+
     with pytest.raises(DesignError, match="Not even the shortest run"):
-        design_programme(ship(), PATTERN, hours=0.1, kinds=("zigzag",), **settings)
-    with pytest.raises(DesignError, match="Give hours, a number of runs"):
-        design_programme(ship(), PATTERN, kinds=("zigzag",), **settings)
+        planned(0.1)
+    with pytest.raises(DesignError, match="programme needs an end"):
+        Budget()
     with pytest.raises(DesignError, match="no kind of run 'crash'"):
-        design_programme(ship(), PATTERN, hours=1.0, kinds=("crash",), **settings)
-    narrow = replace(LIMITS, signals={"psi": (0.1, 0.2)})
+        planned(1.0, kind="crash")
     with pytest.raises(DesignError, match="No run of any kind"):
-        design_programme(ship(), PATTERN, hours=1.0, **{**settings, "limits": narrow})
+        planned(1.0, replace(LIMITS, signals={"psi": (0.1, 0.2)}))
+
+
+def test_arguments_that_are_gone_say_the_new_spelling() -> None:
+    """An old script is told what to write, for arguments and for names."""
+    with pytest.raises(DesignError, match=r"'hours'. Write budget=Budget\(hours=...\)"):
+        design_programme(ship(), PATTERN, limits=LIMITS, hours=1.0)  # type: ignore[call-arg]
+    with pytest.raises(DesignError, match=r"trial=Trial\(duration=...\); search=Search\(n_starts"):
+        design.design_experiment(ship(), duration=40.0, n_starts=1)  # type: ignore[call-arg]
+    with pytest.raises(AttributeError, match="Reveal is Detect now"):
+        _ = design.Reveal

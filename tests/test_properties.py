@@ -27,9 +27,9 @@ from oed_sysid.physics import Force
 from oed_sysid.physics.channels import Channels, Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.text import expressions, grammar, notation, units
+from oed_sysid.text import expressions, notation, units
 from oed_sysid.text.dimensions import dimension_of
-from oed_sysid.text.unit_table import OFFSETS, UNITS
+from oed_sysid.text.units import OFFSETS, UNITS
 
 few = settings(max_examples=40, deadline=None, derandomize=True)
 # -- units -----------------------------------------------------------------------------
@@ -206,8 +206,8 @@ def test_refused_where_they_are_written(text: str) -> None:
 
 def test_deepest_expression_still_works() -> None:
     """At the limit of depth every use of an expression still has stack enough."""
-    text = "+".join(["u"] * (grammar.DEEPEST - 2))
-    assert float(expressions.to_numpy(text, {"u": 1.0})) == grammar.DEEPEST - 2
+    text = "+".join(["u"] * (expressions.DEEPEST - 2))
+    assert float(expressions.to_numpy(text, {"u": 1.0})) == expressions.DEEPEST - 2
     assert expressions.to_text(text)
     assert expressions.to_latex(text)
     assert str(dimension_of(text, {"u": units.dimension("m")})) == "m"

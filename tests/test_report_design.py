@@ -10,7 +10,7 @@ from test_design import ship
 from test_sensitivity import oscillator, roll_test
 
 from oed_sysid import Limits
-from oed_sysid.design import Levels, design_experiment
+from oed_sysid.design import Levels, Search, Trial, design_experiment
 from oed_sysid.experiments.simulation import equilibrium
 from oed_sysid.information import bode, excitation_spectrum, rank_parameters
 from oed_sysid.results import figure_design, plot_accuracy, plot_bode, plot_sensitivity
@@ -31,9 +31,11 @@ def test_design_figure_draws_commands_limits_and_errors(tmp_path: Path) -> None:
     """The figure can be written, and the accuracy shown is the design's."""
     limits = Limits(inputs={"rudder": (-0.35, 0.35)}, signals={"psi": (-0.6, 0.6)})
     design = design_experiment(
-        ship(), limits=limits, duration=30.0, sample_time=0.5, parametrisation=Levels(8),
-        n_starts=1, n_candidates=5, n_steps=3, n_workers=1, rng=np.random.default_rng(0),
-    )  # fmt: skip
+        ship(),
+        Trial(limits=limits, duration=30.0, sample_time=0.5),
+        rng=np.random.default_rng(0),
+        search=Search(family=Levels(8), n_starts=1, n_candidates=5, n_steps=3, n_workers=1),
+    )
     figure = figure_design(design)
     figure.savefig(tmp_path / "design.png")
     assert (tmp_path / "design.png").stat().st_size > 10_000

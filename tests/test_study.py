@@ -12,8 +12,9 @@ from oed_sysid.evidence.score import two_sided
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.linearisation import System
+from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.smoother import Path
 from oed_sysid.physics import sensor_bias
 
 N3 = -15.0
@@ -28,26 +29,34 @@ def flow(state: np.ndarray, rudder: float, push: float) -> np.ndarray:
     return solve_ivp(rate, (0.0, SAMPLE), state, rtol=1e-11, atol=1e-13).y[:, -1]
 
 
-def test_deviations_are_derivatives_of_the_step() -> None:
+def test_moves_of_the_filter_are_derivatives_of_the_step() -> None:
     """Transition and force gain equal central differences of a tight adaptive integrator."""
     data = dataset(0, N3, 1)
     model = (SHIP + CUBIC).with_values({"K": 0.5, "T": 4.0, "n3": N3})
-    states = data[0].outputs * 1.0
-    system = System.of(model, model.free_names, data)
-    stretch = system.linearise([states], NoiseModel.white_only(NOISE)).stretches[0]
-    force = [place.name for place in system.where].index("force r")
+    nothing = np.zeros(2, dtype=bool)
+    noise = NoiseModel(NOISE, np.zeros(2), np.array([1e-3]), 1.0, 2.0, ("psi", "r"), ("force r",))
+    levels = Levels.of(
+        noise, noise, ["disturbance_force_r"], white=nothing, colour=nothing, force=nothing[:1]
+    )
+    problem = Filtered(model, data, levels)
+    unknowns = problem.point([data[0].outputs[0]]).unknowns
+    part = problem.passes(unknowns, columns=False, gains=True, moves=True)[0]
+    path = Path.of(part)
+    assert part.moves is not None
     size = 1e-4
     for k in (10, 77, 150, 280):
+        state, push = part.path[k, :2], part.path[k, 2]
         rudder = float(data[0].inputs[k, 0])
         for column in range(2):
             move = size * np.eye(2)[column]
-            slope = (flow(states[k] + move, rudder, 0) - flow(states[k] - move, rudder, 0)) / (
-                2 * size
-            )
-            np.testing.assert_allclose(stretch.transition[k, :, column], slope, atol=1e-5)
-        slope = (flow(states[k], rudder, size) - flow(states[k], rudder, -size)) / (2 * size)
-        np.testing.assert_allclose(stretch.gains[k, :, force], slope, atol=1e-5)
-    np.testing.assert_allclose(stretch.output[3], np.eye(2), atol=1e-12)
+            ends = [flow(state + sign * move, rudder, push) for sign in (1, -1)]
+            slope = (ends[0] - ends[1]) / (2 * size)
+            np.testing.assert_allclose(part.moves[k, :2, column], slope, atol=1e-5)
+        ends = [flow(state, rudder, push + sign * size) for sign in (1, -1)]
+        np.testing.assert_allclose(
+            path.drive[k, :2, 0], (ends[0] - ends[1]) / (2 * size), atol=1e-5
+        )
+    np.testing.assert_allclose(part.gains[3, :, 0, :2], np.eye(2), atol=1e-12)  # type: ignore[index]
 
 
 def test_only_equations_with_parameters_are_disturbed() -> None:

@@ -6,8 +6,8 @@ import streamlit as st
 
 from oed_sysid.app import visit
 from oed_sysid.app.commands import factor, shown
-from oed_sysid.data.cuts import CommandCuts, Cut
 from oed_sysid.data.logs import LogMapping, Source
+from oed_sysid.data.mapping import CommandCuts, Cut
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.physics.channels import Input, Output

@@ -90,7 +90,14 @@ def rank(study: Study, experiments: tuple[str, ...], tell: Tell) -> Outcome:
 
 def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
     """Design the manoeuvre that tells most, within the limits."""
-    from oed_sysid.design import Caution, Discriminate, assess_limits, design_experiment
+    from oed_sysid.design import (
+        Caution,
+        Discriminate,
+        Search,
+        Trial,
+        assess_limits,
+        design_experiment,
+    )
     from oed_sysid.results import design_page
 
     problem = study.problem
@@ -100,23 +107,17 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
         criterion: Any = Discriminate([problem.effect(name) for name in wish.rivals])
     else:
         criterion = _choice("criterion", wish.criterion, _criteria())
-    n_starts, n_candidates, n_steps = _choice("effort", wish.effort, EFFORTS)
     limits = limits_of(problem.limits, wish)
     spread = None if wish.after_fit else UNCERTAINTY
     result = design_experiment(
         nominal,
-        limits=limits,
-        duration=wish.duration,
-        sample_time=pattern.sample_time,
+        Trial.like(pattern, limits, duration=wish.duration),
         rng=np.random.default_rng(wish.seed),
         criterion=criterion,
-        parametrisation=_choice("family", wish.family, _families()),
-        constants=pattern.constants,
-        initial=pattern.initial,
+        search=Search(
+            _choice("family", wish.family, _families()), *_choice("effort", wish.effort, EFFORTS)
+        ),
         caution=None if wish.certainty is None else Caution(wish.certainty, spread),
-        n_starts=n_starts,
-        n_candidates=n_candidates,
-        n_steps=n_steps,
         progress=lambda state: tell(
             f"designing: start {state.start + 1}, round {state.round + 1}, {state.value:.4g}"
         ),
@@ -125,7 +126,7 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
         tell("simulating other vehicles")
         stated = assess_limits(
             result.model, result.experiment, limits=limits, spread=spread, prior=result.prior,
-            rng=np.random.default_rng(wish.seed), n_vehicles=200,
+            rng=np.random.default_rng(wish.seed), vehicles=200,
         )  # fmt: skip
         result = replace(result, assurance=stated)
     tell(DRAWING)
@@ -159,7 +160,7 @@ class ProgrammeWish:
 
 def programme(study: Study, wish: ProgrammeWish, tell: Tell) -> Outcome:
     """Plan several runs together: which, how often and in which order."""
-    from oed_sysid.design import design_programme
+    from oed_sysid.design import Budget, Knowledge, design_programme
     from oed_sysid.results import programme_page
 
     problem = study.problem
@@ -168,11 +169,9 @@ def programme(study: Study, wish: ProgrammeWish, tell: Tell) -> Outcome:
         list(problem.experiments.values()),
         limits=problem.limits,
         rng=np.random.default_rng(wish.seed),
-        hours=wish.hours,
-        n_runs=wish.runs,
+        budget=Budget(wish.hours, wish.runs, 60.0 * wish.turnaround),
         criterion=_choice("criterion", wish.criterion, _criteria()),
-        spread=spread_of(problem),
-        turnaround=60.0 * wish.turnaround,
+        knowledge=Knowledge(spread=spread_of(problem)),
         progress=tell,
     )
     tell(DRAWING)

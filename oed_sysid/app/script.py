@@ -103,7 +103,7 @@ def design(study: Study, wish: DesignWish) -> str:
     family = {"levels": "Levels", "multisine": "Multisines", "pulses": "Pulses"}[wish.family]
     if wish.rivals:
         rivals = ", ".join(f"problem.effect({name!r})" for name in wish.rivals)
-        criterion = f"oed_sysid.design.Discriminate([{rivals}])"
+        criterion = f"Discriminate([{rivals}])"
     else:
         criterion = f"oed_sysid.{wish.criterion}Optimal()"
     ranges = {name: (lower, upper) for name, lower, upper in wish.ranges}
@@ -111,11 +111,11 @@ def design(study: Study, wish: DesignWish) -> str:
     caution = ""
     if wish.certainty is not None:
         spread = None if wish.after_fit else UNCERTAINTY
-        caution = f"    caution=oed_sysid.design.Caution({wish.certainty!r}, {spread!r}),"
+        caution = f"    caution=Caution({wish.certainty!r}, {spread!r}),"
     return _lines(
         "from dataclasses import replace",
         "",
-        "import oed_sysid.design",
+        f"from oed_sysid.design import Caution, Discriminate, {family}, Search, Trial",
         "",
         f"pattern = problem.experiment({wish.like!r})",
         "limits = replace(",
@@ -128,12 +128,11 @@ def design(study: Study, wish: DesignWish) -> str:
         if wish.after_fit
         else "nominal = problem.model",
         "design = oed_sysid.design_experiment(",
-        f"    nominal, limits=limits, duration={wish.duration!r},",
-        f"    sample_time=pattern.sample_time, rng=np.random.default_rng({wish.seed}),",
-        f"    criterion={criterion}, parametrisation=oed_sysid.design.{family}(),",
-        "    constants=pattern.constants, initial=pattern.initial,",
+        f"    nominal, Trial.like(pattern, limits, duration={wish.duration!r}),",
+        f"    rng=np.random.default_rng({wish.seed}), criterion={criterion},",
+        f"    search=Search({family}(), n_starts={starts}, n_candidates={candidates}, "
+        f"n_steps={steps}),",
         *([caution] if caution else []),
-        f"    n_starts={starts}, n_candidates={candidates}, n_steps={steps},",
         ")",
         "print(design.report())",
         'design.write_csv(HERE / "design.csv")',
@@ -143,13 +142,14 @@ def design(study: Study, wish: DesignWish) -> str:
 def programme(study: Study, wish: ProgrammeWish) -> str:
     """Plan several runs."""
     return _lines(
-        "import oed_sysid.design",
+        "from oed_sysid.design import Budget, Knowledge, design_programme",
         "",
-        "programme = oed_sysid.design.design_programme(",
+        "programme = design_programme(",
         "    problem.model, list(problem.experiments.values()), limits=problem.limits,",
-        f"    rng=np.random.default_rng({wish.seed}), hours={wish.hours!r}, n_runs={wish.runs},",
-        f"    criterion=oed_sysid.{wish.criterion}Optimal(), spread={spread_of(study.problem)!r},",
-        f"    turnaround={60.0 * wish.turnaround!r},",
+        f"    budget=Budget({wish.hours!r}, {wish.runs}, {60.0 * wish.turnaround!r}),",
+        f"    knowledge=Knowledge(spread={spread_of(study.problem)!r}),",
+        f"    criterion=oed_sysid.{wish.criterion}Optimal(), "
+        f"rng=np.random.default_rng({wish.seed}),",
         ")",
         "print(programme.report())",
         'programme.write(HERE / "runs")',

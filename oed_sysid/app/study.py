@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.overlap import together
+from oed_sysid.data.dataset import Dataset, together
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.usual import equipped
 from oed_sysid.experiments.problem import Problem

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 from oed_sysid.app.jobs import Tell
 from oed_sysid.app.records import archive
 from oed_sysid.app.study import Study
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.overlap import together
+from oed_sysid.data.dataset import Dataset, together
 from oed_sysid.evidence.log_check import LogCheck, corrected_copies, quick_check
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 

@@ -80,7 +80,7 @@ def fit(
     [bold]Example[/bold]: oed-sysid fit remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv --save fit.json
     """
-    from oed_sysid.data.overlap import check_disjoint
+    from oed_sysid.data.dataset import check_disjoint
     from oed_sysid.evidence.compare import compare as compare_models
     from oed_sysid.evidence.log_check import quick_check
     from oed_sysid.experiments.problem import load_problem
@@ -146,7 +146,7 @@ def compare(
     [bold]Example[/bold]: oed-sysid compare remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv
     """
-    from oed_sysid.data.overlap import check_disjoint, together
+    from oed_sysid.data.dataset import check_disjoint, together
     from oed_sysid.evidence.compare import compare as compare_models
     from oed_sysid.evidence.log_check import quick_check
     from oed_sysid.evidence.usual import equipped

@@ -43,7 +43,7 @@ from oed_sysid.errors import DesignError, FileError, ProblemError
 if TYPE_CHECKING:
     from oed_sysid.cli.terminal import Shown
     from oed_sysid.data.dataset import Dataset
-    from oed_sysid.design import Design, Servo, Tracks
+    from oed_sysid.design import Design, PredictedTracks, Servo
     from oed_sysid.design.search import Progress as SearchProgress
     from oed_sysid.experiments.experiment import Experiment, Limits
     from oed_sysid.experiments.problem import Problem
@@ -250,10 +250,13 @@ def design(
     from oed_sysid.cli.limit_words import with_limits
     from oed_sysid.design import (
         Caution,
+        Knowledge,
+        Search,
+        Trial,
         accuracy_range,
         assess_limits,
         design_experiment,
-        plausible_tracks,
+        predicted_tracks,
         write_bag,
         write_overrides,
     )
@@ -273,26 +276,19 @@ def design(
     caution: Caution | str | None = "auto" if after and certainty is None else None
     if certainty:
         caution = Caution(certainty, spread)
-    n_starts, n_candidates, n_steps = _choice("effort", effort, EFFORTS)
+    n_starts, _, n_steps = _choice("effort", effort, EFFORTS)
     nominal = Fit.load(after) if after else chosen.model
     noise = _noise(chosen, nominal, sea)
     with journal(kept_in, fresh) as keep:
         with progress("Designing") as show:
             found = design_experiment(
                 nominal,
-                limits=limits,
-                duration=float(pattern.duration or 0.0) if duration is None else duration,
-                sample_time=pattern.sample_time,
+                Trial.like(pattern, limits, duration=duration),
                 rng=np.random.default_rng(seed),
                 criterion=_criterion(chosen, criterion, discriminate or [], reveal or []),
-                parametrisation=_family(family, avoid or []),
-                constants=pattern.constants,
-                initial=pattern.initial,
-                noise=noise,
+                search=Search(_family(family, avoid or []), *EFFORTS[effort]),
+                knowledge=Knowledge(noise=noise),
                 caution=caution,
-                n_starts=n_starts,
-                n_candidates=n_candidates,
-                n_steps=n_steps,
                 journal=keep,
                 progress=partial(_tell, show, n_starts, n_steps),
             )
@@ -300,7 +296,7 @@ def design(
                 show.say("simulating other vehicles")
                 stated = partial(
                     assess_limits, found.model, found.experiment, limits=limits, spread=spread,
-                    prior=found.prior, rng=np.random.default_rng(seed), n_vehicles=200,
+                    prior=found.prior, rng=np.random.default_rng(seed), vehicles=200,
                     sea=found.sea,
                 )  # fmt: skip
                 found = replace(found, assurance=keep.once("assurance", stated))
@@ -318,7 +314,7 @@ def design(
             note(f"Written: {out}")
         if card is not None and card.suffix.lower() in (".html", ".pdf"):
             show_track = partial(
-                plausible_tracks, found.model, found.experiment, spread=spread, sea=found.sea,
+                predicted_tracks, found.model, found.experiment, spread=spread, sea=found.sea,
                 prior=found.prior, rng=np.random.default_rng(seed), length=length,
             )  # fmt: skip
             _card(found, keep.once("track", show_track), card, chosen.title)
@@ -348,7 +344,7 @@ def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None
     show.share((done * n_steps + now.round + 1) / rounds, at_most=True)
 
 
-def _card(design: Design, tracks: Tracks | None, path: Path, title: str) -> None:
+def _card(design: Design, tracks: PredictedTracks | None, path: Path, title: str) -> None:
     """Write the card as a page or as one sheet of A4."""
     from oed_sysid.results import card_page, figure_card, save_figure
 
@@ -400,7 +396,7 @@ def _noise(problem: Problem, nominal: Any, sea: str | None) -> Any:
 
 
 def _criterion(problem: Problem, name: str, rivals: list[str], hidden: list[str]) -> Any:
-    from oed_sysid.design import AOptimal, Discriminate, DOptimal, EOptimal, Reveal
+    from oed_sysid.design import AOptimal, Detect, Discriminate, DOptimal, EOptimal
     from oed_sysid.evidence.usual import equipped
 
     if rivals and hidden:
@@ -412,9 +408,9 @@ def _criterion(problem: Problem, name: str, rivals: list[str], hidden: list[str]
     if hidden == ["all"]:
         if not problem.effects:
             raise DesignError(f"Problem {problem.name!r} has no candidate effect. Name none.")
-        return Reveal(problem.effects)
+        return Detect(problem.effects)
     if hidden:
-        return Reveal([problem.effect(one) for one in hidden])
+        return Detect([problem.effect(one) for one in hidden])
     return _choice("criterion", name, {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()})
 
 

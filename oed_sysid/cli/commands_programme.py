@@ -135,7 +135,7 @@ def programme(
     import numpy as np
 
     from oed_sysid.cli.commands_plan import _criterion, _noise
-    from oed_sysid.design import design_programme
+    from oed_sysid.design import Budget, Knowledge, ProgrammeSearch, design_programme
     from oed_sysid.experiments.problem import load_problem
     from oed_sysid.likelihood.fit import Fit
 
@@ -147,15 +147,14 @@ def programme(
             _patterns(chosen, patterns or []),
             limits=_limits(chosen, limit or []),
             rng=np.random.default_rng(seed),
-            hours=hours,
-            n_runs=runs,
+            budget=Budget(hours, runs, 60.0 * turnaround, _numbers("--sensor", sensor or [])),
             criterion=_criterion(chosen, criterion, discriminate or [], reveal or []),
-            noise=_noise(chosen, nominal, sea),
-            spread=_spread(chosen, uncertainty, after),
-            turnaround=60.0 * turnaround,
-            durations=None if duration is None else (duration,),
-            sensors=_numbers("--sensor", sensor or []),
-            n_rounds=rounds,
+            knowledge=Knowledge(
+                noise=_noise(chosen, nominal, sea), spread=_spread(chosen, uncertainty, after)
+            ),
+            search=ProgrammeSearch(
+                durations=None if duration is None else (duration,), n_rounds=rounds
+            ),
             progress=show.say,
         )
     answer(of_programme(found), found.report())

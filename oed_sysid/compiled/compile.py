@@ -48,7 +48,7 @@ def _compiler() -> str | None:
 _GENERATOR = (
     "compiled/graph.py",
     "text/expressions.py",
-    "text/grammar.py",
+    "text/expressions.py",
     "text/callables.py",
     "physics/structure.py",
     "compiled/generate.py",

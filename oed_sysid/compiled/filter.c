@@ -288,6 +288,20 @@ static inline void part_of_interval(const double *times, const double *input, in
 
 enum { FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME };
 
+/* target, the transition since a sample, after one more step; dense rows of size numbers. */
+static ONCE void keep_move(double *target, const transition_t *f, int step, double *product,
+                           double *turned)
+{
+    const int size = f->size, stride = round4(size);
+    memset(product, 0, sizeof(double) * (size_t)size * stride);
+    for (int i = 0; i < size; ++i)
+        for (int j = 0; j < size; ++j)
+            product[(size_t)i * stride + j] = step ? target[(size_t)i * size + j] : i == j;
+    move_rows(turned, f, product, stride);
+    for (int i = 0; i < size; ++i)
+        memcpy(target + (size_t)i * size, turned + (size_t)i * stride, sizeof(double) * size);
+}
+
 /* Doubles of scratch that kernel_filter needs. */
 size_t kernel_filter_work(int na, int more, int nq, int ncol, int nx, int nl)
 {
@@ -311,8 +325,10 @@ size_t kernel_filter_work(int na, int more, int nq, int ncol, int nx, int nl)
  * Results, each but gram may be NULL: gram ((nx + nl + 1)^2) the sum of [de e]'[de e]/S; level
  * (nl + nl^2) half gradient sum q(1 - e^2/S)/2 and sum q q'/2 of the levels, q = d log S;
  * e, s (n x NY) innovations, NaN where missing, and their variances; rows (n x NY x (nx + 2 nl)) of
- * de/sqrt(S), then q of the levels, missing samples included; path (n x (NZ + nq + ncol)) filtered means; gains (n x NY x 2 size) h, then g/S,
- * zero where missing; total (2) sums of log S and e^2/S.
+ * de/sqrt(S), then q of the levels, missing samples included; path (n x (NZ + nq + ncol)) filtered
+ * means; gains (n x NY x 2 size) h, then g/S, zero where missing; moves (n x (size + nq) x size) F
+ * towards the next sample, zero at the last one, and below it the rows of the disturbances in P-;
+ * total (2) sums of log S and e^2/S.
  * Returns -1, or the first sample at which something is not finite or S is not positive.
  */
 int kernel_filter(int n, const double *times, const double *inputs, const double *p0, double h_max,
@@ -322,10 +338,12 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                   const int *c_output, const double *c_variance, const double *c_time,
                   const double *measured, int nl, const int *l_kind, const int *l_index,
                   double *gram_out, double *level_out, double *e_out, double *s_out,
-                  double *rows_out, double *path_out, double *gains_out, double *total, double *work)
+                  double *rows_out, double *path_out, double *gains_out, double *moves_out, double *total,
+                  double *work)
 {
     const int m = na + nq, size = m + ncol, stride = round4(size), sx = round4(nx);
     const int width = nx + nl + 1, wide = round4(width), lanes = round4(nl);
+    const size_t block_moves = (size_t)(size + nq) * size;
     const size_t block = (size_t)size * stride, pairs = (size_t)size * (size + 1) / 2 * lanes;
     double *P = work, *product = P + block, *turned = product + block, *dP = turned + block;
     double *dPnext = dP + pairs, *dm = dPnext + pairs, *dmnext = dm + (size_t)size * lanes;
@@ -373,6 +391,10 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         for (int i = 0; i < NZ; ++i) check += z[i];
         if (!isfinite(check)) return k;
         memcpy(seen, z, sizeof z);
+        if (moves_out)
+            for (int j = 0; j < nq; ++j)
+                memcpy(moves_out + (size_t)k * block_moves + (size_t)(size + j) * size,
+                       P + (size_t)(na + j) * stride, sizeof(double) * size);
         for (int i = 0; i < NZ; ++i)
             for (int j = 0; j < ACTIVE; ++j) s[i][j] = 0.0;
         for (int i = 0; i < na; ++i) s[uncertain[i]][i] = 1.0;
@@ -507,6 +529,8 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                     dphi[i] = phi[i] * length / time;
                 }
             }
+            if (moves_out)
+                keep_move(moves_out + (size_t)k * block_moves, &step_of, step, product, turned);
             if (nx > 0) {
                 double *before = X;
                 int n_passed = 0;

@@ -80,6 +80,9 @@ class FilterPass:
         Filtered means.
     gains : ndarray (n_times, n_outputs, 2, n_active + n_disturbances + n_coloured) or None
         Derivatives of each output, and the gain of its innovation; zero where missing.
+    moves : ndarray (n_times, n + n_disturbances, n) or None
+        Transition of ``n`` active components, disturbances and colours towards the next sample
+        (zero at the last one), above the predicted covariance of the disturbances with them.
     failed_at : int
         First sample that is not finite, or -1.
     """
@@ -94,6 +97,7 @@ class FilterPass:
     rows: np.ndarray | None
     path: np.ndarray
     gains: np.ndarray | None
+    moves: np.ndarray | None
     failed_at: int
 
     @property
@@ -190,6 +194,7 @@ class FilterKernel:
         levels: Sequence[tuple[int, int]] = (),
         rows: bool = False,
         gains: bool = False,
+        moves: bool = False,
         longest_step: float | None = None,
     ) -> FilterPass:
         """Filter one record.
@@ -219,6 +224,8 @@ class FilterKernel:
             Whether to return the derivatives of every innovation.
         gains : bool
             Whether to return gains, for :meth:`replay`.
+        moves : bool
+            Whether to return transitions and covariances, for a smoother.
         longest_step : float, optional
             Longest time over which disturbances are held, s; the median sample time by default.
         """
@@ -246,6 +253,7 @@ class FilterKernel:
         inner = n_active + len(random) + len(noise.coloured)
         found = _Results.empty(n, plain.n_outputs, width, len(levels), size, rows)
         found.gains = np.zeros((n, plain.n_outputs, 2, inner)) if gains else None
+        found.moves = np.zeros((n, inner + len(random), inner)) if moves else None
         if self._library is None:
             failed = _filter_numpy(
                 self.model, times, inputs, values, z0, first, kept, chosen, random, measured,
@@ -278,7 +286,8 @@ class FilterKernel:
             _at(positions), _at(q_variance), _at(q_time), _at(white), len(coloured),
             _at(coloured), _at(c_variance), _at(c_time), _at(measured), len(levels), _at(kinds),
             _at(indices), _at(found.gram), _at(found.level), _at(found.e), _at(found.s),
-            _at(found.rows), _at(found.path), _at(found.gains), _at(found.total), _at(work),
+            _at(found.rows), _at(found.path), _at(found.gains), _at(found.moves), _at(found.total),
+            _at(work),
         )  # fmt: skip
         return found.done(failed)
 
@@ -358,6 +367,7 @@ class _Results:
     path: np.ndarray
     total: np.ndarray
     gains: np.ndarray | None = None
+    moves: np.ndarray | None = None
 
     @classmethod
     def empty(
@@ -386,6 +396,7 @@ class _Results:
             self.rows,
             self.path,
             self.gains,
+            self.moves,
             failed,
         )
 
@@ -438,6 +449,9 @@ def _filter_numpy(
             return k
         y, _, dy, _ = (np.array(a) for a in code._sample(z, inputs[k], values, times[k], since))
         y = y.ravel()
+        inside = [*range(n_active), *range(na, size)]
+        if found.moves is not None:
+            found.moves[k, len(inside) :] = p[na:m][:, inside]
         delta = np.zeros(size)
         for i in range(len(y)):
             h = np.zeros(size)
@@ -473,7 +487,6 @@ def _filter_numpy(
             p -= np.outer(g, g) / s
             delta += g * e / s
             if found.gains is not None:
-                inside = [*range(n_active), *range(na, size)]
                 found.gains[k, i] = h[inside], g[inside] / s
             gram += np.outer(row, row) / s
             slope += 0.5 * q * (1 - e**2 / s)
@@ -509,6 +522,10 @@ def _filter_numpy(
             phi = np.exp(-interval / steps / taus)
             d_phi = phi * interval / steps / taus
             f[range(na, size), range(na, size)] = phi
+            if found.moves is not None:
+                within = f[np.ix_(inside, inside)]
+                before = found.moves[k, : len(inside)] if step else np.eye(len(inside))
+                found.moves[k, : len(inside)] = within @ before
             big_x = f @ big_x
             big_x[:na, nx - n_p :] += s_[np.ix_(kept, n_full + np.array(chosen, dtype=int))]
             for level, (kind, _) in enumerate(levels):

@@ -1,18 +1,442 @@
-"""Which format a log has: by its first bytes, then by its name."""
+"""Which format a log has, by its first bytes, then by its name; readers of the simpler ones.
+
+Read here are tables with a header (CSV, Excel with openpyxl, Parquet with pyarrow, objects of
+pandas and xarray), PX4 logs (ULog, with pyulog), ArduPilot DataFlash logs (.bin, with pymavlink)
+and MATLAB files (.mat up to version 7, with SciPy).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import io
+import re
+from collections.abc import Callable, Iterator, Mapping
+from datetime import datetime
 from pathlib import Path
+from typing import Any
 
-from oed_sysid.data.ardupilot import read_dataflash
-from oed_sysid.data.log import Log
-from oed_sysid.data.matlab import read_matlab
+import numpy as np
+from scipy.io import loadmat
+
+from oed_sysid.data.csv_columns import EPOCH, TIME_NAMES
+from oed_sysid.data.frames import columns_of, plain
+from oed_sysid.data.log import Log, assemble, library
 from oed_sysid.data.nmea import read_nmea
-from oed_sysid.data.px4 import read_ulog
 from oed_sysid.data.ros import read_bag, read_mcap
-from oed_sysid.data.tables import read_csv_log, read_excel, read_parquet
 from oed_sysid.errors import DataError
+from oed_sysid.text.csv_table import read_table
+from oed_sysid.text.units import dimension, parse_header, to_si
+
+# -- tables with a header --------------------------------------------------------------
+
+
+def read_csv_log(path: Path) -> Log:
+    """Read a CSV file as a log of one topic, named after the file."""
+    table = read_table(path, columns_of_text=True)
+    columns = {
+        header: table.values[:, i]
+        for i, header in enumerate(table.headers)
+        if i not in table.faults
+    }
+    return _log(path, "CSV file", {path.stem: columns})
+
+
+def read_excel(path: Path) -> Log:
+    """Read an Excel workbook: every sheet is a topic with headers in its first row.
+
+    Raises
+    ------
+    DataError
+        If openpyxl is missing, the file is damaged, or no sheet has a time column.
+    """
+    openpyxl = library("openpyxl", "an Excel workbook")
+    try:
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        sheets = {
+            sheet.title: [list(row) for row in sheet.iter_rows(values_only=True)] for sheet in book
+        }
+        book.close()
+    except Exception as error:  # whatever a damaged file makes of the parser
+        raise DataError(
+            f"{path.name} cannot be read as an Excel workbook ({str(error)[:100]}). Save it again "
+            "as .xlsx or as CSV."
+        ) from None
+    tables = {}
+    for title, rows in sheets.items():
+        rows = [row for row in rows if any(cell is not None for cell in row)]
+        if len(rows) < 3:
+            continue
+        headers = [str(cell).strip() if cell is not None else "" for cell in rows[0]]
+        tables[title.replace(" ", "_")] = {
+            header: np.array([_cell(row[i]) for row in rows[1:]])
+            for i, header in enumerate(headers)
+            if header
+        }
+    return _log(path, "Excel workbook", tables)
+
+
+def _cell(value: Any) -> float:
+    if isinstance(value, datetime):
+        return value.timestamp()
+    if isinstance(value, bool | int | float):
+        return float(value)
+    return np.nan
+
+
+def read_parquet(path: Path) -> Log:
+    """Read a Parquet file as a log of one topic, named after the file.
+
+    Raises
+    ------
+    DataError
+        If pyarrow is missing, the file is damaged, or it has no time column.
+    """
+    parquet = library("pyarrow.parquet", "a Parquet file")
+    try:
+        table = parquet.read_table(path)
+        columns = {name: plain(table[name].to_numpy()) for name in table.column_names}
+    except Exception as error:  # whatever a damaged file makes of the library
+        raise DataError(
+            f"{path.name} cannot be read as Parquet ({str(error)[:100]}). Write it again."
+        ) from None
+    return _log(path, "Parquet file", {path.stem: _numeric(columns)})
+
+
+def log_of(table: Any, *, name: str = "table") -> Log:
+    """Make a log of a pandas data frame or an xarray data set.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame or xarray.Dataset
+        With a time column, or times as index or coordinate. Units of xarray variables
+        are read from their attribute ``units``.
+    name : str
+        Name of the topic.
+
+    Examples
+    --------
+    >>> import pandas
+    >>> frame = pandas.DataFrame({"t": [0.0, 0.5, 1.0], "r [deg/s]": [0.0, 1.0, 2.0]})
+    >>> log_of(frame)["table.r [deg/s]"].unit
+    'deg/s'
+    """
+    columns = columns_of(table)
+    return _log(Path(name), type(table).__name__, {name: _numeric(columns)})
+
+
+def _numeric(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: values for name, values in columns.items() if values.dtype.kind == "f"}
+
+
+def _log(path: Path, kind: str, tables: Mapping[str, Mapping[str, np.ndarray]]) -> Log:
+    topics = {}
+    for topic, columns in tables.items():
+        clock = next(
+            (
+                header
+                for header in columns
+                if header.lower() in TIME_NAMES or parse_header(header)[0].lower() in TIME_NAMES
+            ),
+            None,
+        )
+        if clock is None:
+            continue
+        times = to_si(columns[clock], parse_header(clock)[1] or "s")[0]
+        fields = {header: values for header, values in columns.items() if header != clock}
+        if np.isfinite(times).sum() > 1 and fields:
+            topics[topic] = (times, fields)
+    if not topics:
+        raise DataError(
+            f"{path.name} has no column with times. Call it 't [s]' or 'time [s]'; found were "
+            f"{', '.join(repr(h) for c in tables.values() for h in list(c)[:6]) or 'no columns'}."
+        )
+    first = min(float(np.nanmin(times)) for times, _ in topics.values())
+    origin = None
+    if EPOCH[0] < first < EPOCH[1]:
+        origin = f"{datetime.fromtimestamp(first).astimezone().isoformat()}"
+    return assemble(path, kind, topics, origin=origin)
+
+
+# -- PX4 logs --------------------------------------------------------------------------
+
+
+def read_ulog(path: Path) -> Log:
+    """Read a ULog file.
+
+    Topics are named as PX4 names them, further instances with their number
+    (``sensor_gyro_1``). A torn end is said; what stands before it is used.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    DataError
+        If pyulog is missing or cannot read the file.
+    """
+    pyulog = library("pyulog", "a PX4 log (ULog)")
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            ulog = pyulog.ULog(str(path))
+    except Exception as error:  # whatever a damaged file makes of the parser
+        raise DataError(
+            f"{path.name} begins as a PX4 log but cannot be read ({_words(error)}). Copy it again "
+            "from the vehicle; if it broke off in flight, cut its last part off."
+        ) from None
+    notes = []
+    if ulog.file_corruption:
+        notes.append(f"{path.name} is damaged: parts of it were skipped.")
+    elif _broke_off(path):
+        notes.append(f"{path.name} breaks off; what stands before the end is used.")
+    if ulog.dropouts:
+        lost = sum(one.duration for one in ulog.dropouts) / 1000.0
+        notes.append(f"The logger lost samples {len(ulog.dropouts)} times, {lost:.2f} s in all.")
+    topics: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]] = {}
+    units: dict[str, str] = {}
+    for data in ulog.data_list:
+        name = data.name if data.multi_id == 0 else f"{data.name}_{data.multi_id}"
+        fields = {
+            key: np.asarray(values, dtype=float)
+            for key, values in data.data.items()
+            if key != "timestamp" and np.asarray(values).dtype.kind in "fiub"
+        }
+        if fields and len(data.data["timestamp"]):
+            topics[name] = (np.asarray(data.data["timestamp"], dtype=float) * 1e-6, fields)
+        units |= {f"{name}.{key}": "us" for key in fields if "timestamp" in key}
+    return assemble(path, "PX4 log (ULog)", topics, units=units, notes=notes)
+
+
+def _broke_off(path: Path) -> bool:
+    """Whether the last message is longer than the file: the parser leaves it out in silence."""
+    content = path.read_bytes()
+    place = 16  # behind the file's header, message after message: length, kind, body
+    while place + 3 <= len(content):
+        place += 3 + int.from_bytes(content[place : place + 2], "little")
+    return place != len(content)
+
+
+def _words(error: Exception) -> str:
+    text = str(error).strip() or type(error).__name__
+    return text[:120]
+
+
+# -- ArduPilot DataFlash logs ----------------------------------------------------------
+
+
+# ArduPilot's words for units that this package writes otherwise.
+_SPELLINGS = {
+    "m/s/s": "m/s^2",
+    "deg/s/s": "deg/s^2",
+    "rad/s/s": "rad/s^2",
+    "degheading": "deg",
+    "deglatitude": "deg",
+    "deglongitude": "deg",
+    "°C": "degC",
+    "PWM": "us",
+}
+_PREFIXES = {"d": 1e-1, "c": 1e-2, "m": 1e-3, "µ": 1e-6, "n": 1e-9}
+# What a log is made of, not what the vehicle did.
+_ADMINISTRATION = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE", "CMD")
+
+
+def read_dataflash(path: Path) -> Log:
+    """Read a DataFlash log.
+
+    Topics are the message names, several instances with their number (``IMU_1``); units and
+    multipliers are those that the log states itself.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    DataError
+        If pymavlink is missing or the file holds no messages.
+    """
+    reader_module = library("pymavlink.DFReader", "an ArduPilot log (DataFlash)")
+    rows: dict[str, list[tuple[float, list[float]]]] = {}
+    formats: dict[str, tuple[list[str], dict[str, tuple[str, float]]]] = {}
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+            reader = reader_module.DFReader_binary(str(path), zero_time_base=True)
+            while True:
+                message = reader.recv_msg()
+                if message is None:
+                    break
+                _keep(message, rows, formats)
+            if reader.data_len - reader.offset > 0:
+                said.write("skipped: the last message is not whole")
+            reader.close()
+    except Exception as error:  # whatever a damaged file makes of the parser
+        if not rows:
+            raise DataError(
+                f"{path.name} begins as an ArduPilot log but cannot be read "
+                f"({str(error)[:100] or type(error).__name__}). Copy it again from the vehicle."
+            ) from None
+        said.write("bad")
+    notes = []
+    if "bad" in said.getvalue().lower() or "skipped" in said.getvalue().lower():
+        notes.append(f"{path.name} is damaged or breaks off: parts of it were skipped.")
+    topics, units = {}, {}
+    for topic, messages in rows.items():
+        columns, known = formats[topic]
+        table = np.array([values for _, values in messages])
+        times = np.array([time for time, _ in messages])
+        fields = {}
+        for index, name in enumerate(columns):
+            unit, factor = known.get(name, ("", 1.0))
+            if np.isfinite(table[:, index]).any():
+                fields[name] = table[:, index] * factor
+                if unit:
+                    units[f"{topic}.{name}"] = unit
+        if fields:
+            topics[topic] = (times, fields)
+    if not topics:
+        raise DataError(
+            f"{path.name} holds no message with a time: it is empty, torn, or no DataFlash log. "
+            "Copy it again from the vehicle."
+        )
+    return assemble(path, "ArduPilot log (DataFlash)", topics, units=units, notes=notes)
+
+
+def _keep(message: object, rows: dict, formats: dict) -> None:
+    """Take the numbers of one message, if it has a time of its own."""
+    kind = message.get_type()  # type: ignore[attr-defined]
+    form = message.fmt  # type: ignore[attr-defined]
+    if kind in _ADMINISTRATION or kind == "BAD_DATA":
+        return
+    clock = next(((name, size) for name, size in _CLOCKS if name in form.columns), None)
+    if clock is None:
+        return
+    time = _number(message, clock[0]) * clock[1]
+    topic = kind
+    if form.instance_field is not None:
+        number = int(_number(message, form.instance_field))
+        topic = kind if number == 0 else f"{kind}_{number}"
+    columns = [name for name in form.columns if name not in (clock[0], form.instance_field)]
+    if topic not in formats:
+        formats[topic] = (columns, {name: _unit(form.get_unit(name)) for name in columns})
+        rows[topic] = []
+    rows[topic].append((time, [_number(message, name) for name in formats[topic][0]]))
+
+
+_CLOCKS = (("TimeUS", 1e-6), ("TimeMS", 1e-3))
+
+
+def _number(message: object, name: str) -> float:
+    value = getattr(message, name, None)
+    return float(value) if isinstance(value, int | float) else np.nan
+
+
+def _unit(text: str | None) -> tuple[str, float]:
+    """Unit as this package writes it, and the factor that brings the numbers into it."""
+    if not text or text in ("UNKNOWN", "instance"):
+        return "", 1.0
+    scaled = re.fullmatch(r"([\d.e+-]+) (.+)", text)
+    factor, unit = (float(scaled[1]), scaled[2]) if scaled else (1.0, text)
+    unit = _SPELLINGS.get(unit, unit)
+    if _known(unit):
+        return unit, factor
+    prefix, rest = unit[0], _SPELLINGS.get(unit[1:], unit[1:])
+    if prefix in _PREFIXES and _known(rest):
+        return rest, factor * _PREFIXES[prefix]
+    return "", 1.0
+
+
+def _known(unit: str) -> bool:
+    try:
+        dimension(unit)
+    except DataError:
+        return False
+    return bool(unit)
+
+
+# -- MATLAB files ----------------------------------------------------------------------
+
+
+_TIMES = ("t", "time", "times", "tout", "timestamp")
+
+
+def read_matlab(path: Path) -> Log:
+    """Read a MAT file with vectors, structures, or Simulink's "structure with time".
+
+    A structure is a topic if it has a vector ``t`` or ``time``; vectors beside each other in
+    the workspace belong to the time vector of their length.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    DataError
+        If it is of version 7.3, damaged, or without a time vector.
+    """
+    try:
+        content = loadmat(str(path), simplify_cells=True)
+    except NotImplementedError:
+        raise DataError(
+            f"{path.name} is a MATLAB file of version 7.3. Write it again with  save('{path.name}'"
+            ", '-v7')  in MATLAB."
+        ) from None
+    except Exception as error:  # whatever a damaged file makes of the parser
+        raise DataError(
+            f"{path.name} cannot be read as a MATLAB file ({str(error)[:100]}). Write it again with"
+            f"  save('{path.name}', '-v7')"
+        ) from None
+    variables = {name: value for name, value in content.items() if not name.startswith("__")}
+    topics = dict(_topics(path.stem, variables))
+    if not topics:
+        raise DataError(
+            f"{path.name} has no vector called t or time beside its signals: "
+            f"{', '.join(list(variables)[:8]) or 'it is empty'}. Timeseries objects: write "
+            "s.time = ts.Time; s.y = ts.Data; save(..., 's', '-v7')."
+        )
+    return assemble(path, "MATLAB file", topics)
+
+
+def _topics(name: str, content: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Structures with a time, at any depth."""
+    vectors = {
+        key: np.asarray(value, dtype=float)
+        for key, value in content.items()
+        if isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim <= 2
+    }
+    clock = next((vectors[key] for key in vectors if key.lower() in _TIMES), None)
+    if clock is not None and clock.ndim == 1 and clock.size > 1:
+        fields: dict[str, np.ndarray] = {}
+        for key, value in (vectors | dict(_simulink(content))).items():
+            if key.lower() in _TIMES:
+                continue
+            if value.ndim == 1 and value.size == clock.size:
+                fields[key] = value
+            elif value.ndim == 2 and clock.size in value.shape:
+                columns = value.T if value.shape[0] == clock.size else value
+                fields |= {f"{key}[{i}]": column for i, column in enumerate(columns)}
+        if fields:
+            yield name, (clock, fields)
+    for key, value in content.items():
+        if isinstance(value, dict) and key != "signals":
+            yield from _topics(key, value)
+
+
+def _simulink(content: dict[str, Any]) -> Iterator[tuple[str, np.ndarray]]:
+    """Signals of a "structure with time"."""
+    signals = content.get("signals", ())
+    for index, one in enumerate([signals] if isinstance(signals, dict) else list(signals)):
+        if isinstance(one, dict) and isinstance(one.get("values"), np.ndarray):
+            label = str(one.get("label") or f"signal_{index}")
+            yield label, np.asarray(one["values"], dtype=float)
+
+
+# -- which format a log has ------------------------------------------------------------
+
 
 _STARTS: tuple[tuple[bytes, Callable[[Path], Log]], ...] = (
     (b"ULog\x01\x12\x35", read_ulog),

@@ -1,17 +1,403 @@
-"""A vehicle's log as it was written: topics, each with its own times."""
+r"""A vehicle's log as it was written: topics, each with its own times.
+
+Libraries that read one format each, imported only when a log needs them.
+
+Units and symbols of fields that logs do not spell out but their formats define.
+
+Sources: PX4 message definitions (``msg/*.msg``, comments in SI, NED and FRD frames), ROS REP 103
+(SI units everywhere), and suffixes that loggers put into names.
+
+One field of a log, with times of its own.
+
+Fields that follow from others of the same topic: Euler angles, positions in metres.
+
+A unit quaternion :math:`e_0, e_1, e_2, e_3` from body to earth axes gives (Diebel 2006, eq. 290)
+
+.. math::
+    \phi   = \operatorname{atan2}(2(e_2 e_3 + e_0 e_1),\; e_0^2 - e_1^2 - e_2^2 + e_3^2), \quad
+    \theta = \arcsin(2(e_0 e_2 - e_1 e_3)), \quad
+    \psi   = \operatorname{atan2}(2(e_1 e_2 + e_0 e_3),\; e_0^2 + e_1^2 - e_2^2 - e_3^2).
+
+PX4 and ArduPilot give it for body axes forward-right-down in north-east-down. ROS (REP 103)
+gives it for forward-left-up in east-north-up; in NED the same attitude has
+
+.. math:: \phi_N = \phi, \qquad \theta_N = -\theta, \qquad \psi_N = \pi/2 - \psi .
+
+Latitude and longitude become north and east of the first fix with the radii of curvature of the
+ellipsoid WGS 84 there,
+
+.. math:: R_M = a(1-e^2)/(1-e^2\sin^2\varphi)^{3/2}, \qquad R_N = a/\sqrt{1-e^2\sin^2\varphi},
+
+good to 1e-4 of the distance within 10 km below 60 degrees of latitude.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
-from oed_sysid.data.derived import derived
 from oed_sysid.data.record import closest
-from oed_sysid.data.series import Series
 from oed_sysid.errors import DataError
+from oed_sysid.text.units import dimension, parse_header
+
+# -- libraries that read one format each -----------------------------------------------
+
+
+def library(name: str, what: str, *, extra: str = "logs") -> ModuleType:
+    """Import a library, or say what to install.
+
+    Parameters
+    ----------
+    name : str
+        Module, for instance ``"pyulog"``.
+    what : str
+        What it reads, for the message.
+    extra : str
+        Extra of this package that brings it.
+
+    Raises
+    ------
+    DataError
+        If it is not installed.
+
+    Examples
+    --------
+    >>> library("json", "JSON").__name__
+    'json'
+    >>> library("no_such_reader", "a log of Nobody's")
+    Traceback (most recent call last):
+    ...
+    oed_sysid.errors.DataError: Reading a log of Nobody's needs no_such_reader, which is not
+    installed. Run  pip install "oed_sysid[logs]"  and repeat.
+    """
+    try:
+        return import_module(name)
+    except ImportError:
+        raise DataError(
+            f"Reading {what} needs {name.partition('.')[0]}, which is not installed. Run  "
+            f'pip install "oed_sysid[{extra}]"  and repeat.'
+        ) from None
+
+
+# -- units and symbols of fields that logs do not spell out but their formats define ---
+
+
+# Field (topic.field) to unit and, where it is that of a body in NED axes, SNAME symbol.
+_KNOWN: tuple[tuple[str, str, str], ...] = (
+    # PX4
+    (r"vehicle_angular_velocity(_\d+)?\.xyz\[0\]", "rad/s", "p"),
+    (r"vehicle_angular_velocity(_\d+)?\.xyz\[1\]", "rad/s", "q"),
+    (r"vehicle_angular_velocity(_\d+)?\.xyz\[2\]", "rad/s", "r"),
+    (r"vehicle_angular_acceleration(_\d+)?\.xyz\[\d\]", "rad/s^2", ""),
+    (r"vehicle_acceleration(_\d+)?\.xyz\[\d\]", "m/s^2", ""),
+    (r"vehicle_attitude(_\d+)?\.roll", "rad", "phi"),
+    (r"vehicle_attitude(_\d+)?\.pitch", "rad", "theta"),
+    (r"vehicle_attitude(_\d+)?\.yaw", "rad", "psi"),
+    (r"vehicle_local_position(_\d+)?\.x", "m", "x"),
+    (r"vehicle_local_position(_\d+)?\.y", "m", "y"),
+    (r"vehicle_local_position(_\d+)?\.z", "m", "z"),
+    (r"vehicle_local_position(_\d+)?\.v[xyz]", "m/s", ""),
+    (r"vehicle_local_position(_\d+)?\.a[xyz]", "m/s^2", ""),
+    (r"vehicle_local_position(_\d+)?\.heading", "rad", "psi"),
+    (r"vehicle_attitude_setpoint(_\d+)?\.(roll|pitch|yaw)_body", "rad", ""),
+    (r"vehicle_rates_setpoint(_\d+)?\.(roll|pitch|yaw)", "rad/s", ""),
+    (r"sensor_combined(_\d+)?\.gyro_rad\[0\]", "rad/s", "p"),
+    (r"sensor_combined(_\d+)?\.gyro_rad\[1\]", "rad/s", "q"),
+    (r"sensor_combined(_\d+)?\.gyro_rad\[2\]", "rad/s", "r"),
+    (r"sensor_combined(_\d+)?\.accelerometer_m_s2\[\d\]", "m/s^2", ""),
+    (r"sensor_gyro(_\d+)?\.[xyz]", "rad/s", ""),
+    (r"sensor_accel(_\d+)?\.[xyz]", "m/s^2", ""),
+    (r"(actuator_controls\w*|actuator_outputs|actuator_motors|actuator_servos)(_\d+)?\."
+     r"(control|output)\[\d+\]", "1", ""),
+    (r"wind(_estimate)?(_\d+)?\.windspeed_(north|east)", "m/s", ""),
+    # ArduPilot, in its own words
+    (r"ATT(_\d+)?\.Roll", "deg", "phi"),
+    (r"ATT(_\d+)?\.Pitch", "deg", "theta"),
+    (r"ATT(_\d+)?\.Yaw", "deg", "psi"),
+    (r"IMU(_\d+)?\.GyrX", "rad/s", "p"),
+    (r"IMU(_\d+)?\.GyrY", "rad/s", "q"),
+    (r"IMU(_\d+)?\.GyrZ", "rad/s", "r"),
+    (r"IMU(_\d+)?\.Acc[XYZ]", "m/s^2", ""),
+    (r"RC(OU|IN)(_\d+)?\.C\d+", "us", ""),
+    # ROS, REP 103
+    (r".*\borientation\.[wxyz]", "1", ""),
+    (r".*\bangular_velocity\.[xyz]", "rad/s", ""),
+    (r".*\blinear_acceleration\.[xyz]", "m/s^2", ""),
+    (r".*\b(twist\.)?linear\.[xyz]", "m/s", ""),
+    (r".*\b(twist\.)?angular\.[xyz]", "rad/s", ""),
+    (r".*\b(pose\.|point\.)position\.[xyz]|.*\btranslation\.[xyz]", "m", ""),
+    (r".*\bforce\.[xyz]", "N", ""),
+    (r".*\btorque\.[xyz]", "N m", ""),
+    (r".*\bfluid_pressure", "Pa", ""),
+    (r".*\b(latitude|longitude)", "deg", ""),
+    # NMEA 0183 (the parser's names of sentence and field)
+    (r"\w*HD[TM]\.heading|\w*HDG\.heading", "deg", "psi"),
+    (r"\w*ROT\.rate_of_turn", "deg/min", "r"),
+    (r"\w*(RMC|VTG)\.(spd_over_grnd|spd_over_grnd_kts)", "kn", ""),
+    (r"\w*(RMC|VTG)\.true_(course|track)", "deg", ""),
+    (r"\w*VTG\.spd_over_grnd_kmph", "km/h", ""),
+    (r"\w*VHW\.water_speed_knots", "kn", "u"),
+    (r"\w*VHW\.heading_(true|magnetic)", "deg", "psi"),
+    (r"\w*RSA\.rsa_(starboard|port)", "deg", ""),
+    (r"\w*(DPT\.depth|DBT\.depth_meters)", "m", ""),
+    (r"\w*MWV\.wind_angle", "deg", ""),
+)  # fmt: skip
+_COMPILED = tuple((re.compile(pattern), unit, symbol) for pattern, unit, symbol in _KNOWN)
+# Endings of names that loggers write without brackets.
+_ENDINGS = (
+    ("_m_s2", "m/s^2"), ("_m_s_s", "m/s^2"), ("_rad_s", "rad/s"), ("_deg_s", "deg/s"),
+    ("_m_s", "m/s"), ("_rad", "rad"), ("_deg", "deg"), ("_pa", "Pa"), ("_celsius", "degC"),
+    ("_celcius", "degC"), ("_meter", "m"), ("_rpm", "rpm"),
+)  # fmt: skip
+_SYMBOLS = {
+    "phi": ("roll", "heel"),
+    "theta": ("pitch",),
+    "psi": ("yaw", "heading", "hdg", "compass"),
+    "p": ("roll_rate", "rollspeed"),
+    "q": ("pitch_rate", "pitchspeed"),
+    "r": ("yaw_rate", "yawspeed", "rate_of_turn", "rot"),
+    "z": ("depth",),
+    "x": ("north",),
+    "y": ("east",),
+}
+
+
+def unit_of(name: str) -> str | None:
+    """Unit of a field, from what its format defines or from its name; None if neither says.
+
+    Parameters
+    ----------
+    name : str
+        ``topic.field``.
+
+    Examples
+    --------
+    >>> unit_of("vehicle_angular_velocity.xyz[2]"), unit_of("airspeed.true_airspeed_m_s")
+    ('rad/s', 'm/s')
+    >>> unit_of("imu.orientation.w"), unit_of("sheet.rudder [deg]"), unit_of("status.mode")
+    ('1', 'deg', None)
+    """
+    for pattern, unit, _ in _COMPILED:
+        if pattern.fullmatch(name):
+            return unit
+    bare = re.sub(r"\[\d+\]$", "", name)
+    for ending, unit in _ENDINGS:
+        if bare.endswith(ending):
+            return unit
+    header = name.rpartition(".")[2] if "[" not in name else name.split(".", 1)[-1]
+    if re.search(r"\[\d*\]$", header):
+        return None
+    unit = parse_header(header)[1] or ""
+    try:
+        dimension(unit)
+    except DataError:
+        return None
+    return unit or None
+
+
+def symbol_of(name: str) -> str:
+    """SNAME symbol of a field, empty if it has none that is known.
+
+    Examples
+    --------
+    >>> symbol_of("vehicle_attitude.yaw"), symbol_of("boat.heading"), symbol_of("cpu.load")
+    ('psi', 'psi', '')
+    """
+    for pattern, _, symbol in _COMPILED:
+        if symbol and pattern.fullmatch(name):
+            return symbol
+    field = parse_header(name.rpartition(".")[2])[0].lower()
+    return next((symbol for symbol, words in _SYMBOLS.items() if field in words), "")
+
+
+# -- one field of a log ----------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One field of one topic.
+
+    Parameters
+    ----------
+    name : str
+        ``topic.field``, as mapping files name it.
+    times : numpy.ndarray
+        Shape ``(n_samples,)``, in s since the log's origin, in the order of the log.
+    values : numpy.ndarray
+        Shape ``(n_samples,)``, in ``unit``.
+    unit : str or None
+        Unit, where the log or its format says so; else None.
+    derived : str
+        What it was calculated from, empty where it stands in the log.
+
+    Examples
+    --------
+    >>> series = Series("gyro.z", np.arange(11) * 0.1, np.zeros(11), "rad/s")
+    >>> print(round(series.rate, 6), series.span)
+    10.0 (0.0, 1.0)
+    """
+
+    name: str
+    times: np.ndarray = field(repr=False)
+    values: np.ndarray = field(repr=False)
+    unit: str | None = None
+    derived: str = ""
+
+    @property
+    def rate(self) -> float:
+        """Samples per second: the inverse of the median step; NaN with a single sample."""
+        steps = np.diff(self.times)
+        steps = steps[steps > 0.0]
+        return float(1.0 / np.median(steps)) if steps.size else np.nan
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time, in s."""
+        return float(np.min(self.times)), float(np.max(self.times))
+
+
+# -- fields that follow from others of the same topic ----------------------------------
+
+
+# Names of scalar part and vector part of a quaternion in one topic, and where they come from.
+_QUATERNIONS = (
+    ("q[0]", "q[1]", "q[2]", "q[3]"),
+    ("Q1", "Q2", "Q3", "Q4"),
+    ("q0", "q1", "q2", "q3"),
+    ("e0", "e1", "e2", "e3"),
+    ("qw", "qx", "qy", "qz"),
+)
+_ROS = ("orientation.w", "orientation.x", "orientation.y", "orientation.z")
+_FIXES = (("lat", "lon"), ("Lat", "Lng"), ("latitude", "longitude"), ("Lat", "Lon"))
+# Logs that hold whole numbers of 1e-7 degrees.
+_WHOLE = 1e-7
+_AXIS, _FLATTENING = 6378137.0, 1.0 / 298.257223563  # WGS 84, NIMA TR8350.2
+
+
+def euler_angles(quaternion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Roll, pitch and yaw of quaternions.
+
+    Parameters
+    ----------
+    quaternion : numpy.ndarray
+        Shape ``(n_samples, 4)``, scalar part first; normalised here.
+
+    Returns
+    -------
+    roll, pitch, yaw : numpy.ndarray
+        Shape ``(n_samples,)``, rad; NaN where the quaternion is zero or not finite.
+
+    Examples
+    --------
+    >>> half = np.radians(40.0) / 2
+    >>> roll, pitch, yaw = euler_angles(np.array([[np.cos(half), 0.0, 0.0, np.sin(half)]]))
+    >>> print(np.degrees([roll[0], pitch[0], yaw[0]]).round(9))
+    [ 0.  0. 40.]
+    """
+    length = np.sqrt(np.sum(np.square(quaternion), axis=1, keepdims=True))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        w, x, y, z = np.where(length > 1e-6, quaternion / length, np.nan).T
+    roll = np.arctan2(2 * (y * z + w * x), w * w - x * x - y * y + z * z)
+    pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
+    yaw = np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
+    return roll, pitch, yaw
+
+
+def local_position(latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """North and east of the first fix.
+
+    Parameters
+    ----------
+    latitude, longitude : numpy.ndarray
+        Shape ``(n_samples,)``, degrees; NaN where there is no fix.
+
+    Returns
+    -------
+    north, east : numpy.ndarray
+        Shape ``(n_samples,)``, m.
+
+    Examples
+    --------
+    >>> north, east = local_position(np.array([54.0, 54.001]), np.array([10.0, 10.001]))
+    >>> print(north[1].round(2), east[1].round(2))
+    111.31 65.58
+    """
+    good = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
+    if not good.size:
+        return np.full(latitude.shape, np.nan), np.full(latitude.shape, np.nan)
+    first = good[0]
+    phi = np.radians(latitude[first])
+    squared = _FLATTENING * (2.0 - _FLATTENING)
+    root = 1.0 - squared * np.sin(phi) ** 2
+    north = np.radians(latitude - latitude[first]) * _AXIS * (1.0 - squared) / root**1.5
+    turn = (longitude - longitude[first] + 180.0) % 360.0 - 180.0
+    east = np.radians(turn) * _AXIS / np.sqrt(root) * np.cos(phi)
+    return north, east
+
+
+def derived(topic: str, fields: Mapping[str, Series]) -> Iterator[Series]:
+    """Yield what follows from the fields of one topic.
+
+    Parameters
+    ----------
+    topic : str
+        Its name.
+    fields : mapping
+        Field name to series.
+    """
+    for names in _QUATERNIONS:
+        if all(name in fields for name in names):
+            yield from _attitude(topic, fields, names, "", f"from {names[0]} to {names[3]}")
+            break
+    for prefix in {name[: -len(_ROS[0])] for name in fields if name.endswith(_ROS[0])}:
+        parts = tuple(prefix + name for name in _ROS)
+        if all(name in fields for name in parts):
+            yield from _attitude(topic, fields, parts, f"{prefix}orientation.", "from quaternion")
+            roll, pitch, yaw = _angles(fields, parts)
+            times = fields[parts[0]].times
+            turned = ((np.pi / 2 - yaw) + np.pi) % (2 * np.pi) - np.pi
+            for name, values in (("roll", roll), ("pitch", -pitch), ("yaw", turned)):
+                full = f"{topic}.{prefix}orientation.{name}_ned"
+                yield Series(full, times, values, "rad", "NED, if the log is ENU and FLU")
+    for lat, lon in _FIXES:
+        if lat in fields and lon in fields:
+            north, east = local_position(_degrees(fields[lat]), _degrees(fields[lon]))
+            for name, values in (("north", north), ("east", east)):
+                if name not in fields:
+                    words = "of the first fix"
+                    yield Series(f"{topic}.{name}", fields[lat].times, values, "m", words)
+            break
+
+
+def _angles(fields: Mapping[str, Series], names: tuple[str, ...]) -> tuple[np.ndarray, ...]:
+    return euler_angles(np.column_stack([fields[name].values for name in names]))
+
+
+def _attitude(
+    topic: str, fields: Mapping[str, Series], names: tuple[str, ...], prefix: str, words: str
+) -> Iterator[Series]:
+    times = fields[names[0]].times
+    for name, values in zip(("roll", "pitch", "yaw"), _angles(fields, names), strict=True):
+        if name not in fields:
+            yield Series(f"{topic}.{prefix}{name}", times, values, "rad", words)
+
+
+def _degrees(series: Series) -> np.ndarray:
+    """Degrees, NaN without a fix: receivers write zero, or values out of range."""
+    values = series.values.astype(float)
+    finite = values[np.isfinite(values)]
+    if finite.size and np.abs(finite).max() > 400.0:
+        values = values * _WHOLE
+    return np.where((np.abs(values) > 1e-9) & (np.abs(values) <= 180.0), values, np.nan)
+
+
+# -- a vehicle's log as it was written -------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,8 +534,6 @@ def assemble(
     >>> log.names, log["imu.r"].span
     (('imu.r',), (0.0, 0.5))
     """
-    from oed_sysid.data.meanings import unit_of
-
     used = {}
     for topic, (times, fields) in topics.items():
         # A message with a damaged time tells nothing about when its numbers were.

@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.libraries import library
-from oed_sysid.data.log import Log, assemble
+from oed_sysid.data.log import Log, assemble, library
 from oed_sysid.errors import DataError
-from oed_sysid.text.csv_text import text_lines
+from oed_sysid.text.csv_table import text_lines
 
 _SENTENCE = re.compile(r"[$!][A-Z][A-Z0-9]{2,}[,*].*")
 _TAG = re.compile(r"\\[^\\]*?c:(\d{9,16})[^\\]*\\")

@@ -15,12 +15,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from oed_sysid.data.angles import clear_wraps, unwrapped
-from oed_sysid.data.cuts import Cut
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.log import Log
-from oed_sysid.data.mapping import LogMapping, Source
-from oed_sysid.data.record import MINIMUM_SAMPLES, Record, closest
+from oed_sysid.data.mapping import Cut, LogMapping, Source
+from oed_sysid.data.record import MINIMUM_SAMPLES, Record, clear_wraps, closest, unwrapped
 from oed_sysid.errors import DataError
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.units import dimension, to_si

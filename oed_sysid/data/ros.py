@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.libraries import library
-from oed_sysid.data.log import Log, assemble
+from oed_sysid.data.log import Log, assemble, library
 from oed_sysid.errors import DataError
 
 # Longer arrays are pictures, scans and covariances.

@@ -4,10 +4,10 @@ from oed_sysid.design.assurance import (
     AbortRule,
     AccuracyRange,
     Assurance,
-    Tracks,
+    PredictedTracks,
     accuracy_range,
     assess_limits,
-    plausible_tracks,
+    predicted_tracks,
 )
 from oed_sysid.design.criteria import (
     AOptimal,
@@ -29,19 +29,27 @@ from oed_sysid.design.decision import (
     goals_of,
 )
 from oed_sysid.design.experiment_design import Stage, campaign, design_experiment, design_series
+from oed_sysid.design.knowledge import Knowledge
 from oed_sysid.design.library import Candidate, Reference, candidate_runs
-from oed_sysid.design.missing_effects import ByShifts, Chance, Discriminate, Reveal
+from oed_sysid.design.missing_effects import ByShifts, Detect, Detection, Discriminate
 from oed_sysid.design.on_board import Servo, write_bag, write_overrides
-from oed_sysid.design.programme import design_programme
+from oed_sysid.design.programme import Budget, ProgrammeSearch, design_programme
 from oed_sysid.design.result import Design, Programme, Standard
 from oed_sysid.design.search import Progress, ZigZags
+from oed_sysid.design.trial import Search, Trial
 from oed_sysid.design.vehicles import Caution, Robust
 from oed_sysid.design.waveforms import Grid, Levels, Multisines, Parametrisation, Pulses
+from oed_sysid.errors import respelled_names
 
 __all__ = [
     "design_experiment",
     "design_series",
     "design_programme",
+    "Trial",
+    "Knowledge",
+    "Search",
+    "Budget",
+    "ProgrammeSearch",
     "Programme",
     "Standard",
     "Candidate",
@@ -66,8 +74,8 @@ __all__ = [
     "VOptimal",
     "GOptimal",
     "Discriminate",
-    "Reveal",
-    "Chance",
+    "Detect",
+    "Detection",
     "ByShifts",
     "Robust",
     "Caution",
@@ -75,8 +83,8 @@ __all__ = [
     "accuracy_range",
     "Assurance",
     "AbortRule",
-    "Tracks",
-    "plausible_tracks",
+    "PredictedTracks",
+    "predicted_tracks",
     "Servo",
     "write_overrides",
     "write_bag",
@@ -89,3 +97,13 @@ __all__ = [
     "ZigZags",
     "Progress",
 ]
+
+__getattr__ = respelled_names(
+    __name__,
+    {
+        "Reveal": "Detect",
+        "Chance": "Detection",
+        "Tracks": "PredictedTracks",
+        "plausible_tracks": "predicted_tracks",
+    },
+)

@@ -1,8 +1,8 @@
-r"""How surely an experiment keeps its limits when parameters, structure and sea are uncertain.
+r"""What a run does on vehicles that are possible: limits kept, sea room, accuracy.
 
-Of :math:`n` vehicles drawn from what is known, each in waves of its own where any are expected,
-:math:`k` keep all limits. Stated are the share and the lower end of its one-sided 95 % interval
-(Clopper & Pearson),
+**Limits.** Of :math:`n` vehicles drawn from what is known, each in waves of its own where any are
+expected, :math:`k` keep all limits. Stated are the share and the lower end of its one-sided 95 %
+interval (Clopper & Pearson),
 
 .. math:: \hat p = k / n, \qquad \sum_{i=k}^n \binom ni p_-^i (1 - p_-)^{n-i} = 0.05
 
@@ -11,10 +11,8 @@ at nine tenths of the way from the start to a limit (:math:`x_0 + 0.9\,(l - x_0)
 attitude, depth and speed without a limit, a tenth of the width outside the range that all but the
 most extreme vehicles stay within. How often each would fire is counted on the same vehicles.
 
-Where a run goes: the track, the range of plausible ones, and the sea room that it needs.
-
-Of the nominal vehicle and of others drawn from what is known, in waves where any are expected, the
-track is a state of the model (``x``, ``y``) or follows from its velocities,
+**Tracks.** Of the nominal vehicle and of others drawn from what is known, in waves where any are
+expected, the track is a state of the model (``x``, ``y``) or follows from its velocities,
 
 .. math::
     \dot x = u \cos\psi - v \sin\psi, \quad \dot y = u \sin\psi + v \cos\psi
@@ -28,10 +26,9 @@ beneath it. The sea room is the box that all but a share of the vehicles stay wi
 and the same across, :math:`\alpha` being 5 %. A steady current is not in it: add its speed times
 the length of the run.
 
-What accuracy can be promised when the vehicle is not quite the nominal one.
-
-The bound belongs to one set of values. On vehicles a few per cent off, realised errors are 0.65 to
-1.8 times those stated, so the bound is taken on vehicles drawn from what is known as well,
+**Accuracy.** The bound belongs to one set of values. On vehicles a few per cent off, realised
+errors are 0.65 to 1.8 times those stated, so the bound is taken on vehicles drawn from what
+is known as well,
 
 .. math:: s_i(\theta) = \sqrt{[F(\theta)^{-1}]_{ii}}, \qquad \theta \sim p(\theta)
 
@@ -49,12 +46,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import betaincinv
 
-from oed_sysid.compiled.kernels import kernel
-from oed_sysid.design.limits import Corridor, percent
-from oed_sysid.design.vehicles import Guards, draw_models, draw_structures
-from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.design.limits import LimitBounds, percent
+from oed_sysid.design.vehicles import draw_models, draw_structures, motion
+from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
-from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
+from oed_sysid.experiments.simulation import Trajectory
 from oed_sysid.information.bound import information_of
 from oed_sysid.information.noise import Levels, sea_words
 from oed_sysid.likelihood.fit import Fit
@@ -74,6 +70,10 @@ _TAIL = 0.025
 _STOP, _BEYOND = 0.9, 0.1
 # What a crew watches: attitude, depth, speed.
 WATCHED = ("phi", "theta", "z", "u")
+# Relative error up to which a bound under random forces is taken as it is.
+TRUSTED = 0.3
+# Share of the vehicles left out at either end of a range of errors.
+_OUTSIDE = 0.1
 
 
 @dataclass(frozen=True)
@@ -195,6 +195,7 @@ class Assurance:
     )  # fmt: skip
 
 
+@respelled(DesignError, {"n_vehicles": "vehicles=..."})
 def assess_limits(
     model: Model,
     experiment: Experiment,
@@ -203,11 +204,10 @@ def assess_limits(
     limits: Limits | None = None,
     spread: float | None = 0.3,
     prior: Information | None = None,
-    n_vehicles: int = 400,
+    vehicles: int | Sequence[Model] = 400,
     wanted: float | None = None,
     sea: NoiseModel | None = None,
     others: Sequence[Model] = (),
-    vehicles: Sequence[Model] | None = None,
 ) -> Assurance:
     """Simulate an experiment on vehicles whose coefficients are not the nominal ones.
 
@@ -226,54 +226,38 @@ def assess_limits(
         what is known (prior standard deviations, and ``prior``).
     prior : Information, optional
         Such as that of a fit.
-    n_vehicles : int
+    vehicles : int or sequence of Model
+        How many are drawn; or these, drawn before: several runs are then judged on the same ones.
     wanted : float, optional
         Probability that is asked for, for the words of the report.
     sea : NoiseModel, optional
         Random forces: every vehicle meets waves of its own.
     others : sequence of Model
         Other structures that remain possible; the vehicles are drawn from all in turn.
-    vehicles : sequence of Model, optional
-        Simulate these, drawn before; several runs are then judged on the same vehicles.
 
     Returns
     -------
     Assurance
     """
-    n_vehicles = n_vehicles if vehicles is None else len(vehicles)
+    n_vehicles = vehicles if isinstance(vehicles, int) else len(vehicles)
     if n_vehicles < 20:
         raise DesignError(f"{n_vehicles} vehicles tell no probability. Give 20 or more.")
     fresh = (
         draw_structures(model, others, spread, n_vehicles, prior, rng)
-        if vehicles is None
+        if isinstance(vehicles, int)
         else tuple(vehicles)
     )
-    corridor = Corridor.of(model, limits or experiment.limits, {}, kernel(model).n_full)
-    own = np.array([experiment.initial.get(n, 0.0) for n in model.state_names])
-    guards = Guards(fresh, experiment.times, np.array([0]), own, corridor)
-    free = replace(experiment, limits=Limits())
+    bounds = LimitBounds.of(model, limits or experiment.limits)
     names = tuple(dict.fromkeys((*model.state_names, *model.output_names)))
     extremes: list[np.ndarray] = []
     kept, left = np.zeros(n_vehicles, dtype=bool), Counter[str]()
-    in_waves = sea is not None and sea.has_forces
     for index, vehicle in enumerate(fresh):
-        try:
-            meant, planned = vehicle, free
-            if sea is not None and in_waves:
-                meant, planned = at_sea(vehicle, free, sea, rng=rng)
-            commands = simulate(meant, planned, noise=False).inputs
-            run = simulate_inputs(
-                meant, experiment.times, inputs=commands, initial=experiment.initial
-            )
-        except OedSysidError:
+        run = _motion_at_sea(vehicle, experiment, sea, rng)
+        if run is None:
             left["diverged"] += 1
             continue
-        signals = [run.signal(name) for name in names]
-        extremes.append(np.array([[s.min(), s.max()] for s in signals]))
-        if in_waves:
-            first = _first_left(corridor, run)
-        else:
-            first = guards.first_left(guards.run(index, commands))
+        extremes.append(np.array([[s.min(), s.max()] for s in map(run.signal, names)]))
+        first = bounds.first_left(run)
         kept[index] = first is None
         if first is not None:
             left[first] += 1
@@ -285,17 +269,26 @@ def assess_limits(
         low = np.quantile(ends[:, :, 0], _TAIL, axis=0)
         high = np.quantile(ends[:, :, 1], 1 - _TAIL, axis=0)
         ranges = {n: (float(a), float(b)) for n, a, b in zip(names, low, high, strict=True)}
-        rules, stopped = _rules(experiment, corridor, names, ranges, ends, n_vehicles)
+        rules, stopped = _rules(experiment, bounds, ranges, ends, n_vehicles)
     return Assurance(
-        int(kept.sum()), n_vehicles, wanted, spread, dict(left), ranges, bool(corridor.names),
-        sea_words(sea) if sea is not None and in_waves else "", rules, stopped, kept,
+        int(kept.sum()), n_vehicles, wanted, spread, dict(left), ranges, bool(bounds.names),
+        sea_words(sea) if sea is not None and sea.has_forces else "", rules, stopped, kept,
     )  # fmt: skip
+
+
+def _motion_at_sea(
+    vehicle: Model, experiment: Experiment, sea: NoiseModel | None, rng: np.random.Generator
+) -> Trajectory | None:
+    """What a vehicle does, in waves of its own where any are expected; None where it diverges."""
+    run = replace(experiment, limits=Limits())
+    if sea is not None and sea.has_forces:
+        vehicle, run = at_sea(vehicle, run, sea, rng=rng)
+    return motion(vehicle, run)
 
 
 def _rules(
     experiment: Experiment,
-    corridor: Corridor,
-    names: Sequence[str],
+    bounds: LimitBounds,
     ranges: Mapping[str, tuple[float, float]],
     ends: np.ndarray,
     n_vehicles: int,
@@ -307,43 +300,30 @@ def _rules(
     """
     diverged = n_vehicles - len(ends)
     found, any_fires = [], np.zeros(len(ends), dtype=bool)
-    bounds = {
-        name: (corridor.lower[i], corridor.upper[i])
-        for i, name in enumerate(corridor.names)
-        if not corridor.at_end[i]
+    limited = {
+        name: (bounds.lower[i], bounds.upper[i])
+        for i, name in enumerate(bounds.names)
+        if not bounds.at_end[i]
     }
-    for name in dict.fromkeys((*bounds, *(n for n in WATCHED if n in names))):
-        if name in bounds:
+    for name in dict.fromkeys((*limited, *(n for n in WATCHED if n in ranges))):
+        if name in limited:
             first = experiment.initial.get(name, 0.0)
-            lower, upper = (first + _STOP * (bound - first) for bound in bounds[name])
+            lower, upper = (first + _STOP * (bound - first) for bound in limited[name])
         else:
             low, high = ranges[name]
             room = _BEYOND * max(high - low, 1e-9)
             lower, upper = low - room, high + room
-        column = ends[:, list(names).index(name)]
+        column = ends[:, list(ranges).index(name)]
         outside = (column[:, 0] < lower) | (column[:, 1] > upper)
         any_fires |= outside
         share = float((outside.sum() + diverged) / n_vehicles)
-        found.append(AbortRule(name, float(lower), float(upper), share, name in bounds))
+        found.append(AbortRule(name, float(lower), float(upper), share, name in limited))
     return tuple(found), float((any_fires.sum() + diverged) / n_vehicles)
 
 
-def _first_left(corridor: Corridor, run: Trajectory) -> str | None:
-    """Limit that a motion leaves first; None if it keeps all."""
-    found: list[tuple[int, str]] = []
-    for index, name in enumerate(corridor.names):
-        if corridor.at_end[index]:
-            continue
-        values = run.signal(name)
-        beyond = np.flatnonzero((values < corridor.lower[index]) | (values > corridor.upper[index]))
-        if len(beyond):
-            found.append((int(beyond[0]), name))
-    return min(found)[1] if found else None
-
-
 @dataclass(frozen=True, eq=False)
-class Tracks:
-    """Tracks of one run.
+class PredictedTracks:
+    """PredictedTracks of one run.
 
     Attributes
     ----------
@@ -403,7 +383,7 @@ class Tracks:
         return text if self.length is None else f"{text} ({metres / self.length:.2g} L)"
 
 
-def plausible_tracks(
+def predicted_tracks(
     model: Model,
     experiment: Experiment,
     *,
@@ -414,7 +394,7 @@ def plausible_tracks(
     sea: NoiseModel | None = None,
     length: float | None = None,
     n_vehicles: int = 60,
-) -> Tracks | None:
+) -> PredictedTracks | None:
     """Simulate where a run goes on the nominal vehicle and on others.
 
     Parameters
@@ -427,7 +407,7 @@ def plausible_tracks(
 
     Returns
     -------
-    Tracks or None
+    PredictedTracks or None
         None where the model knows no course: neither ``x`` and ``y``, nor surge with heading or
         pitch.
 
@@ -442,29 +422,22 @@ def plausible_tracks(
     >>> from oed_sysid import load_problem
     >>> ship = load_problem("kvlcc2", variant="mmg")
     >>> run = replace(ship.experiment("zigzag_10_10"), duration=60.0, feedback="true")
-    >>> found = plausible_tracks(
+    >>> found = predicted_tracks(
     ...     ship.model, run, rng=np.random.default_rng(0), spread=0.1, n_vehicles=4, length=7.0
     ... )
     >>> found.plausible.shape[0], bool(50 < found.room[0, 1] < 80)
     (4, True)
     """
-    free = replace(experiment, limits=Limits())
-    record = simulate(model, free, noise=False)
-    first = simulate_inputs(model, record.times, inputs=record.inputs, initial=free.initial)
+    first = motion(model, experiment)
+    if first is None:
+        raise DesignError(f"Run {experiment.name!r} diverges on the nominal vehicle. Shorten it.")
     own = _track(first)
     if own is None:
         return None
     found = []
     for vehicle in draw_structures(model, others, spread, n_vehicles, prior, rng):
-        try:
-            meant, planned = vehicle, free
-            if sea is not None and sea.has_forces:
-                meant, planned = at_sea(vehicle, free, sea, rng=rng)
-            commands = simulate(meant, planned, noise=False).inputs
-            run = simulate_inputs(meant, free.times, inputs=commands, initial=free.initial)
-        except OedSysidError:
-            continue
-        track = _track(run)
+        run = _motion_at_sea(vehicle, experiment, sea, rng)
+        track = None if run is None else _track(run)
         if track is not None:
             found.append(track)
     if len(found) < max(1, n_vehicles // 2):
@@ -472,21 +445,17 @@ def plausible_tracks(
             f"The run stays finite on {len(found)} of {n_vehicles} vehicles only, so that no sea "
             "room can be stated. Make it gentler, or shorter."
         )
-    vertical = not _knows(first, "psi") and not (_knows(first, "x") and _knows(first, "y"))
-    return Tracks(first.times, own, np.stack(found), vertical, length)
+    vertical = not _knows(first, "psi") and not (_knows(first, "x", "y"))
+    return PredictedTracks(first.times, own, np.stack(found), vertical, length)
 
 
-def _knows(run: Trajectory, name: str) -> bool:
-    try:
-        run.signal(name)
-    except OedSysidError:
-        return False
-    return True
+def _knows(run: Trajectory, *names: str) -> bool:
+    return {*names} <= {*run.state_names, *run.output_names}
 
 
 def _track(run: Trajectory) -> np.ndarray | None:
     """Track from the start, ``(n_times, 2)``."""
-    if _knows(run, "x") and _knows(run, "y"):
+    if _knows(run, "x", "y"):
         track = np.column_stack([run.signal("x"), run.signal("y")])
         return np.asarray(track - track[0])
     if not _knows(run, "u"):
@@ -498,7 +467,7 @@ def _track(run: Trajectory) -> np.ndarray | None:
         rates = np.column_stack([u * np.cos(psi) - v * np.sin(psi),
                                  u * np.sin(psi) + v * np.cos(psi)])  # fmt: skip
         return _integrated(run.times, rates)
-    if not (_knows(run, "theta") and _knows(run, "z")):
+    if not _knows(run, "theta", "z"):
         return None
     theta = run.signal("theta")
     w = run.signal("w") if _knows(run, "w") else np.zeros_like(u)
@@ -510,12 +479,6 @@ def _integrated(times: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """Integral from the first sample by the trapezoidal rule."""
     steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)[:, None]
     return np.concatenate([np.zeros((1, rates.shape[1])), np.cumsum(steps, axis=0)])
-
-
-# Relative error up to which a bound under random forces is taken as it is.
-TRUSTED = 0.3
-# Share of the vehicles left out at either end of a range.
-_OUTSIDE = 0.1
 
 
 def stated(error: float, sea: NoiseModel | None) -> str:

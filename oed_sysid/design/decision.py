@@ -28,20 +28,18 @@ from __future__ import annotations
 import textwrap
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import kernel
-from oed_sysid.design.criteria import quick_inverse
-from oed_sysid.design.library import Candidate, kept_on
-from oed_sysid.design.limits import Corridor, percent, quantity, units_of
-from oed_sysid.design.trial import knowledge, nominal_noise
-from oed_sysid.design.vehicles import draw_models
+from oed_sysid.design.criteria import DOptimal, quick_inverse
+from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
+from oed_sysid.design.library import Candidate
+from oed_sysid.design.limits import LimitBounds, percent, quantity, units_of
+from oed_sysid.design.vehicles import draw_models, kept_on
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment, Limits
-from oed_sysid.information.bound import information_of_each
 from oed_sysid.information.noise import Levels
 from oed_sysid.information.response import plays, respond
 from oed_sysid.likelihood.between_records import CHANCE
@@ -58,6 +56,16 @@ IMMATERIAL = 0.1
 # Parameters that are named where records contradict one another, and standard errors from which on.
 NAMED, APART = 3, 2.0
 _MOST_AHEAD = 40
+_HEADS = {
+    "enough": "STOP: everything asked for is known well enough.",
+    "contradicted": "STOP: on paper everything is known, but the records contradict it.",
+    "unchecked": "STOP: on paper everything is known, but one run alone has said so, and no other "
+    "that keeps its limits could check it.",
+    "useless": "STOP: no run that keeps its limits brings what is missing nearer.",
+    "no time": "STOP: not even the next run fits into the time that is left.",
+    "go on": "GO ON.",
+    "check": "GO ON: on paper everything is known, but one run alone has said so; check it.",
+}
 _VEHICLES = 20
 
 
@@ -282,18 +290,7 @@ class Decision:
 
     def report(self) -> str:
         """Return the decision in words, the verdict first."""
-        head = {
-            "enough": "STOP: everything asked for is known well enough.",
-            "contradicted": "STOP: on paper everything is known, but the records contradict it.",
-            "unchecked": "STOP: on paper everything is known, but one run alone has said so, and "
-            "no other that keeps its limits could check it.",
-            "useless": "STOP: no run that keeps its limits brings what is missing nearer.",
-            "no time": "STOP: not even the next run fits into the time that is left.",
-            "go on": "GO ON.",
-        }[self.action]
-        if self.is_check:
-            head = "GO ON: on paper everything is known, but one run alone has said so; check it."
-        lines = [head]
+        lines = [_HEADS["check" if self.is_check else self.action]]
         if self.contradiction is not None:
             lines.append(
                 textwrap.fill(
@@ -302,24 +299,7 @@ class Decision:
                 )
             )  # fmt: skip
         if self.action == "go on" and self.next_run is not None:
-            lines.append(f"  next          {self.next_run.name}")
-            if self.kept is not None:
-                lines.append(
-                    f"  limits        kept on {self.kept:.0%} of {self.n_checked} vehicles that "
-                    "remain possible"
-                )
-            if np.isfinite(self.hours_left):
-                lines.append(
-                    f"  to go         {self.runs_left} runs, {self.hours_left:.2g} h, if they go "
-                    "as planned"
-                )
-            else:
-                lines.append("  to go         more than can be planned: lower a goal")
-            if self.hours_available is not None and self.hours_left > self.hours_available:
-                lines.append(
-                    f"  WARNING       only {self.hours_available:.2g} h are left: not all goals "
-                    "will be met"
-                )
+            lines += self._next_words(self.next_run.name)
         lines.append(f"  {'goal':<34} {'wanted':>12} {'now':>12} {'after next':>12}")
         for one in self.goals:
             words = [
@@ -331,6 +311,25 @@ class Decision:
             lines.append(f"{row} {mark}".rstrip())
         lines += [f"  Not run: {name!r} may leave its limits." for name in self.refused]
         return "\n".join(lines)
+
+    def _next_words(self, name: str) -> list[str]:
+        """Lines about the next run, and what is left after it."""
+        lines = [f"  next          {name}"]
+        if self.kept is not None:
+            lines.append(
+                f"  limits        kept on {self.kept:.0%} of {self.n_checked} vehicles that remain "
+                "possible"
+            )
+        left = f"{self.runs_left} runs, {self.hours_left:.2g} h, if they go as planned"
+        if not np.isfinite(self.hours_left):
+            left = "more than can be planned: lower a goal"
+        lines.append(f"  to go         {left}")
+        if self.hours_available is not None and self.hours_left > self.hours_available:
+            lines.append(
+                f"  WARNING       only {self.hours_available:.2g} h are left: not all goals will "
+                "be met"
+            )
+        return lines
 
     to_dict = as_dict(
         "action", "runs_left", "hours_left", "goals", "refused", "contradiction", "seconds",
@@ -386,89 +385,61 @@ def decide(
     began = time.perf_counter()
     if not goals or not candidates:
         raise DesignError("A decision needs one goal and one candidate run or more. Give both.")
-    model = fit.model if isinstance(fit, Fit) else fit
-    if isinstance(fit, Fit) and noise is None:
-        noise = fit
-    model, sea, sigma = nominal_noise(model, noise)
-    known = knowledge(fit, model, prior)
-    names = tuple(p.name for p in model.free_parameters if not p.per_record)
-    scales = np.array([p.magnitude for p in model.free_parameters if not p.per_record])
-    matrix = np.zeros((len(names),) * 2)
-    if known is not None:
-        matrix = known.matrix * scales[:, None] * scales
-    rows = [goal.rows(model, names) * scales for goal in goals]
-    wanted = np.array([goal.tolerance for goal in goals])
-    told, runs = [], []
-    each = information_of_each(
-        model, [run.experiment for run in candidates], noise=sigma if sea is None else sea,
-        priors=None,
-    )  # fmt: skip
-    for run, found in zip(candidates, each, strict=True):
-        if found is None:
-            continue  # it diverges on what is known now
-        told.append(found.matrix * scales[:, None] * scales)
-        runs.append(run)
-    now = _deviations(matrix, rows)
-    met = bool(np.all(now <= wanted))
+    expected = ExpectedInformation.of(fit, DOptimal(), Knowledge(prior=prior, noise=noise))
+    outlook = _Outlook.of(expected, candidates, goals)
     contradiction = _contradiction(fit, goals) if isinstance(fit, Fit) else None
-    needs_check = met and contradiction is None and isinstance(fit, Fit) and _is_alone(fit)
+    # Nothing but one run has told the parameters, so that nothing could contradict it.
+    is_alone = isinstance(fit, Fit) and len(tuple(fit.dataset)) < 2
+    needs_check = outlook.is_met and contradiction is None and is_alone
     refused: list[str] = []
-    chosen, share, n_checked = None, None, 0
-    if not met or needs_check:
-        vehicles = _possible(model, known, rng)
-        while ranked := (
-            _telling(matrix, told, runs)
-            if needs_check
-            else _ranked(matrix, told, runs, rows, wanted)
-        ):
-            best = runs[ranked[0]]
-            corridor = Corridor.of(
-                model, limits or best.experiment.limits, {}, kernel(model).n_full
-            )
-            kept = kept_on(best.experiment, (model, *vehicles), corridor, certainty)
-            if kept is not None:
-                chosen = ranked[0]
-                if corridor.names and vehicles:
-                    share, n_checked = kept, 1 + len(vehicles)
-                break
-            refused.append(best.name)
-            told.pop(ranked[0])
-            runs.pop(ranked[0])
-    steps = [] if chosen is None else _path(matrix, told, runs, rows, wanted)
-    if needs_check and chosen is not None:
-        steps = [chosen]
-    then = now if chosen is None else _deviations(matrix + told[chosen], rows)
-    if met and not needs_check:
-        action = "enough" if contradiction is None else "contradicted"
-    elif chosen is None:
-        action = "unchecked" if needs_check else "useless"
-    elif hours is not None and runs[chosen].cost > 3600.0 * hours:
-        action = "no time"
-    else:
-        action = "go on"
-    reached = bool(np.all(_deviations(matrix + sum(told[i] for i in steps), rows) <= wanted))
+    checked: tuple[float | None, int] = (None, 0)
+    chosen = None
+    if needs_check or not outlook.is_met:
+        vehicles = _possible(expected, rng)
+        while chosen is None and (best := outlook.best(check=needs_check)) is not None:
+            run = outlook.runs[best]
+            bounds = LimitBounds.of(expected.model, limits or run.experiment.limits)
+            kept = kept_on(run.experiment, (expected.model, *vehicles), bounds, certainty)
+            if kept is None:
+                refused.append(run.name)
+                outlook = outlook.without(best)
+                continue
+            chosen = best
+            if bounds.names and vehicles:
+                checked = kept, 1 + len(vehicles)
+    steps = [] if chosen is None else [chosen] if needs_check else outlook.path()
+    then = outlook.now if chosen is None else outlook.deviations(outlook.told[chosen])
+    next_run = None if chosen is None else outlook.runs[chosen]
+    late = next_run is not None and hours is not None and next_run.cost > 3600.0 * hours
+    action = _action(outlook.is_met, needs_check, contradiction is not None, next_run, late)
     return Decision(
-        model=model,
+        model=expected.model,
         action=action,
         goals=tuple(
             Progressed(goal, float(a), float(b))
-            for goal, a, b in zip(goals, now, then, strict=True)
+            for goal, a, b in zip(goals, outlook.now, then, strict=True)
         ),
-        next_run=None if chosen is None or action != "go on" else runs[chosen],
+        next_run=next_run if action == "go on" else None,
         runs_left=len(steps),
-        hours_left=sum(runs[i].cost for i in steps) / 3600.0 if reached else float("inf"),
+        hours_left=outlook.hours(steps),
         hours_available=hours,
         refused=tuple(dict.fromkeys(refused)),
         seconds=time.perf_counter() - began,
-        kept=share,
-        n_checked=n_checked,
+        kept=checked[0],
+        n_checked=checked[1],
         contradiction=contradiction,
     )
 
 
-def _is_alone(fit: Fit) -> bool:
-    """Whether nothing but one run has told the parameters, so that nothing could contradict it."""
-    return len(tuple(fit.dataset)) < 2
+def _action(
+    is_met: bool, needs_check: bool, contradicted: bool, next_run: Candidate | None, late: bool
+) -> str:
+    """What to do; see :class:`Decision`."""
+    if is_met and not needs_check:
+        return "contradicted" if contradicted else "enough"
+    if next_run is None:
+        return "unchecked" if needs_check else "useless"
+    return "no time" if late else "go on"
 
 
 def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
@@ -502,87 +473,104 @@ def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
     )
 
 
-def _telling(
-    matrix: np.ndarray, told: Sequence[np.ndarray], runs: Sequence[Candidate]
-) -> list[int]:
-    """Runs in the order of what they tell of all parameters, per second.
+@dataclass(frozen=True, eq=False)
+class _Outlook:
+    """What is known, what each run would tell (relative units), and what is wanted."""
 
-    What a run says by itself is what it can contradict.
-    """
-    if not len(told):
-        return []
-    # Directions of which nothing is known yet count much, but not without end.
-    floor = 1e-9 * np.eye(len(matrix)) * max(float(np.diag(matrix).max(initial=0.0)), 1e-300)
-    before = np.linalg.slogdet(matrix + floor)[1]
-    after = np.linalg.slogdet(matrix + floor + np.stack(told))[1]
-    gains = (after - before) / np.array([run.cost for run in runs])
-    return [int(i) for i in np.argsort(-gains, kind="stable")]
+    matrix: np.ndarray
+    told: tuple[np.ndarray, ...]
+    runs: tuple[Candidate, ...]
+    rows: tuple[np.ndarray, ...]
+    wanted: np.ndarray
+
+    @classmethod
+    def of(
+        cls, expected: ExpectedInformation, candidates: Sequence[Candidate], goals: Sequence[Goal]
+    ) -> _Outlook:
+        """Return the outlook, without runs that diverge on what is known now."""
+        each = expected.each([run.experiment for run in candidates])
+        finite = [i for i, one in enumerate(each) if one is not None]
+        rows = (goal.rows(expected.model, expected.names) * expected.scales() for goal in goals)
+        return cls(
+            expected.total(None), tuple(expected.relative(each[i]) for i in finite),  # type: ignore[arg-type]
+            tuple(candidates[i] for i in finite), tuple(rows),
+            np.array([goal.tolerance for goal in goals]),
+        )  # fmt: skip
+
+    def without(self, index: int) -> _Outlook:
+        """The outlook without a run."""
+        kept = [i for i in range(len(self.runs)) if i != index]
+        return replace(
+            self, told=tuple(self.told[i] for i in kept), runs=tuple(self.runs[i] for i in kept)
+        )
+
+    @property
+    def costs(self) -> np.ndarray:
+        """Time of each run, s."""
+        return np.array([run.cost for run in self.runs])
+
+    @property
+    def now(self) -> np.ndarray:
+        """Standard deviation of each goal."""
+        return self.deviations(0.0)
+
+    @property
+    def is_met(self) -> bool:
+        """Whether all goals are."""
+        return bool(np.all(self.now <= self.wanted))
+
+    def deviations(self, more: np.ndarray | float) -> np.ndarray:
+        """Largest standard deviation of each goal with more information, ``(..., n_goals)``."""
+        bound = quick_inverse(self.matrix + more)
+        parts = [np.sqrt(((row @ bound) * row).sum(axis=-1).max(axis=-1)) for row in self.rows]
+        return np.stack(parts, axis=-1)
+
+    def best(self, *, check: bool) -> int | None:
+        """The run to do next: what brings the goals nearer, or what could contradict; or None."""
+        if not self.runs:
+            return None
+        if not check:
+            return self._nearest(np.zeros_like(self.matrix))
+        # What a run says of all parameters by itself is what it can contradict. Directions of
+        # which nothing is known yet count much, but not without end.
+        largest = max(float(np.diag(self.matrix).max(initial=0.0)), 1e-300)
+        known = self.matrix + 1e-9 * largest * np.eye(len(self.matrix))
+        gains = np.linalg.slogdet(known + np.stack(self.told))[1] - np.linalg.slogdet(known)[1]
+        return int(np.argsort(-gains / self.costs, kind="stable")[0])
+
+    def _nearest(self, more: np.ndarray) -> int | None:
+        """Run that brings unmet goals nearest per second, if it is worth its fuel."""
+        now, then = self.deviations(more), self.deviations(more + np.stack(self.told))
+        brought = np.log(np.maximum(now, self.wanted) / np.maximum(then, self.wanted)).sum(axis=1)
+        # What is nearly met needs little: a run that meets it is worth its fuel all the same.
+        meets = (then > self.wanted).sum(axis=-1) < (now > self.wanted).sum()
+        order = np.argsort(-brought / self.costs, kind="stable")
+        return next((int(i) for i in order if brought[i] > WORTH or meets[i]), None)
+
+    def path(self) -> list[int]:
+        """Runs, one after the other, until the goals are met, or nothing helps."""
+        steps: list[int] = []
+        more = np.zeros_like(self.matrix)
+        while len(steps) < _MOST_AHEAD and np.any(self.deviations(more) > self.wanted):
+            best = self._nearest(more)
+            if best is None:
+                break
+            steps.append(best)
+            more = more + self.told[best]
+        return steps
+
+    def hours(self, steps: Sequence[int]) -> float:
+        """Time of some runs; infinite if the goals are not met after them."""
+        after = self.deviations(sum((self.told[i] for i in steps), np.zeros_like(self.matrix)))
+        if not np.all(after <= self.wanted):
+            return float("inf")
+        return sum(self.runs[i].cost for i in steps) / 3600.0
 
 
-def _deviations(matrix: np.ndarray, rows: Sequence[np.ndarray]) -> np.ndarray:
-    """Largest standard deviation of each goal, for matrices ``(..., n, n)``: ``(..., n_goals)``."""
-    bound = quick_inverse(matrix)
-    parts = [np.sqrt(((row @ bound) * row).sum(axis=-1).max(axis=-1)) for row in rows]
-    return np.stack(parts, axis=-1)
-
-
-def _gains(
-    matrix: np.ndarray,
-    told: Sequence[np.ndarray],
-    runs: Sequence[Candidate],
-    rows: Sequence[np.ndarray],
-    wanted: np.ndarray,
-) -> np.ndarray:
-    """How much nearer each run brings the goals that are not met, per second."""
-    if not len(told):
-        return np.zeros(0)
-    now = np.maximum(_deviations(matrix, rows), wanted)
-    then = np.maximum(_deviations(matrix + np.stack(told), rows), wanted)
-    return np.log(now / then).sum(axis=1) / np.array([run.cost for run in runs])
-
-
-def _ranked(
-    matrix: np.ndarray,
-    told: Sequence[np.ndarray],
-    runs: Sequence[Candidate],
-    rows: Sequence[np.ndarray],
-    wanted: np.ndarray,
-) -> list[int]:
-    gains = _gains(matrix, told, runs, rows, wanted)
-    if not len(gains):
-        return []
-    least = np.array([WORTH / run.cost for run in runs])
-    # What is nearly met needs little: a run that meets it is worth its fuel all the same.
-    now = _deviations(matrix, rows) > wanted
-    then = _deviations(matrix + np.stack(told), rows) > wanted
-    worth = (gains > least) | (then.sum(axis=-1) < now.sum())
-    return [int(i) for i in np.argsort(-gains, kind="stable") if worth[i]]
-
-
-def _path(
-    matrix: np.ndarray,
-    told: Sequence[np.ndarray],
-    runs: Sequence[Candidate],
-    rows: Sequence[np.ndarray],
-    wanted: np.ndarray,
-) -> list[int]:
-    """Runs, one after the other, until the goals are met, or nothing helps."""
-    steps: list[int] = []
-    while len(steps) < _MOST_AHEAD and np.any(_deviations(matrix, rows) > wanted):
-        ranked = _ranked(matrix, told, runs, rows, wanted)
-        if not ranked:
-            break
-        steps.append(ranked[0])
-        matrix = matrix + told[ranked[0]]
-    return steps
-
-
-def _possible(
-    model: Model, known: Information | None, rng: np.random.Generator
-) -> tuple[Model, ...]:
+def _possible(expected: ExpectedInformation, rng: np.random.Generator) -> tuple[Model, ...]:
     """Vehicles that remain possible; none where nothing is known."""
     try:
-        return draw_models(model, None, _VEHICLES, known, rng)
+        return draw_models(expected.model, None, _VEHICLES, expected.prior, rng)
     except DesignError:
         return ()
 

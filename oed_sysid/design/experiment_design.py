@@ -1,4 +1,4 @@
-r"""The verb of this package: design an experiment within limits.
+r"""The verb of this package: design an experiment within limits; and several, one after another.
 
 .. math::
     \max_{u \in \mathcal U}\ \varphi\left(F_0 + F(u; \hat\theta)\right) \quad\text{subject to}
@@ -10,25 +10,18 @@ range and rate (:mod:`oed_sysid.design.waveforms`), and limits :math:`h`
 (:mod:`oed_sysid.design.limits`) on vehicles that are possible (:mod:`oed_sysid.design.vehicles`).
 Rough manoeuvres are refined by sequential linear programs (:mod:`oed_sysid.design.search`).
 
-Design, measure, estimate, design again.
-
-With all records up to run ``k`` the estimate and what is known of it are
+In a campaign all records up to run ``k`` give
 
 .. math::
     \hat\theta_k = \arg\max_\theta \sum_{j \le k} \log L_j(\theta), \qquad
-    F_k = \sum_{j \le k} F_j(\hat\theta_k)
+    F_k = \sum_{j \le k} F_j(\hat\theta_k), \qquad
+    u_{k+1} = \arg\max_u \varphi\left(F_k + F(u; \hat\theta_k)\right)
 
-and the next command is the best on them,
-
-.. math:: u_{k+1} = \arg\max_u \varphi\left(F_k + F(u; \hat\theta_k)\right)
-
-within limits that hold on the vehicles which :math:`F_k` leaves possible
-(:mod:`oed_sysid.design.vehicles`).
+within limits that hold on the vehicles which :math:`F_k` leaves possible.
 """
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,24 +32,30 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.design.criteria import Criterion, DOptimal
-from oed_sysid.design.library import Reference, zigzags
+from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
+from oed_sysid.design.library import Reference, Standard, standard_manoeuvres
 from oed_sysid.design.limits import quantity, units_of
 from oed_sysid.design.missing_effects import ByShifts
 from oed_sysid.design.objective import Objective, Score
 from oed_sysid.design.result import Design
-from oed_sysid.design.search import Found, Progress, ZigZags, again, search, search_zigzags, starts
-from oed_sysid.design.trial import Plan, opened, plan_of
+from oed_sysid.design.search import (
+    Progress,
+    SearchResult,
+    ZigZags,
+    again,
+    refine_all,
+    search_zigzags,
+    starts,
+)
+from oed_sysid.design.trial import Search, Task, Trial
 from oed_sysid.design.vehicles import Caution, Robust
-from oed_sysid.design.waveforms import Grid, Levels, Parametrisation
-from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.design.waveforms import Grid
+from oed_sysid.errors import DataError, DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.information.noise import Colour
-from oed_sysid.information.noise import Levels as NoiseLevels
+from oed_sysid.likelihood.archive import encode
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.journal import Journal
 from oed_sysid.runtime.threads import single_threaded
@@ -65,33 +64,39 @@ from oed_sysid.runtime.threads import single_threaded
 _N_STRICTER = 3
 # Vehicles of the caution that nobody asked for: it must not take minutes.
 _USUAL_SETS, _USUAL_CHECKS = 80, 400
+# Arguments that are gone.
+_RUN = {
+    name: f"trial=Trial({name}=...)"
+    for name in (
+        "limits", "duration", "sample_time", "inputs", "constants", "neutral", "initial", "end",
+        "name",
+    )
+}  # fmt: skip
+_SEARCH = {
+    name: f"search=Search({name}=...)"
+    for name in ("n_starts", "n_candidates", "n_steps", "n_workers")
+} | {"parametrisation": "search=Search(family=...)"}
+_KNOWN = {
+    name: f"knowledge=Knowledge({name}=...)" for name in ("prior", "start", "noise", "coloured")
+}
+_GONE = _RUN | _SEARCH | _KNOWN
+_GONE_IN_SERIES = {
+    name: new if name in _RUN else f"design=partial(design_experiment, {new})"
+    for name, new in _GONE.items()
+}
 
 
+@respelled(DesignError, _GONE)
 @single_threaded
 def design_experiment(
     model: Model | Fit,
+    trial: Trial,
     *,
-    limits: Limits,
-    duration: float,
-    sample_time: float,
     rng: np.random.Generator,
     criterion: Criterion | ByShifts | Robust = DOptimal(),  # noqa: B008 (frozen)
-    parametrisation: Parametrisation | ZigZags = Levels(),  # noqa: B008 (frozen)
-    inputs: Sequence[str] | None = None,
-    constants: Mapping[str, float] | None = None,
-    neutral: Mapping[str, float] | None = None,
-    initial: Mapping[str, float] | None = None,
-    end: Mapping[str, tuple[float, float]] | None = None,
-    prior: str | Information | None = "auto",
-    start: str | Mapping[str, float] = "unknown",
-    noise: NoiseLevels | NoiseModel | Fit = None,
-    coloured: Colour = None,
+    search: Search = Search(),  # noqa: B008 (frozen)
+    knowledge: Knowledge = Knowledge(),  # noqa: B008 (frozen)
     caution: Caution | str | None = "auto",
-    n_starts: int = 3,
-    n_candidates: int = 80,
-    n_steps: int = 40,
-    n_workers: int | None = None,
-    name: str = "designed",
     progress: Callable[[Progress], None] | None = None,
     journal: Journal | None = None,
 ) -> Design:
@@ -105,49 +110,25 @@ def design_experiment(
     model : Model or Fit
         The nominal vehicle. A fit brings its values, noise levels and, as prior
         knowledge, its information: the next experiment completes the last.
-    limits : Limits
-        Range of each designed input, its rate, and corridors of states or outputs.
-    duration, sample_time : float
-        Length and sampling of the run, s.
+    trial : Trial
+        What is run: limits, length, sampling, inputs, start and end.
     rng : numpy.random.Generator
         Source of rough manoeuvres and sampled values.
-    criterion : Criterion, Discriminate, Reveal or Robust
-        What is good. For the criteria of missing physics (``Discriminate``, ``Reveal``) a fit
+    criterion : Criterion, Discriminate, Detect or Robust
+        What is good. For the criteria of missing physics (``Discriminate``, ``Detect``) a fit
         brings its records: what these show already counts.
-    parametrisation : Parametrisation or ZigZags
-        Family of commands.
-    inputs : sequence of str, optional
-        Inputs to design; by default all that have limits and no constant.
-    constants : mapping of str to float, optional
-        Values of the other inputs.
-    neutral : mapping of str to float, optional
-        Command before the run; by default zero, or the middle of a range without zero.
-    initial : mapping of str to float, optional
-        Start state.
-    end : mapping of str to (lower, upper), optional
-        Where states or outputs have to be at the end, for a return to the start.
-    prior : {"auto", None} or Information
-        What is known before: of a fit its information, of a model the
-        parameters' ``prior_std``; None ignores both.
-    start : {"unknown", "known"} or mapping of str to float
-        See :func:`~oed_sysid.information.information_of`.
-    noise, coloured
-        See :func:`~oed_sysid.information.information_of`; a fit's noise, random
-        forces included, by default. With random forces the search sees white noise
-        (measured to cost 3 to 6 %); the choice among what it found, and the
-        accuracy that is stated, see the forces.
+    search : Search
+        Family of commands, and the effort.
+    knowledge : Knowledge
+        What is known before, and the noise to expect; by default all that the fit or the model
+        says. With random forces the search sees white noise (measured to cost 3 to 6 %); the
+        choice among what it found, and the accuracy that is stated, see the forces.
     caution : Caution, "auto" or None
         How surely limits are to be kept although the parameters are uncertain. By default they
         hold on 95 % of the vehicles that a fit leaves possible, where its covariance is known;
         where no such manoeuvre is found, one that keeps them on the nominal vehicle is returned
         and its report begins with the danger. For a model alone, or None, limits are kept at the
         nominal values (and those of ``Robust``).
-    n_starts, n_candidates, n_steps : int
-        Starts that are refined, rough manoeuvres tried, steps of refinement.
-    n_workers : int, optional
-        Threads; by default one per core, at most four.
-    name : str
-        Name of the experiment.
     progress : callable, optional
         Called with a :class:`~oed_sysid.design.search.Progress`.
     journal : Journal, optional
@@ -161,208 +142,256 @@ def design_experiment(
     ------
     DesignError
         If no manoeuvre keeps the limits; it says which and how far off.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> problem = load_problem("remus_diving_plane")
+    >>> trial = Trial.like(problem.experiment("zigzag_5_5"), problem.limits, duration=20.0)
+    >>> quick = Search(n_starts=1, n_candidates=5, n_steps=2)
+    >>> found = design_experiment(
+    ...     problem.model, trial, rng=np.random.default_rng(0), search=quick
+    ... )
+    >>> found.experiment.duration
+    20.0
     """
-    began = time.perf_counter()
-    keep = opened(
-        journal,
-        {
-            "model": model, "limits": limits, "duration": duration, "sample_time": sample_time,
-            "rng": rng.bit_generator.state, "criterion": criterion,
-            "parametrisation": parametrisation, "inputs": inputs, "constants": constants,
-            "neutral": neutral, "initial": initial, "end": end, "prior": prior, "start": start,
-            "noise": noise, "coloured": coloured, "caution": caution, "n_starts": n_starts,
-            "n_candidates": n_candidates, "n_steps": n_steps, "name": name,
-        },
-    )  # fmt: skip
+    settings = {
+        "model": model, "trial": trial, "rng": rng.bit_generator.state, "criterion": criterion,
+        "search": replace(search, n_workers=None), "knowledge": knowledge, "caution": caution,
+    }  # fmt: skip
+    keep = opened(journal, settings)
     automatic = caution == "auto"
     if isinstance(caution, str):
-        caution = _usual_caution(model, limits, prior) if automatic else _unknown(caution)
-    plan = plan_of(
-        model, limits=limits, duration=duration, sample_time=sample_time, rng=rng,
-        criterion=criterion, inputs=inputs, constants=constants, neutral=neutral,
-        initial=initial, end=end, prior=prior, start=start, noise=noise, coloured=coloured,
-        caution=caution,
-    )  # fmt: skip
-    workers = n_workers or min(4, os.cpu_count() or 1)
-    references = zigzags(
-        plan.model, plan.grid, plan.corridor, constants=plan.constants, initial=plan.initial
+        if not automatic:
+            raise DesignError(f"caution is {caution!r}. Give a Caution, 'auto' or None.")
+        caution = _usual_caution(model, trial.limits, knowledge)
+    robust = criterion if isinstance(criterion, Robust) else None
+    judged: Any = criterion if robust is None else robust.criterion
+    expected = ExpectedInformation.of(model, judged, knowledge)
+    task = Task.of(expected, trial, rng, robust=robust, caution=caution)
+    found = find_design(
+        task, search, rng=rng, progress=progress, keep=keep, may_be_unsafe=automatic
     )
-    if references:
-        plan = plan.told_under_forces(references[0][1])
-    task = partial(
-        _searched, parametrisation=parametrisation, references=references, rng=rng,
-        n_candidates=n_candidates, n_starts=n_starts, n_steps=n_steps, workers=workers, name=name,
-        progress=progress, keep=keep,
+    return found if robust is None else replace(found, criterion=robust.name)
+
+
+def find_design(
+    task: Task,
+    search: Search,
+    *,
+    rng: np.random.Generator,
+    progress: Callable[[Progress], None] | None = None,
+    keep: Journal | None = None,
+    may_be_unsafe: bool = False,
+) -> Design:
+    """Solve a design task; see :func:`design_experiment`.
+
+    Parameters
+    ----------
+    task : Task
+    search : Search
+    rng, progress, keep
+        See :func:`design_experiment`.
+    may_be_unsafe : bool
+        Whether a run that does not keep the limits on all vehicles wanted is better than none.
+    """
+    began = time.perf_counter()
+    keep = keep or Journal()
+    references = standard_manoeuvres(
+        task.model, task.grid, task.bounds, constants=task.trial.constants,
+        initial=task.trial.initial,
     )  # fmt: skip
+    if references:
+        told = task.expected.seen_white(references[0][1])
+        task = replace(task, expected=told)
+    searched = partial(
+        _searched, search=search, references=references, rng=rng, progress=progress, keep=keep
+    )
     try:
-        objective, found, best, experiment = task(plan)
+        objective, found, best, experiment = searched(task)
     except DesignError:
-        if not automatic or caution is None:
+        if not may_be_unsafe or task.caution is None:
             raise
         # Nothing keeps the limits as surely as that: what follows says so in its first line.
-        plan = replace(plan, guards=(), waves=())
-        objective, found, best, experiment = task(plan)
-    assurance = keep.once("other vehicles", partial(plan.assured, experiment, rng), rng=rng)
+        task = replace(task, scenarios=(), waves=())
+        objective, found, best, experiment = searched(task)
+    assurance = keep.once("other vehicles", partial(task.assured, experiment, rng), rng=rng)
     for _ in range(_N_STRICTER):
-        if assurance is None or caution is None or assurance.probability >= caution.probability:
+        caution = task.caution
+        if assurance is None or caution is None or not task.scenarios:
             break
-        if not plan.guards:
+        if assurance.probability >= caution.probability:
             break
-        plan = plan.stricter(assurance, rng)
+        task = task.stricter(assurance, rng)
         try:
-            objective, found, best, experiment = task(plan, begin=best)
+            objective, found, best, experiment = searched(task, begin=best)
         except DesignError:
-            if not automatic:
+            if not may_be_unsafe:
                 raise
             break
-        assurance = keep.once("other vehicles", partial(plan.assured, experiment, rng), rng=rng)
-    trajectory = simulate_inputs(
-        plan.model, plan.grid.times, inputs=best.commands, initial=plan.initial
-    )
-    signals = best.views[0].signals
-    active = (
-        *_actuator_limits(plan.grid, best.commands[:, plan.positions], units_of(plan.model)),
-        *plan.corridor.reached(plan.grid.times, signals),
-    )
-    bound = plan.bound
+        assurance = keep.once("other vehicles", partial(task.assured, experiment, rng), rng=rng)
+    return _result(task, search, (objective, found, best, experiment), references, assurance, began)
+
+
+def _result(
+    task: Task,
+    search: Search,
+    searched: tuple[Objective, SearchResult, Score, Experiment],
+    references: Sequence[Standard],
+    assurance: Any,
+    began: float,
+) -> Design:
+    """What was found, with all that is stated about it."""
+    objective, found, best, experiment = searched
+    expected, grid = task.expected, task.grid
+    played = task.experiment(best.commands)
     compared = []
-    for title, standard, note in references:
+    for title, run, note in references:
         try:
-            compared.append(Reference(title, standard, bound(standard), note))
+            compared.append(Reference(title, run, expected.bound(run), note))
         except OedSysidError:
             continue
+    total = expected.before if expected.shifts is None else expected.total(played)
     return Design(
         assurance=assurance,
-        sea=plan.sea,
+        sea=expected.sea,
         experiment=experiment,
-        model=plan.model,
-        trajectory=trajectory,
-        information=bound(plan.experiment(name, best.commands)),
-        prior=plan.prior,
+        model=task.model,
+        trajectory=simulate_inputs(
+            task.model, grid.times, inputs=best.commands, initial=task.trial.initial
+        ),
+        information=expected.bound(played),
+        prior=expected.prior,
         references=tuple(compared),
-        criterion=criterion.name,
-        parametrisation=parametrisation.name,
-        value=plan.worth(name, best),
+        criterion=expected.criterion.name,
+        parametrisation=search.family.name,
+        value=task.worth(best),
         start_values=found.values,
-        active=active,
-        misfits=plan.misfits(plan.experiment(name, best.commands)),
-        chances=plan.chances(plan.experiment(name, best.commands)),
+        active=(
+            *_actuator_limits(grid, best.commands[:, task.positions], units_of(task.model)),
+            *task.bounds.reached(grid.times, best.evaluations[0].signals),
+        ),
+        misfits=expected.misfits(total),
+        chances=expected.detections(total),
         n_evaluations=objective.n_evaluations,
         seconds=time.perf_counter() - began,
     )
 
 
-def _usual_caution(
-    given: Model | Fit, limits: Limits, prior: str | Information | None
-) -> Caution | None:
+def opened(journal: Journal | None, settings: Mapping[str, Any]) -> Journal:
+    """Open a journal for one design.
+
+    Parameters
+    ----------
+    journal : Journal or None
+        None keeps nothing.
+    settings : mapping of str to object
+        Every argument that shapes the result.
+
+    Returns
+    -------
+    Journal
+        With steps of an earlier call with equal settings, if there was one. Settings of which
+        equality cannot be told, such as a criterion that is no dataclass, keep nothing.
+    """
+    keep = journal or Journal()
+    if keep.folder is None:
+        return keep
+    try:
+        content = encode(dict(settings))
+    except DataError:
+        return Journal()
+    keep.open({"task": "design", "settings": content})
+    return keep
+
+
+def _usual_caution(given: Model | Fit, limits: Limits, knowledge: Knowledge) -> Caution | None:
     """Caution after a fit that tells how uncertain its parameters are; None for a model alone."""
-    if not isinstance(given, Fit) or not limits.signals or prior is None:
+    if not isinstance(given, Fit) or not limits.signals or knowledge.prior is None:
         return None
-    known = given.information if isinstance(prior, str) else prior
+    known = given.information if isinstance(knowledge.prior, str) else knowledge.prior
     if not np.all(np.isfinite(known.covariance)):
         return None
     return Caution(n_sets=_USUAL_SETS, n_checks=_USUAL_CHECKS)
 
 
-def _unknown(caution: str) -> Caution:
-    raise DesignError(f"caution is {caution!r}. Give a Caution, 'auto' or None.")
-
-
-def design_series(model: Model | Fit, n_experiments: int, **settings: object) -> tuple[Design, ...]:
-    """Design several experiments, each to complete the information of those before.
-
-    Parameters
-    ----------
-    model : Model or Fit
-        The nominal vehicle.
-    n_experiments : int
-        How many.
-    **settings
-        As for :func:`design_experiment`.
-
-    Returns
-    -------
-    tuple of Design
-        The information of each includes that of its predecessors.
-    """
-    found: list[Design] = []
-    for index in range(n_experiments):
-        chosen = dict(settings)
-        if found:
-            chosen["prior"] = found[-1].information
-        chosen["name"] = f"{settings.get('name', 'designed')}_{index + 1}"
-        found.append(design_experiment(model, **chosen))  # type: ignore[arg-type]
-    return tuple(found)
-
-
 def _searched(
-    plan: Plan,
+    task: Task,
     *,
-    parametrisation: Parametrisation | ZigZags,
-    references: Sequence[tuple[str, Experiment, str]],
+    search: Search,
+    references: Sequence[Standard],
     rng: np.random.Generator,
-    n_candidates: int,
-    n_starts: int,
-    n_steps: int,
-    workers: int,
-    name: str,
     progress: Callable[[Progress], None] | None,
     keep: Journal,
     begin: Score | None = None,
-) -> tuple[Objective, Found, Score, Experiment]:
+) -> tuple[Objective, SearchResult, Score, Experiment]:
     """Search the family, from rough manoeuvres or from a given member."""
-    if isinstance(parametrisation, ZigZags):
-        objective = plan.objective(None, workers)
-        _check_neutral(plan)
-        tried = partial(
-            search_zigzags, parametrisation, objective, plan.grid, plan.model,
-            sign=_sign(references), constants=plan.constants, initial=plan.initial, rng=rng,
-            guards=objective.guards,
-        )  # fmt: skip
-        (zigzag, nearest, loop), objective.n_evaluations = keep.once(
-            "zigzags", lambda: (tried(), objective.n_evaluations), rng=rng
-        )
-        if nearest is None:
-            raise DesignError(f"No zigzag on {parametrisation.feedback!r} stays finite.")
-        found = Found(zigzag, nearest, (float("-inf") if zigzag is None else zigzag.value,))
-        if zigzag is None or loop is None:
-            raise DesignError(_infeasible(plan, found))
-        return objective, found, zigzag, replace(loop, name=name, limits=plan.limits)
-    objective = plan.objective(parametrisation.on(plan.grid), workers)
-    _check_neutral(plan)
+    if isinstance(search.family, ZigZags):
+        return _searched_zigzags(task, search.family, search.workers, references, rng, keep)
+    objective = task.objective(search.family.on(task.grid), search.workers)
+    _check_neutral(task)
     if begin is not None:
-        first = again(objective, plan.grid, begin)
+        first = again(objective, task.grid, begin)
     else:
-        given = [plan.designed(exp) for _, exp, _ in references]
         rough = partial(
-            starts, objective, plan.grid, rng, n_candidates=n_candidates, n_starts=n_starts,
-            given=given,
+            starts, objective, task.grid, rng, n_candidates=search.n_candidates,
+            n_starts=search.n_starts, given=[task.designed(run) for _, run, _ in references],
         )  # fmt: skip
         first, objective.n_evaluations = keep.once(
             "rough manoeuvres", lambda: (rough(), objective.n_evaluations), rng=rng
         )
     if not first:
         raise DesignError(
-            f"All {n_candidates} rough manoeuvres make model {plan.model.name!r} diverge: it "
-            "is unstable on its own. Design a shorter run, or in Python a closed loop, "
-            "parametrisation=ZigZags(...)."
+            f"All {search.n_candidates} rough manoeuvres make model {task.model.name!r} diverge: "
+            "it is unstable on its own. Design a shorter run, or in Python a closed loop, "
+            "search=Search(family=ZigZags(...))."
         )
-    found = search(objective, first, n_steps=n_steps, progress=progress, journal=keep)
+    found = refine_all(objective, first, n_steps=search.n_steps, progress=progress, journal=keep)
     if found.best is None:
-        raise DesignError(_infeasible(plan, found))
+        raise DesignError(_infeasible(task, found))
     best = found.best
-    if plan.sea is not None and len(found.others) > 1:
-        best = max(found.others, key=lambda score: plan.worth(name, score))
-    return objective, found, best, plan.experiment(name, best.commands)
+    if task.expected.sea is not None and len(found.others) > 1:
+        best = max(found.others, key=task.worth)
+    return objective, found, best, task.experiment(best.commands)
 
 
-def _check_neutral(plan: Plan) -> None:
-    """Raise if limits are broken even when nothing is commanded."""
-    run = simulate_inputs(
-        plan.model, plan.grid.times, inputs=plan.still(), initial=plan.initial, throw=False
+def _searched_zigzags(
+    task: Task,
+    family: ZigZags,
+    n_workers: int,
+    references: Sequence[Standard],
+    rng: np.random.Generator,
+    keep: Journal,
+) -> tuple[Objective, SearchResult, Score, Experiment]:
+    """Search zigzags that are closed over the vehicle."""
+    objective = task.objective(None, n_workers)
+    _check_neutral(task)
+    signs = [getattr(run.excitation, "sign", None) for _, run, _ in references]
+    sign = next((int(one) for one in signs if one is not None), 1)
+    tried = partial(
+        search_zigzags, family, objective, task.grid, task.model, sign=sign,
+        constants=task.trial.constants, initial=task.trial.initial, rng=rng,
+    )  # fmt: skip
+    (zigzag, nearest, loop), objective.n_evaluations = keep.once(
+        "zigzags", lambda: (tried(), objective.n_evaluations), rng=rng
     )
-    first = {name: run.signal(name)[:1] for name in plan.limits.signals}
-    at_start = Limits(signals=dict(plan.limits.signals)).violations(run.times[:1], first)
+    if nearest is None:
+        raise DesignError(f"No zigzag on {family.feedback!r} stays finite.")
+    found = SearchResult(zigzag, nearest, (float("-inf") if zigzag is None else zigzag.value,))
+    if zigzag is None or loop is None:
+        raise DesignError(_infeasible(task, found))
+    named = replace(loop, name=task.trial.name, limits=task.trial.limits)
+    return objective, found, zigzag, named
+
+
+def _check_neutral(task: Task) -> None:
+    """Raise if limits are broken even when nothing is commanded."""
+    limits = task.trial.limits.signals
+    run = simulate_inputs(
+        task.model, task.grid.times, inputs=task.still(), initial=task.trial.initial, throw=False
+    )
+    first = {name: run.signal(name)[:1] for name in limits}
+    at_start = Limits(signals=dict(limits)).violations(run.times[:1], first)
     if at_start:
         raise DesignError(
             f"The start already breaks the limits: {'; '.join(at_start)}. Change the start "
@@ -370,20 +399,21 @@ def _check_neutral(plan: Plan) -> None:
         )
 
 
-def _infeasible(plan: Plan, found: Found) -> str:
+def _infeasible(task: Task, found: SearchResult) -> str:
     """Say which limits the nearest manoeuvre breaks, and what to do."""
-    signals = found.nearest.views[0].signals
-    words = plan.corridor.broken(plan.grid.times, signals)
-    if not words and plan.caution is not None:
-        raise DesignError(
-            f"No manoeuvre was found that keeps all limits on {plan.caution.probability:.0%} of "
+    signals = found.nearest.evaluations[0].signals
+    words = task.bounds.broken(task.grid.times, signals)
+    if not words and task.caution is not None:
+        return (
+            f"No manoeuvre was found that keeps all limits on {task.caution.probability:.0%} of "
             "the vehicles with other coefficients. Design a shorter run, do a gentle trial first "
-            "and design from its fit, or in Python a closed loop, parametrisation=ZigZags(...)."
+            "and design from its fit, or in Python a closed loop, "
+            "search=Search(family=ZigZags(...))."
         )
     if not words:
-        words = ("for other values of the parameters the corridor is left",)
+        words = ("for other values of the parameters the limits are left",)
     return (
-        f"No manoeuvre of {plan.grid.times[-1]:g} s was found that keeps all limits. In the "
+        f"No manoeuvre of {task.grid.times[-1]:g} s was found that keeps all limits. In the "
         f"nearest one {'; '.join(words)}. Widen these limits, shorten the run, allow more "
         "actuator range, or ask for more starts."
     )
@@ -408,12 +438,44 @@ def _actuator_limits(grid: Grid, commands: np.ndarray, units: Mapping[str, str])
     return tuple(words)
 
 
-def _sign(references: Sequence[tuple[str, Experiment, str]]) -> int:
-    for _, experiment, _ in references:
-        sign = getattr(experiment.excitation, "sign", None)
-        if sign is not None:
-            return int(sign)
-    return 1
+# -- one after another -----------------------------------------------------------------
+
+
+@respelled(DesignError, _GONE_IN_SERIES)
+def design_series(
+    model: Model | Fit,
+    trial: Trial,
+    n_experiments: int,
+    *,
+    design: Callable[..., Design],
+    knowledge: Knowledge = Knowledge(),  # noqa: B008 (frozen)
+) -> tuple[Design, ...]:
+    """Design several experiments, each to complete the information of those before.
+
+    Parameters
+    ----------
+    model : Model or Fit
+        The nominal vehicle.
+    trial : Trial
+        Each run; its name is numbered.
+    n_experiments : int
+        How many.
+    design : callable
+        How one is designed: ``partial(design_experiment, rng=rng, criterion=...)``.
+    knowledge : Knowledge
+        Before the first.
+
+    Returns
+    -------
+    tuple of Design
+        The information of each includes that of its predecessors.
+    """
+    found: list[Design] = []
+    for index in range(n_experiments):
+        known = replace(knowledge, prior=found[-1].information) if found else knowledge
+        named = replace(trial, name=f"{trial.name}_{index + 1}")
+        found.append(design(model, named, knowledge=known))
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -435,14 +497,16 @@ class Stage:
     fit: Fit
 
 
+@respelled(DesignError, _GONE_IN_SERIES)
 def campaign(
     model: Model | Fit,
+    trial: Trial,
     measure: Callable[[Experiment], Record],
     n_runs: int,
     *,
+    design: Callable[[Model | Fit, Trial], Design],
     data: Dataset | None = None,
     estimator: MultipleShooting | None = None,
-    **settings: Any,
 ) -> tuple[Stage, ...]:
     """Design a run, measure it, estimate from all records, and design the next one.
 
@@ -453,17 +517,19 @@ def campaign(
     ----------
     model : Model or Fit
         The nominal vehicle at first.
+    trial : Trial
+        Each run; its name is numbered.
     measure : callable
         Takes the designed experiment and returns the record: at sea the crew
         and a file, in a study :func:`oed_sysid.experiments.simulation.simulate`.
     n_runs : int
         How many.
+    design : callable
+        How one is designed: ``partial(design_experiment, rng=rng, criterion=...)``.
     data : Dataset, optional
         Records in hand; they are estimated from as well.
     estimator : MultipleShooting, optional
         By default one that trusts the noise levels of the model.
-    **settings
-        As for :func:`~oed_sysid.design.design_experiment`.
 
     Returns
     -------
@@ -482,9 +548,9 @@ def campaign(
     records = tuple(data) if data is not None else ()
     stages: list[Stage] = []
     for index in range(n_runs):
-        name = f"{settings.get('name', 'run')}_{index + 1}"
-        design = design_experiment(nominal, **{**settings, "name": name})
-        record = replace(measure(design.experiment), name=name)
+        name = f"{trial.name}_{index + 1}"
+        found = design(nominal, replace(trial, name=name))
+        record = replace(measure(found.experiment), name=name)
         records = (*records, record)
         fit = chosen.fit(start, Dataset(records))
         if not fit.status.ok:
@@ -492,6 +558,6 @@ def campaign(
                 f"After run {name!r} the estimation did not converge ({fit.status}). Fix "
                 "parameters that the runs do not show, or begin with a run of another kind."
             )
-        stages.append(Stage(design, record, fit))
+        stages.append(Stage(found, record, fit))
         nominal, start = fit, fit.model
     return tuple(stages)

@@ -1,6 +1,4 @@
-r"""Quantities as people at sea say them: angles in degrees, four digits.
-
-Limits on what the vehicle does, as numbers for a search and as words for people.
+r"""Limits on what the vehicle does, as numbers for a search and as words for people.
 
 Of a limited signal :math:`x_j` with bounds :math:`l_j, u_j` the excess is a share of its width
 :math:`b_j = u_j - l_j` (of a bound alone: its absolute value),
@@ -8,19 +6,21 @@ Of a limited signal :math:`x_j` with bounds :math:`l_j, u_j` the excess is a sha
 .. math:: h_j(t) = \max\left(\frac{l_j - x_j(t)}{b_j}, \frac{x_j(t) - u_j}{b_j}\right)
 
 and a run is inside where :math:`\max_{j,t} h_j \le 0`; limits on the end count at the last sample
-only.
+only. In words angles are in degrees.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import degrees
 
 import numpy as np
 
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Limits
+from oed_sysid.experiments.simulation import Trajectory
 from oed_sysid.experiments.trajectory import state_names
 from oed_sysid.physics.model import Model
 
@@ -69,10 +69,11 @@ def percent(share: float) -> str:
 
 # A limit counts as reached within this share of its width.
 REACHED = 0.01
+_SIDES = ("lower", "upper")
 
 
 @dataclass(frozen=True, eq=False)
-class Corridor:
+class LimitBounds:
     """Bounds on states and outputs during the experiment and at its end.
 
     Attributes
@@ -80,7 +81,7 @@ class Corridor:
     names : tuple of str
         Limited signals; those of the end come last.
     columns : ndarray of int (n_limits,)
-        Columns of a scene's signals.
+        Columns of a vehicle's signals.
     lower, upper, width : ndarray (n_limits,)
     at_end : ndarray of bool (n_limits,)
         Whether only the last sample counts.
@@ -101,12 +102,12 @@ class Corridor:
 
     @classmethod
     def of(
-        cls, model: Model, limits: Limits, end: Mapping[str, tuple[float, float]], n_full: int
-    ) -> Corridor:
-        """Return the corridor of a model's states (before outputs of the same name)."""
-        states = state_names(model)
+        cls, model: Model, limits: Limits, end: Mapping[str, tuple[float, float]] | None = None
+    ) -> LimitBounds:
+        """Return the bounds of a model's states (before outputs of the same name)."""
+        states, n_full = state_names(model), kernel(model).n_full
         names, columns, ranges, at_end = [], [], [], []
-        for group, last in ((limits.signals, False), (end, True)):
+        for group, last in ((limits.signals, False), (end or {}, True)):
             for name, pair in group.items():
                 if name in states:
                     column = states.index(name)
@@ -164,33 +165,53 @@ class Corridor:
             return -np.inf
         return float(self.excess(signals, n_times=len(signals)).max())
 
+    def during(self) -> LimitBounds:
+        """The limits that hold during the run, of signals that are picked already."""
+        kept = np.flatnonzero(~self.at_end)
+        return LimitBounds(
+            tuple(self.names[i] for i in kept), np.arange(len(kept)), self.lower[kept],
+            self.upper[kept], self.width[kept], np.zeros(len(kept), dtype=bool), 0,
+            tuple(self.units[i] for i in kept),
+        )  # fmt: skip
+
+    def first_left(self, run: Trajectory) -> str | None:
+        """Limit that a motion leaves first; None if it keeps all, those on its end waived."""
+        bounds = self.during()
+        if not bounds.names:
+            return None
+        signals = np.column_stack([run.signal(name) for name in bounds.names])
+        excess = bounds.excess(signals, n_times=len(signals))
+        outside = excess.max(axis=(1, 2)) > 0
+        if not outside.any():
+            return None
+        first = excess[int(np.argmax(outside))]
+        limit, side = np.unravel_index(int(np.argmax(first)), first.shape)
+        return f"{bounds.names[limit]} {_SIDES[side]} limit"
+
     def reached(self, times: np.ndarray, signals: np.ndarray) -> tuple[str, ...]:
         """Limits that are reached within 1 %, in words."""
-        excess = self.excess(signals, n_times=len(signals))
-        words = []
-        for index, name in enumerate(self.names):
-            for side, bound in enumerate((self.lower[index], self.upper[index])):
-                sample = int(np.argmax(excess[:, index, side]))
-                if excess[sample, index, side] > -REACHED:
-                    when = "at the end" if self.at_end[index] else f"at t = {times[sample]:g} s"
-                    reached = quantity(bound, self.units[index])
-                    words.append(f"{name} {('lower', 'upper')[side]} limit {reached} {when}")
-        return tuple(words)
+        return tuple(
+            f"{self.names[i]} {_SIDES[side]} limit {quantity(bound, self.units[i])} {when}"
+            for i, side, bound, _, when in self._extremes(times, signals, -REACHED)
+        )
 
     def broken(self, times: np.ndarray, signals: np.ndarray) -> tuple[str, ...]:
         """Limits that are not kept, in words."""
+        return tuple(
+            f"{self.names[i]} is {quantity(value, self.units[i])} {when}, "
+            f"{('below', 'above')[side]} its limit of {quantity(bound, self.units[i])}"
+            for i, side, bound, value, when in self._extremes(times, signals, 1e-9)
+        )
+
+    def _extremes(
+        self, times: np.ndarray, signals: np.ndarray, beyond: float
+    ) -> Iterator[tuple[int, int, float, float, str]]:
+        """Limit, side, bound, value and time of largest excesses above a share of the width."""
         excess = self.excess(signals, n_times=len(signals))
-        words = []
-        for index, name in enumerate(self.names):
-            for side, bound in enumerate((self.lower[index], self.upper[index])):
+        for index, bounds in enumerate(zip(self.lower, self.upper, strict=True)):
+            for side, bound in enumerate(bounds):
                 sample = int(np.argmax(excess[:, index, side]))
-                if excess[sample, index, side] > 1e-9:
-                    unit = self.units[index]
-                    value = quantity(signals[sample, self.columns[index]], unit)
-                    where = "at the end" if self.at_end[index] else f"at t = {times[sample]:g} s"
-                    relation = ("below", "above")[side]
-                    words.append(
-                        f"{name} is {value} {where}, {relation} its limit of "
-                        f"{quantity(bound, unit)}"
-                    )
-        return tuple(words)
+                if excess[sample, index, side] > beyond:
+                    when = "at the end" if self.at_end[index] else f"at t = {times[sample]:g} s"
+                    value = float(signals[sample, self.columns[index]])
+                    yield index, side, float(bound), value, when

@@ -232,34 +232,6 @@ def pair_misfits(
     return pairs
 
 
-@dataclass(frozen=True, eq=False)
-class Completing:
-    """A criterion by shifts with the joint information in hand, such as that of other runs.
-
-    Parameters
-    ----------
-    criterion : ByShifts
-    known : ndarray (n_parameters + n_columns, n_parameters + n_columns)
-        Parameters in SI units, effects in units of their size; priors included.
-    """
-
-    criterion: ByShifts
-    known: np.ndarray
-
-    @property
-    def name(self) -> str:
-        """Name for reports."""
-        return self.criterion.name
-
-    def shifts(self, nominal: Model) -> Shifts:
-        """Return those of the criterion."""
-        return self.criterion.shifts(nominal)
-
-    def bind_shifts(self, shifts: Shifts, n_parameters: int) -> Measure:
-        """Return that of the criterion."""
-        return self.criterion.bind_shifts(shifts, n_parameters)
-
-
 FALSE_CLAIMS = 0.01
 # Beyond this expected gain everything shows; the distribution is not evaluated.
 _CERTAIN = 300.0
@@ -270,7 +242,7 @@ _SURE = 0.9
 
 
 @dataclass(frozen=True)
-class Reveal:
+class Detect:
     """Maximise the chance that a search over a vocabulary finds what is missing.
 
     Parameters
@@ -319,7 +291,7 @@ class Reveal:
         """Gain in twice the log-likelihood that a claim needs.
 
         >>> from oed_sysid import load_problem
-        >>> round(Reveal(load_problem("remus_diving_plane").effects).needed(1), 1)
+        >>> round(Detect(load_problem("remus_diving_plane").effects).needed(1), 1)
         13.4
         """
         return float(chdtri(freedom, self.false_claims / len(self.candidates)))
@@ -358,9 +330,9 @@ class Reveal:
         weights = np.where(kept, np.exp(-(logs - logs[kept].min()) / _SOFTNESS), 0.0)
         return weights / weights.sum()
 
-    def chances(
+    def detections(
         self, shifts: Shifts, before: np.ndarray, after: np.ndarray, n_parameters: int
-    ) -> tuple[Chance, ...]:
+    ) -> tuple[Detection, ...]:
         """How surely every effect shows, before a run and after it.
 
         Parameters
@@ -379,13 +351,13 @@ class Reveal:
             least = np.sqrt(_for_power(_SURE, group.freedom, gain) / max(values[1], 1e-300))
             gains, chances = (values[0], values[1]), (powers[0], powers[1])
             found.append(
-                Chance(group.name, dict(group.sizes), *gains, *chances, least=float(least))
+                Detection(group.name, dict(group.sizes), *gains, *chances, least=float(least))
             )
         return tuple(found)
 
 
 @dataclass(frozen=True)
-class Chance:
+class Detection:
     """How surely one effect would show.
 
     Attributes
@@ -413,7 +385,7 @@ class Chance:
 
 
 def missing_physics(
-    misfits: Mapping[tuple[str, str], float], chances: Sequence[Chance]
+    misfits: Mapping[tuple[str, str], float], chances: Sequence[Detection]
 ) -> list[str]:
     """Lines on rivals told apart and on effects revealed, records in hand included."""
     lines = [
@@ -425,7 +397,7 @@ def missing_physics(
     return lines + (chance_table(chances) if chances else [])
 
 
-def chance_table(chances: Sequence[Chance], *, most: int = 12) -> list[str]:
+def chance_table(chances: Sequence[Detection], *, most: int = 12) -> list[str]:
     """Lines with the effects that a run makes visible, and those that stay hidden."""
     lines = [f"  {'effect':<32} {'chance before':>13} {'after':>7} {'shows from':>14}"]
     gained = sorted(chances, key=lambda one: one.before - one.after)

@@ -14,8 +14,8 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.design.criteria import Measure, eliminate
-from oed_sysid.design.limits import Corridor
-from oed_sysid.design.vehicles import GuardRun, Guards
+from oed_sysid.design.limits import LimitBounds
+from oed_sysid.design.vehicles import ScenarioRun, Scenarios
 from oed_sysid.design.waveforms import Shape
 from oed_sysid.information.bound import start_weights
 from oed_sysid.information.noise import Noise
@@ -27,8 +27,8 @@ _DIVERGED = 1e9
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """One evaluation of a scene.
+class Evaluation:
+    """One evaluation of a vehicle.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class View:
     rival_nodes: tuple[np.ndarray, ...]
 
 
-class Scene:
+class VehicleInformation:
     """One set of parameter values under which commands are judged.
 
     Parameters
@@ -116,7 +116,7 @@ class Scene:
         known += [1.0 / (free[i - n_own].prior_spread or np.inf) for i in local]
         self.nuisance_prior = (np.array(known) * self.scales[: self.n_nuisance]) ** 2
 
-    def view(self, commands: np.ndarray) -> View | None:
+    def evaluation(self, commands: np.ndarray) -> Evaluation | None:
         """Evaluate commands ``(n_times, n_inputs)``; None where a trajectory diverges."""
         runner = self.kernel
         z, dz = runner.start(self.own, commands[0], self.values, float(self.times[0]))
@@ -149,11 +149,11 @@ class Scene:
         if not np.abs(rows).max() < _DIVERGED:
             return None
         signals = np.hstack([run.states, run.outputs])
-        return View(rows, signals, run.states[self.edges], chains, tuple(rival_nodes))
+        return Evaluation(rows, signals, run.states[self.edges], chains, tuple(rival_nodes))
 
     def change(
         self,
-        view: View,
+        evaluation: Evaluation,
         commands: np.ndarray,
         edge: int,
         by_rows: np.ndarray,
@@ -163,7 +163,7 @@ class Scene:
 
         Parameters
         ----------
-        view : View
+        evaluation : Evaluation
             Of the commands before.
         commands : ndarray (n_times, n_inputs)
             Different from an edge on only.
@@ -184,7 +184,7 @@ class Scene:
         """
         first = int(self.edges[edge])
         times, part = self.times[first:], commands[first:]
-        z, chain = view.nodes[edge], view.chains[edge]
+        z, chain = evaluation.nodes[edge], evaluation.chains[edge]
         if edge == 0:
             z, dz = self.kernel.start(self.own, commands[0], self.values, float(times[0]))
             chain = self._chains(dz[None])[0]
@@ -197,7 +197,7 @@ class Scene:
         pulled = weights[:, :, :n_kept].reshape(-1, n_kept) @ chain.T
         total = float(np.vdot(pulled, run.output_sensitivities))
         for position, (rival, values, factor) in enumerate(self.rivals):
-            node = view.rival_nodes[position][edge]
+            node = evaluation.rival_nodes[position][edge]
             if edge == 0:
                 node, _ = rival.start(self.own, commands[0], values, float(times[0]))
             other = rival.run(times, part, values, node)
@@ -205,15 +205,15 @@ class Scene:
                 return None
             moved = factor * (other.outputs - run.outputs)
             total += float(np.vdot(weights[:, :, n_kept + position], moved))
-        total -= float(np.vdot(by_rows[first:], view.rows[first:]))
+        total -= float(np.vdot(by_rows[first:], evaluation.rows[first:]))
         signals = np.empty((len(times), len(columns)))
         for index, column in enumerate(columns):
             source = run.states[:, column] if column < n_full else run.outputs[:, column - n_full]
-            signals[:, index] = source - view.signals[first:, column]
+            signals[:, index] = source - evaluation.signals[first:, column]
         return total, signals
 
     def _chains(self, maps: np.ndarray) -> np.ndarray:
-        """See :class:`View`; ``maps`` are derivatives of the states at the edges."""
+        """See :class:`Evaluation`; ``maps`` are derivatives of the states at the edges."""
         n_edges, n_full, n_unknowns = maps.shape
         n_own = len(self.own)
         chains = np.zeros((n_edges, n_full + n_unknowns - n_own, n_unknowns))
@@ -272,9 +272,9 @@ class Score:
         Criterion, larger is better; minus infinity where a trajectory diverges.
     excess : float
         Largest excess over the limits; above zero is not allowed.
-    views : tuple of View
-        One for each scene.
-    guards : tuple of GuardRun
+    evaluations : tuple of Evaluation
+        One for each vehicle.
+    scenarios : tuple of ScenarioRun
         One for each uncertain vehicle; empty where limits of these were not looked at.
     """
 
@@ -282,8 +282,8 @@ class Score:
     commands: np.ndarray
     value: float
     excess: float
-    views: tuple[View, ...]
-    guards: tuple[GuardRun, ...] = ()
+    evaluations: tuple[Evaluation, ...]
+    scenarios: tuple[ScenarioRun, ...] = ()
 
     @property
     def feasible(self) -> bool:
@@ -299,70 +299,70 @@ class Slope:
     ----------
     criterion : ndarray (size,)
         Of the criterion by the numbers.
-    signals : ndarray (n_scenes, n_times, n_limits, size)
+    signals : ndarray (n_vehicles, n_times, n_limits, size)
         Of the limited signals by the numbers.
-    guards : mapping of int to ndarray (n_times, n_limits, size)
+    scenarios : mapping of int to ndarray (n_times, n_limits, size)
         The same of the decisive uncertain vehicles.
     """
 
     criterion: np.ndarray
     signals: np.ndarray
-    guards: Mapping[int, np.ndarray] = field(default_factory=dict)
+    scenarios: Mapping[int, np.ndarray] = field(default_factory=dict)
 
 
 class Objective:
-    """Criterion of a parametrised experiment over one or several scenes.
+    """Criterion of a parametrised experiment over one or several vehicles.
 
     Parameters
     ----------
-    scenes : sequence of Scene
+    vehicles : sequence of VehicleInformation
         Sets of values.
     measures : sequence of Measure
-        Criterion bound to each scene.
+        Criterion bound to each vehicle.
     priors : sequence of ndarray (n_parameters, n_parameters)
-        Scaled information at hand before the experiment, per scene.
+        Scaled information at hand before the experiment, per vehicle.
     shape : Shape
         Family of commands.
     positions : ndarray of int
         Columns of the designed inputs among all inputs.
     constants : ndarray (n_inputs,)
         Values of the other inputs.
-    corridor : Corridor
-        Limits, kept in every scene.
+    bounds : LimitBounds
+        Limits, kept in every vehicle.
     softness : float or None
-        None averages over scenes; a number takes the soft minimum of this width.
+        None averages over vehicles; a number takes the soft minimum of this width.
     n_workers : int
         Threads for the gradient.
-    guards : Guards, optional
+    scenarios : Scenarios, optional
         Uncertain vehicles on which limits are kept.
     """
 
     def __init__(
         self,
-        scenes: Sequence[Scene],
+        vehicles: Sequence[VehicleInformation],
         measures: Sequence[Measure],
         priors: Sequence[np.ndarray],
         shape: Shape,
         positions: np.ndarray,
         constants: np.ndarray,
-        corridor: Corridor,
+        bounds: LimitBounds,
         *,
         softness: float | None = None,
         n_workers: int = 1,
-        guards: Guards | None = None,
+        scenarios: Scenarios | None = None,
     ) -> None:
-        self.scenes, self.measures, self.priors = tuple(scenes), tuple(measures), tuple(priors)
-        self.shape, self.corridor = shape, corridor
+        self.vehicles, self.measures, self.priors = tuple(vehicles), tuple(measures), tuple(priors)
+        self.shape, self.bounds = shape, bounds
         self._positions, self._constants = positions, constants
         self._softness = softness
-        self.guards = guards
-        self._n_workers = n_workers if scenes[0].kernel.is_compiled else 1
+        self.scenarios = scenarios
+        self._n_workers = n_workers if vehicles[0].kernel.is_compiled else 1
         self.n_evaluations = 0
 
     @property
     def times(self) -> np.ndarray:
         """Sample times, s."""
-        return self.scenes[0].times
+        return self.vehicles[0].times
 
     def all_commands(self, numbers: np.ndarray) -> np.ndarray:
         """Commands of all inputs, ``(n_batch, n_times, n_inputs)``."""
@@ -373,49 +373,51 @@ class Objective:
         commands[:, :, self._positions] = designed
         return commands
 
-    def score(self, numbers: np.ndarray, *, guarded: bool = True) -> Score:
+    def score(self, numbers: np.ndarray, *, with_scenarios: bool = True) -> Score:
         """Evaluate one member of the family; see :meth:`score_commands`."""
-        return self.score_commands(self.all_commands(numbers)[0], numbers, guarded=guarded)
+        return self.score_commands(
+            self.all_commands(numbers)[0], numbers, with_scenarios=with_scenarios
+        )
 
     def score_commands(
-        self, commands: np.ndarray, numbers: np.ndarray, *, guarded: bool = True
+        self, commands: np.ndarray, numbers: np.ndarray, *, with_scenarios: bool = True
     ) -> Score:
-        """Evaluate commands ``(n_times, n_inputs)``, ``guarded`` on uncertain vehicles too."""
+        """Evaluate commands ``(n_times, n_inputs)``, on uncertain vehicles too where asked."""
         self.n_evaluations += 1
-        views = []
-        for scene in self.scenes:
-            view = scene.view(commands)
-            if view is None:
+        evaluations = []
+        for vehicle in self.vehicles:
+            evaluation = vehicle.evaluation(commands)
+            if evaluation is None:
                 return Score(numbers, commands, -np.inf, np.inf, ())
-            views.append(view)
-        values = [self._measured(i, view)[0] for i, view in enumerate(views)]
-        excess = max(self.corridor.worst(view.signals) for view in views)
+            evaluations.append(evaluation)
+        values = [self._measured(i, evaluation)[0] for i, evaluation in enumerate(evaluations)]
+        excess = max(self.bounds.worst(evaluation.signals) for evaluation in evaluations)
         value = self._combined(values)[0]
-        if self.guards is None or not guarded:
-            return Score(numbers, commands, value, excess, tuple(views))
-        guards = self.guards
-        runs = self._each(lambda i: guards.run(i, commands), len(guards))
-        excess = max(excess, guards.level(runs))
-        return Score(numbers, commands, value, excess, tuple(views), tuple(runs))
+        if self.scenarios is None or not with_scenarios:
+            return Score(numbers, commands, value, excess, tuple(evaluations))
+        scenarios = self.scenarios
+        runs = self._each(lambda i: scenarios.run(i, commands), len(scenarios))
+        excess = max(excess, scenarios.level(runs))
+        return Score(numbers, commands, value, excess, tuple(evaluations), tuple(runs))
 
-    def information(self, scene: int, view: View) -> np.ndarray:
+    def information(self, vehicle: int, evaluation: Evaluation) -> np.ndarray:
         """Scaled information on parameters (and rival shifts), priors included."""
-        matrix = self.scenes[scene].information(view.rows)
-        reduced, _ = eliminate(matrix, self.scenes[scene].n_nuisance)
-        n = len(self.priors[scene])
-        reduced[:n, :n] += self.priors[scene]
+        matrix = self.vehicles[vehicle].information(evaluation.rows)
+        reduced, _ = eliminate(matrix, self.vehicles[vehicle].n_nuisance)
+        n = len(self.priors[vehicle])
+        reduced[:n, :n] += self.priors[vehicle]
         return reduced
 
-    def _measured(self, index: int, view: View) -> tuple[float, np.ndarray]:
-        """Criterion of one scene and its derivative by the whole information matrix."""
-        scene, prior = self.scenes[index], self.priors[index]
-        reduced, mapping = eliminate(scene.information(view.rows), scene.n_nuisance)
+    def _measured(self, index: int, evaluation: Evaluation) -> tuple[float, np.ndarray]:
+        """Criterion of one vehicle and its derivative by the whole information matrix."""
+        vehicle, prior = self.vehicles[index], self.priors[index]
+        reduced, mapping = eliminate(vehicle.information(evaluation.rows), vehicle.n_nuisance)
         reduced[: len(prior), : len(prior)] += prior
         value, gradient = self.measures[index](reduced)
         return value, mapping.T @ gradient @ mapping
 
     def _combined(self, values: Sequence[float]) -> tuple[float, np.ndarray]:
-        """Mean or soft minimum over the scenes, and the weights of their gradients."""
+        """Mean or soft minimum over the vehicles, and the weights of their gradients."""
         array = np.asarray(values)
         if self._softness is None or len(array) == 1:
             return float(array.mean()), np.full(len(array), 1.0 / len(array))
@@ -429,42 +431,46 @@ class Objective:
         size = self.shape.size
         signs = np.where(score.numbers > 0.5, -1.0, 1.0)
         commands = self.all_commands(score.numbers + np.diag(_STEP * signs))
-        parts = [self._measured(i, view) for i, view in enumerate(score.views)]
+        parts = [self._measured(i, evaluation) for i, evaluation in enumerate(score.evaluations)]
         _, weights = self._combined([value for value, _ in parts])
         slopes = []
-        for i, scene in enumerate(self.scenes):
-            whitened = scene.whitened(score.views[i].rows)
-            slopes.append(2 * weights[i] * scene.unwhitened(whitened @ parts[i][1]))
-        decisive = self.guards.decisive(score.guards) if self.guards and score.guards else []
-        n_guarded = len(self.guards.corridor.names) if self.guards else 0
-        by_guard = {i: np.zeros((len(self.times), n_guarded, size)) for i in decisive}
-        columns = self.corridor.columns
+        for i, vehicle in enumerate(self.vehicles):
+            whitened = vehicle.whitened(score.evaluations[i].rows)
+            slopes.append(2 * weights[i] * vehicle.unwhitened(whitened @ parts[i][1]))
+        decisive = (
+            self.scenarios.decisive(score.scenarios) if self.scenarios and score.scenarios else []
+        )
+        n_limited = len(self.scenarios.bounds.names) if self.scenarios else 0
+        by_scenario = {i: np.zeros((len(self.times), n_limited, size)) for i in decisive}
+        columns = self.bounds.columns
         gradient = np.zeros(size)
-        signals = np.zeros((len(self.scenes), len(self.times), len(columns), size))
+        signals = np.zeros((len(self.vehicles), len(self.times), len(columns), size))
 
         def one(index: int) -> None:
             differs = np.flatnonzero((commands[index] != score.commands).any(axis=1))
             if not len(differs):
                 return
             step = _STEP * signs[index]
-            for i, scene in enumerate(self.scenes):
+            for i, vehicle in enumerate(self.vehicles):
                 # A linearly interpolated command acts from the sample before.
-                edge = int(np.searchsorted(scene.edges, max(differs[0] - 1, 0), "right")) - 1
-                change = scene.change(score.views[i], commands[index], edge, slopes[i], columns)
+                edge = int(np.searchsorted(vehicle.edges, max(differs[0] - 1, 0), "right")) - 1
+                change = vehicle.change(
+                    score.evaluations[i], commands[index], edge, slopes[i], columns
+                )
                 if change is not None:
                     gradient[index] += change[0] / step
-                    signals[i, scene.edges[edge] :, :, index] = change[1] / step
-            if self.guards is None:
+                    signals[i, vehicle.edges[edge] :, :, index] = change[1] / step
+            if self.scenarios is None:
                 return
-            edges = self.scenes[0].edges
+            edges = self.vehicles[0].edges
             edge = int(np.searchsorted(edges, max(differs[0] - 1, 0), "right")) - 1
             for i in decisive:
-                moved = self.guards.change(i, score.guards[i], commands[index], edge)
-                by_guard[i][edges[edge] :, :, index] = moved / step
+                moved = self.scenarios.change(i, score.scenarios[i], commands[index], edge)
+                by_scenario[i][edges[edge] :, :, index] = moved / step
 
         self.n_evaluations += size
         self._each(one, size)
-        return Slope(gradient, signals, by_guard)
+        return Slope(gradient, signals, by_scenario)
 
     def _each(self, work: Callable[[int], T], size: int) -> list[T]:
         """Results of ``work`` for ``0 .. size - 1``, over threads."""

@@ -30,11 +30,11 @@ from typing import Protocol
 
 import numpy as np
 
-from oed_sysid.data.libraries import library
+from oed_sysid.data.log import library
 from oed_sysid.design.assurance import TRUSTED, Assurance
 from oed_sysid.design.library import Reference
 from oed_sysid.design.limits import quantity, span, units_of
-from oed_sysid.design.missing_effects import Chance, missing_physics
+from oed_sysid.design.missing_effects import Detection, missing_physics
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import Trajectory
@@ -82,7 +82,7 @@ class Planned(Protocol):
         """Expected misfit of each rival."""
 
     @property
-    def chances(self) -> tuple[Chance, ...]:
+    def chances(self) -> tuple[Detection, ...]:
         """How surely each candidate effect would show."""
 
     @property

@@ -15,7 +15,7 @@ import numpy as np
 from oed_sysid.design.assurance import AccuracyRange, Assurance, stated
 from oed_sysid.design.library import Candidate, Reference
 from oed_sysid.design.limits import percent
-from oed_sysid.design.missing_effects import Chance, missing_physics
+from oed_sysid.design.missing_effects import Detection, missing_physics
 from oed_sysid.design.on_board import sea_trial_card
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import Trajectory, simulate
@@ -66,8 +66,8 @@ class Design:
         where noise is white.
     spread : AccuracyRange or None
         Accuracy on other vehicles that are possible, if asked for.
-    chances : tuple of Chance
-        For :class:`~oed_sysid.design.Reveal`: how surely each candidate effect would show.
+    chances : tuple of Detection
+        For :class:`~oed_sysid.design.Detect`: how surely each candidate effect would show.
     """
 
     experiment: Experiment
@@ -87,7 +87,7 @@ class Design:
     assurance: Assurance | None = None
     sea: NoiseModel | None = None
     spread: AccuracyRange | None = None
-    chances: tuple[Chance, ...] = ()
+    chances: tuple[Detection, ...] = ()
 
     _repr_html_ = as_html
 
@@ -325,7 +325,7 @@ class Programme:
     seconds : float
     misfits : mapping of (str, str) to float
         For discrimination: expected ``2 dlogL`` of the first rival over the second.
-    chances : tuple of Chance
+    chances : tuple of Detection
         For effects to be revealed: how surely each would show.
     """
 
@@ -354,7 +354,7 @@ class Programme:
     budget: tuple[float | None, int | None]
     seconds: float
     misfits: Mapping[tuple[str, str], float] = field(default_factory=dict)
-    chances: tuple[Chance, ...] = ()
+    chances: tuple[Detection, ...] = ()
 
     _repr_html_ = as_html
 

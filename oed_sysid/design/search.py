@@ -1,6 +1,7 @@
-r"""Rough manoeuvres from which a search begins.
+r"""From rough manoeuvres to an optimum: linear programs within moving bounds.
 
-The pace of each (samples between changes) is drawn from a log-uniform distribution,
+The pace of each rough manoeuvre (samples between changes) is drawn from a log-uniform
+distribution,
 
 .. math:: \log p \sim U\left(\log 2, \log \tfrac{n}{4}\right)
 
@@ -8,20 +9,23 @@ for ``n`` samples, so that slow and quick ones are as frequent; then the wave :m
 1]` of one of five kinds becomes :math:`\delta_k = \delta_0 + s\, g_k\, (\delta_{max} -
 \delta_0)`, with the largest share ``s`` of a falling sequence at which all limits hold.
 
-From rough manoeuvres to an optimum: linear programs within moving bounds.
+The best commands lie mostly on limits of the actuators or of the vehicle, in the corners that a
+linear program finds at once. Each step :math:`d` therefore maximises the linearised criterion
+subject to the linearised limits of every sample, with one elastic variable,
 
-The best commands lie mostly on limits of the actuators or of the vehicle, in
-the corners that a linear program finds at once. Each step therefore maximises
-the linearised criterion subject to the linearised limits of every sample,
-within bounds around the present commands that shrink where the steps swing
-back and grow where they go on.
+.. math::
+    \max_{d, e}\ \nabla\varphi' d - \pi e \quad\text{subject to}\quad
+    h_k + \nabla h_k' d \le e, \quad |d_i| \le \rho_i, \quad e \ge 0
 
-Closed-loop family: zigzags whose angles and switching values are designed.
+within bounds :math:`\rho` around the present commands that shrink where the steps swing back and
+grow where they go on. A step counts where the merit :math:`\varphi - \pi \max(h, 0)` rises by a
+part of what was predicted. Zigzags that are closed over the vehicle are searched at random, then
+locally: there is no gradient through a switch.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -30,12 +34,11 @@ import numpy as np
 from scipy.optimize import linprog
 
 from oed_sysid.design.objective import Objective, Score, Slope
-from oed_sysid.design.vehicles import Guards
+from oed_sysid.design.vehicles import Scenarios, motion
 from oed_sysid.design.waveforms import Grid
-from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import ZigZagLike
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.journal import Journal
 
@@ -103,7 +106,7 @@ def starts(
     for commands in given:
         numbers = objective.shape.start(commands)
         if numbers is not None:
-            found += _largest(objective, grid, numbers, guarded=False)
+            found += _largest(objective, grid, numbers, with_scenarios=False)
     for _ in range(n_candidates):
         unit = rough_commands(grid, rng)
         numbers = None
@@ -111,7 +114,7 @@ def starts(
         numbers = objective.shape.start(grid.limited((grid.neutral + orders)[None])[0])
         if numbers is None:
             numbers = rng.random(objective.shape.size)
-        found += _largest(objective, grid, numbers, guarded=False)
+        found += _largest(objective, grid, numbers, with_scenarios=False)
     found.sort(key=lambda score: (not score.feasible, -score.value))
     kept: list[Score] = []
     for score in found:
@@ -121,38 +124,38 @@ def starts(
             kept.append(score)
         if len(kept) == n_starts:
             break
-    if objective.guards is None:
+    if objective.scenarios is None:
         return kept
     if kept:
-        objective.guards.waive(objective.score(kept[0].numbers).guards)
+        objective.scenarios.waive(objective.score(kept[0].numbers).scenarios)
     # Many vehicles take time: only what is kept is shrunk until they keep the limits too.
     return [
         smaller
         for score in kept
-        for smaller in _largest(objective, grid, score.numbers, guarded=True)
+        for smaller in _largest(objective, grid, score.numbers, with_scenarios=True)
     ]
 
 
 def again(objective: Objective, grid: Grid, before: Score) -> list[Score]:
     """Return a member of the same family, shrunk until it keeps the limits of this objective."""
-    if objective.guards is not None:
-        objective.guards.waive(objective.score(before.numbers).guards)
-    return _largest(objective, grid, before.numbers, guarded=True)
+    if objective.scenarios is not None:
+        objective.scenarios.waive(objective.score(before.numbers).scenarios)
+    return _largest(objective, grid, before.numbers, with_scenarios=True)
 
 
 def _largest(
-    objective: Objective, grid: Grid, numbers: np.ndarray, *, guarded: bool
+    objective: Objective, grid: Grid, numbers: np.ndarray, *, with_scenarios: bool
 ) -> list[Score]:
     """Shrink a manoeuvre towards the neutral command until all limits are kept."""
     still = objective.shape.start(
         np.broadcast_to(grid.neutral, (len(grid.times), len(grid.inputs)))
     )
     if still is None:
-        score = objective.score(numbers, guarded=guarded)
+        score = objective.score(numbers, with_scenarios=with_scenarios)
         return [score] if np.isfinite(score.value) else []
     last: list[Score] = []
     for share in _SHARES:
-        score = objective.score(still + share * (numbers - still), guarded=guarded)
+        score = objective.score(still + share * (numbers - still), with_scenarios=with_scenarios)
         if score.feasible:
             return [score]
         if np.isfinite(score.value):
@@ -181,7 +184,7 @@ class Progress:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchResult:
     """Best member that keeps all limits, and how the search went.
 
     Attributes
@@ -240,54 +243,77 @@ def refine(
     K. Svanberg, The method of moving asymptotes, *Int. J. Numerical Methods in
     Engineering* 24 (1987) 359-373: bounds that follow the sign of the steps.
     """
-    current = start
-    best = start if start.feasible else None
-    nearest = start
-    radius = np.full(len(start.numbers), _FIRST_RADIUS)
-    last_step = np.zeros(len(start.numbers))
-    merits = [_merit(start)]
+    state = _Progressed(start, start if start.feasible else None, start, len(start.numbers))
     begin = 0
     if journal is not None and (kept := journal.state()) is not None:
-        begin, current, best, nearest, radius, last_step, merits, objective.n_evaluations = kept
+        begin, state, objective.n_evaluations = kept
     for index in range(begin, n_steps):
-        slope = objective.linearise(current)
-        for _ in range(6):
-            step, predicted = _program(objective, current, slope, radius)
-            trial = objective.score(np.clip(current.numbers + step, 0.0, 1.0))
-            gained = _merit(trial) - _merit(current)
-            if gained < 0.5 * predicted and trial.views and trial.excess > -_MARGIN:
-                # Limits bend: once more, with their values at the end of the step.
-                bent, _ = _program(objective, current, slope, radius, after=(trial, step))
-                second = objective.score(np.clip(current.numbers + bent, 0.0, 1.0))
-                if _merit(second) > _merit(trial):
-                    trial, step = second, bent
-                    gained = _merit(trial) - _merit(current)
-            if trial.feasible and (best is None or trial.value > best.value):
-                best = trial
-            if trial.excess < nearest.excess:
-                nearest = trial
-            if gained > 0.05 * predicted and gained > 0:
-                break
-            radius *= 0.4
-        else:
+        if not state.step(objective):
             break
-        turned = step * last_step
-        radius = np.where(turned < 0, 0.6 * radius, np.where(turned > 0, 1.3 * radius, radius))
-        if gained < 0.3 * predicted:
-            radius *= 0.6
-        elif gained > 0.8 * predicted:
-            radius *= 1.4
-        radius = np.clip(radius, _SMALLEST_RADIUS, _LARGEST_RADIUS)
-        current, last_step = trial, step
-        merits.append(_merit(current))
         if report is not None:
-            report(index, current)
-        if len(merits) > 6 and merits[-1] - merits[-6] < _WORTH_MORE:
+            report(index, state.current)
+        if state.is_done:
             break
         if journal is not None:
-            standing = (index + 1, current, best, nearest, radius, last_step, merits)
-            journal.keep((*standing, objective.n_evaluations))
-    return best, nearest if best is None else best
+            journal.keep((index + 1, state, objective.n_evaluations))
+    return state.best, state.nearest if state.best is None else state.best
+
+
+class _Progressed:
+    """Where a refinement stands: the present member, the best, and the bounds of its steps."""
+
+    def __init__(self, start: Score, best: Score | None, nearest: Score, size: int) -> None:
+        self.current, self.best, self.nearest = start, best, nearest
+        self.radius = np.full(size, _FIRST_RADIUS)
+        self.last_step = np.zeros(size)
+        self.merits = [_merit(start)]
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the last five steps together gained too little."""
+        return len(self.merits) > 6 and self.merits[-1] - self.merits[-6] < _WORTH_MORE
+
+    def step(self, objective: Objective) -> bool:
+        """Take one step that raises the merit; False where none is found."""
+        slope = objective.linearise(self.current)
+        for _ in range(6):
+            trial, step, predicted = self._tried(objective, slope)
+            gained = _merit(trial) - _merit(self.current)
+            if trial.feasible and (self.best is None or trial.value > self.best.value):
+                self.best = trial
+            if trial.excess < self.nearest.excess:
+                self.nearest = trial
+            if gained > 0.05 * predicted and gained > 0:
+                self._move(trial, step, gained, predicted)
+                return True
+            self.radius = 0.4 * self.radius
+        return False
+
+    def _tried(self, objective: Objective, slope: Slope) -> tuple[Score, np.ndarray, float]:
+        """Member at the end of the best linear step, the step, and the merit it promised."""
+        current = self.current
+        step, predicted = _program(objective, current, slope, self.radius)
+        trial = objective.score(np.clip(current.numbers + step, 0.0, 1.0))
+        poor = _merit(trial) - _merit(current) < 0.5 * predicted
+        if poor and trial.evaluations and trial.excess > -_MARGIN:
+            # Limits bend: once more, with their values at the end of the step.
+            bent, _ = _program(objective, current, slope, self.radius, after=(trial, step))
+            second = objective.score(np.clip(current.numbers + bent, 0.0, 1.0))
+            if _merit(second) > _merit(trial):
+                return second, bent, predicted
+        return trial, step, predicted
+
+    def _move(self, trial: Score, step: np.ndarray, gained: float, predicted: float) -> None:
+        """Accept a step, and widen or narrow the bounds of the next one."""
+        turned = step * self.last_step
+        factor = np.where(turned < 0, 0.6, np.where(turned > 0, 1.3, 1.0))
+        # Where the linear program promises too much its bounds are too wide.
+        factor = factor * (
+            0.6 if gained < 0.3 * predicted else 1.4 if gained > 0.8 * predicted else 1
+        )
+        self.radius = np.clip(factor * self.radius, _SMALLEST_RADIUS, _LARGEST_RADIUS)
+        self.current, self.last_step = trial, step
+        self.merits.append(_merit(trial))
 
 
 def _merit(score: Score) -> float:
@@ -328,14 +354,14 @@ def _program(
             rights.append(-beyond[near])
 
     basis = score if after is None else after[0]
-    for i, view in enumerate(basis.views):
-        excess = objective.corridor.excess(view.signals, n_times=len(view.signals))
-        limit(excess, slope.signals[i] / objective.corridor.width[:, None])
-    for i, by_numbers in slope.guards.items():
-        if objective.guards is not None and np.isfinite(basis.guards[i].excess):
-            corridor, signals = objective.guards.corridor, basis.guards[i].signals
-            excess = corridor.excess(signals, n_times=len(signals))
-            limit(excess, by_numbers / corridor.width[:, None], thin=True)
+    for i, evaluation in enumerate(basis.evaluations):
+        excess = objective.bounds.excess(evaluation.signals, n_times=len(evaluation.signals))
+        limit(excess, slope.signals[i] / objective.bounds.width[:, None])
+    for i, by_numbers in slope.scenarios.items():
+        if objective.scenarios is not None and np.isfinite(basis.scenarios[i].excess):
+            bounds, signals = objective.scenarios.bounds, basis.scenarios[i].signals
+            excess = bounds.excess(signals, n_times=len(signals))
+            limit(excess, by_numbers / bounds.width[:, None], thin=True)
     matrix, right = np.vstack(rows), np.concatenate(rights)
     present = max(0.0, float(-right.min(initial=0.0)))
     if not len(right):
@@ -364,14 +390,14 @@ def _telling(excess: np.ndarray) -> np.ndarray:
     return telling
 
 
-def search(
+def refine_all(
     objective: Objective,
     begin: list[Score],
     *,
     n_steps: int = 40,
     progress: Callable[[Progress], None] | None = None,
     journal: Journal | None = None,
-) -> Found:
+) -> SearchResult:
     """Refine several starts roughly, the best one further.
 
     Parameters
@@ -413,17 +439,17 @@ def search(
             rough.append(found)
         nearest = min(nearest, close, key=lambda score: score.excess)
     if not rough:
-        return Found(None, nearest, tuple(values))
+        return SearchResult(None, nearest, tuple(values))
     best = max(rough, key=lambda score: score.value)
     for index in range(_N_FINISHES):
         # From slightly smaller commands other corners come within reach.
         inner = best if index == 0 else objective.score(0.5 + _INWARD * (best.numbers - 0.5))
-        if not inner.views:
+        if not inner.evaluations:
             continue
         found, _ = refined(len(begin) + index, inner, 2 * n_steps)
         if found is not None and found.value > best.value:
             best = found
-    return Found(best, nearest, tuple(values), (*rough, best))
+    return SearchResult(best, nearest, tuple(values), (*rough, best))
 
 
 # Shares of the largest angles of the command, and of the attitude.
@@ -468,15 +494,13 @@ def search_zigzags(
     model: Model,
     *,
     sign: int,
-    constants: dict[str, float],
-    initial: dict[str, float],
+    constants: Mapping[str, float],
+    initial: Mapping[str, float],
     rng: np.random.Generator,
-    guards: Guards | None = None,
-    progress: Callable[[int, Score], None] | None = None,
 ) -> tuple[Score | None, Score | None, Experiment | None]:
     """Return the best zigzag within the limits, the nearest one, and its experiment.
 
-    With guards, each of them closes the loop itself and enough have to keep the limits.
+    Where uncertain vehicles are to keep the limits, each closes the loop itself.
 
     Raises
     ------
@@ -507,26 +531,11 @@ def search_zigzags(
         )  # fmt: skip
 
     def judge(numbers: np.ndarray) -> Score | None:
-        try:
-            record = simulate(model, plan(numbers), noise=False)
-        except OedSysidError:
+        made = motion(model, plan(numbers))
+        if made is None:
             return None
-        score = objective.score_commands(record.inputs, numbers, guarded=False)
+        score = objective.score_commands(made.inputs, numbers, with_scenarios=False)
         return score if np.isfinite(score.value) else None
-
-    def is_safe(numbers: np.ndarray) -> bool:
-        if guards is None:
-            return True
-        experiment, failed = plan(numbers), 0
-        for index, other in enumerate(guards.models):
-            try:
-                commands = simulate(other, experiment, noise=False).inputs
-                failed += guards.run(index, commands).excess > 0
-            except OedSysidError:
-                failed += 1
-            if failed > guards.n_waived:
-                return False
-        return True
 
     best: Score | None = None
     nearest: Score | None = None
@@ -545,13 +554,22 @@ def search_zigzags(
         score = judge(numbers)
         if score is None:
             continue
-        if nearest is None or score.excess < nearest.excess:
-            nearest = score
-        if score.feasible and (best is None or score.value > best.value) and is_safe(numbers):
+        nearest = score if nearest is None else min(nearest, score, key=lambda one: one.excess)
+        better = score.feasible and (best is None or score.value > best.value)
+        if better and _is_safe(plan(numbers), objective.scenarios):
             best = score
             width = min(0.4, 1.3 * width) if trial >= n_random else width
-            if progress is not None:
-                progress(trial, score)
         elif trial >= n_random:
             width = max(0.03, 0.97 * width)
     return best, nearest, None if best is None else plan(best.numbers)
+
+
+def _is_safe(run: Experiment, scenarios: Scenarios | None) -> bool:
+    """Whether enough of the uncertain vehicles, each closing the loop, keep the limits."""
+    failed = 0
+    for index, vehicle in enumerate(scenarios.models if scenarios is not None else ()):
+        made = motion(vehicle, run)
+        failed += made is None or scenarios.run(index, made.inputs).excess > 0  # type: ignore[union-attr]
+        if failed > scenarios.n_waived:  # type: ignore[union-attr]
+            return False
+    return True

@@ -1,10 +1,11 @@
-r"""Designs that still work when the model's values are wrong.
+r"""Vehicles that are possible: drawn from what is known, for criteria and for limits.
 
-Limits that are kept although the parameters, and the structure, are not known well.
-
-With vehicles :math:`\theta_s` drawn from what is known (of every structure that remains possible
-in turn), motions :math:`x(t; \theta_s)` under one and the same command and a corridor :math:`h(x)
-\le 0`, the search keeps
+Values are drawn about the nominal ones, :math:`\theta_i (1 + s\, \epsilon_i)` with
+:math:`\epsilon_i \sim U(-1, 1)`, or from what is known, :math:`\theta + L \epsilon` with
+:math:`L L' = F_0^{-1}` and :math:`\epsilon \sim N(0, I)`, within the parameters' bounds. With
+vehicles :math:`\theta_s` of every structure that remains possible in turn, motions
+:math:`x(t; \theta_s)` under one and the same command and limits :math:`h(x) \le 0`, the search
+keeps
 
 .. math:: \#\{s : \max_t h(x(t; \theta_s)) > 0\} \le k, \qquad
     k = \left\lfloor \tfrac12 (1 - p)\, n \right\rfloor
@@ -24,9 +25,10 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.design.criteria import Criterion
-from oed_sysid.design.limits import Corridor
-from oed_sysid.errors import DesignError
-from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.design.limits import LimitBounds
+from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.realisation import at_sea
@@ -243,7 +245,7 @@ class Caution:
 
 
 @dataclass(frozen=True, eq=False)
-class GuardRun:
+class ScenarioRun:
     """What one uncertain vehicle does; ``signals`` are the limited ones, ``(n_times, n_limits)``.
 
     Attributes
@@ -257,6 +259,55 @@ class GuardRun:
     signals: np.ndarray
     nodes: np.ndarray
     excess: float
+
+
+def motion(
+    vehicle: Model, run: Experiment, *, commands: np.ndarray | None = None
+) -> Trajectory | None:
+    """What a vehicle does in a run; None where it diverges.
+
+    Parameters
+    ----------
+    vehicle : Model
+    run : Experiment
+        One that reacts closes its loop on this vehicle.
+    commands : ndarray (n_times, n_inputs), optional
+        Given commands in its place.
+    """
+    try:
+        if commands is None:
+            commands = simulate(vehicle, replace(run, limits=Limits()), noise=False).inputs
+        return simulate_inputs(vehicle, run.times, inputs=commands, initial=run.initial)
+    except OedSysidError:
+        return None
+
+
+def kept_on(
+    run: Experiment, vehicles: Sequence[Model], bounds: LimitBounds, wanted: float
+) -> float | None:
+    """Share of the vehicles on which a run keeps its limits; the first has to.
+
+    Parameters
+    ----------
+    run : Experiment
+    vehicles : sequence of Model
+        The nominal one first.
+    bounds : LimitBounds
+    wanted : float
+        Below this share of the others nothing is returned.
+    """
+    allowed = int((1 - wanted) * len(vehicles) + 1e-9)
+    failed = 0
+    commands = None
+    for number, vehicle in enumerate(vehicles):
+        found = motion(vehicle, run, commands=commands)
+        if found is None or bounds.first_left(found) is not None:
+            failed += 1
+            if number == 0 or failed > allowed:
+                return None
+        elif number == 0 and not run.reacts:
+            commands = found.inputs  # the same on every vehicle
+    return 1.0 - failed / len(vehicles)
 
 
 def in_waves(
@@ -279,7 +330,7 @@ def in_waves(
     return tuple(found)
 
 
-class Guards:
+class Scenarios:
     """Uncertain vehicles on which limits are kept; their information does not matter.
 
     Limits on the end of the run are goals of the nominal vehicle and not kept here.
@@ -290,10 +341,10 @@ class Guards:
         At drawn values; of one structure or several with the same states and outputs.
     times : ndarray (n_times,)
     edges : ndarray of int (n_edges,)
-        See :class:`~oed_sysid.design.scene.Scene`.
+        See :class:`~oed_sysid.design.objective.VehicleInformation`.
     own : ndarray (n_own,)
         Start state.
-    corridor : Corridor
+    bounds : LimitBounds
     n_waived : int
         How many of them may fail.
     waves : sequence of (Model, ndarray (n_times, n_waves)), optional
@@ -306,7 +357,7 @@ class Guards:
         times: np.ndarray,
         edges: np.ndarray,
         own: np.ndarray,
-        corridor: Corridor,
+        bounds: LimitBounds,
         n_waived: int = 0,
         waves: Sequence[tuple[Model, np.ndarray]] = (),
     ) -> None:
@@ -316,35 +367,27 @@ class Guards:
         self.values = [model.value_vector for model in vehicles]
         self._waves = [forces for _, forces in waves]
         self.times, self.edges, self.own = times, edges, own
-        during = np.flatnonzero(~corridor.at_end)
-        self._columns = corridor.columns[during]
-        self.corridor = replace(
-            corridor,
-            names=tuple(corridor.names[i] for i in during),
-            columns=np.arange(len(during)),
-            lower=corridor.lower[during],
-            upper=corridor.upper[during],
-            width=corridor.width[during],
-            at_end=np.zeros(len(during), dtype=bool),
-            units=tuple(corridor.units[i] for i in during),
-        )
+        self._columns, self._n_full = bounds.columns[~bounds.at_end], bounds.n_full
+        self.bounds = bounds.during()
         self.n_waived = n_waived
         self._waived: frozenset[int] = frozenset()
 
     def __len__(self) -> int:
         return len(self.values)
 
-    def run(self, index: int, commands: np.ndarray) -> GuardRun:
+    def run(self, index: int, commands: np.ndarray) -> ScenarioRun:
         """Simulate one vehicle."""
         values = self.values[index]
         runner, commands = self.kernels[index], self._pushed(index, commands)
         z, _ = runner.start(self.own, commands[0], values, float(self.times[0]))
         run = runner.run(self.times, commands, values, z)
         signals = self._limited(run.states, run.outputs)
-        excess = self.corridor.worst(signals) if run.ok else np.inf
-        return GuardRun(signals, run.states[self.edges], excess)
+        excess = self.bounds.worst(signals) if run.ok else np.inf
+        return ScenarioRun(signals, run.states[self.edges], excess)
 
-    def change(self, index: int, before: GuardRun, commands: np.ndarray, edge: int) -> np.ndarray:
+    def change(
+        self, index: int, before: ScenarioRun, commands: np.ndarray, edge: int
+    ) -> np.ndarray:
         """Change of the limited signals from an edge on, zero where the trajectory diverges."""
         first, values = int(self.edges[edge]), self.values[index]
         z, runner = before.nodes[edge], self.kernels[index]
@@ -361,22 +404,13 @@ class Guards:
 
     def _limited(self, states: np.ndarray, outputs: np.ndarray) -> np.ndarray:
         # Own states come first in every structure; outputs count after those of the nominal one.
-        n_full = self.corridor.n_full
+        n_full = self._n_full
         signals = np.empty((len(states), len(self._columns)))
         for i, column in enumerate(self._columns):
             signals[:, i] = states[:, column] if column < n_full else outputs[:, column - n_full]
         return signals
 
-    def first_left(self, run: GuardRun) -> str | None:
-        """Name of the limit that a run leaves first; None if it keeps all."""
-        if run.excess <= 0:
-            return None
-        excess = self.corridor.excess(run.signals, n_times=len(self.times))
-        where = int(np.argmax(excess.max(axis=(1, 2)) > 0))
-        limit, side = np.unravel_index(int(np.argmax(excess[where])), excess.shape[1:])
-        return f"{self.corridor.names[limit]} {('lower', 'upper')[side]} limit"
-
-    def waive(self, runs: Sequence[GuardRun]) -> None:
+    def waive(self, runs: Sequence[ScenarioRun]) -> None:
         """Leave the allowed number of vehicles, those furthest outside, out of the search.
 
         They stay the same for a while: a search whose worst vehicles change
@@ -385,13 +419,13 @@ class Guards:
         order = np.argsort([-run.excess for run in runs], kind="stable")
         self._waived = frozenset(int(i) for i in order[: self.n_waived])
 
-    def level(self, runs: Sequence[GuardRun]) -> float:
+    def level(self, runs: Sequence[ScenarioRun]) -> float:
         """Largest excess, waived vehicles left out; below zero if the others are inside."""
         return max(
             (run.excess for i, run in enumerate(runs) if i not in self._waived), default=-np.inf
         )
 
-    def decisive(self, runs: Sequence[GuardRun]) -> list[int]:
+    def decisive(self, runs: Sequence[ScenarioRun]) -> list[int]:
         """Vehicles nearest to their limits, without those that are waived."""
         order = np.argsort([-run.excess for run in runs], kind="stable")
         kept = [int(i) for i in order if i not in self._waived and np.isfinite(runs[i].excess)]

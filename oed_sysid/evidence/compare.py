@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.overlap import check_disjoint
+from oed_sysid.data.dataset import Dataset, check_disjoint
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.forecasts import Forecasts, forecasts
 from oed_sysid.evidence.misfit import OutputMisfit, output_misfit

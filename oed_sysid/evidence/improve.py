@@ -17,8 +17,7 @@ from functools import partial
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.overlap import check_disjoint, together
+from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.constancy import doubt, imitates
 from oed_sysid.evidence.improvement import Improvement, Step, Term, Yardstick, parameter_table

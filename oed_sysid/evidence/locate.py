@@ -1,14 +1,13 @@
 r"""Locate where a model fails: at which stage of the signal chain, in which equation, when.
 
-At one place of the chain after the other a disturbance of level ``s`` is let into the linear
-deviations along the smoothed path, its level estimated by restricted likelihood (parameters and
-start states projected out), and its gain over white noise alone compared:
+At one place of the chain after the other a disturbance of first order is let in: its level, its
+time, the parameters and the start states are estimated together by the likelihood of
+:mod:`oed_sysid.likelihood.filtered`, and its gain over white noise alone,
 
-.. math:: 2 \log L_R(s) = -\log\det V(s) - \log\det J' V(s)^{-1} J - r' P(s)\, r
+.. math:: 2 \Delta \ln L = -2 \ln L(0) + 2 \ln L(\hat\sigma, \hat\tau)
 
-Free parameters absorb part of a missing force. What is smoothed from the residuals, the
-*residual force*, is the rest; a candidate is put through the same projection and the same
-smoother before it is compared with it.
+compared. What parameters and start states can explain accuses no place. A disturbance of a sensor
+is autocorrelated noise of it.
 """
 
 from __future__ import annotations
@@ -19,24 +18,29 @@ from itertools import pairwise
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.errors import SimulationError
+from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.by_motion import in_words
 from oed_sysid.evidence.rank import Ranking
-from oed_sysid.likelihood.disturbances import Place, places
+from oed_sysid.evidence.residual_forces import (
+    LEAST_WHITE,
+    ResidualForces,
+    Series,
+    agreement,
+    let_in,
+)
+from oed_sysid.likelihood.disturbances import Place, disturbance, places
+from oed_sysid.likelihood.filtered import Filtered, disturbed_model
 from oed_sysid.likelihood.fit import align
-from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.kalman import Deviations
-from oed_sysid.likelihood.linearisation import Along, along, smoothed_states
+from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
+from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.restricted_likelihood import Grounds, Restricted, restricted
-from oed_sysid.likelihood.smoother import Smoothed, smooth
+from oed_sysid.likelihood.shooting import Point
+from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
 
-# Correlation times of the disturbances that are tried, s: passing and lasting.
+# Shortest and longest correlation time of the disturbances, s: passing and lasting.
 CORRELATION_TIMES = (1.0, 20.0)
-# Places that are judged once more where they themselves are disturbed.
-N_REFINED = 4
 # Gain in twice the log-likelihood below which no place is accused: chance gives more in
 # less than one of a hundred records, fourteen places looked at.
 CLEAR = 12.0
@@ -45,9 +49,13 @@ GROUP_WIDTH = 6.0
 # Share of its gain that a kinematic relation has to be ahead of other places: it is exact, and
 # mostly stands for two sensors that disagree.
 IDENTITY = 0.01
-# Candidates whose signatures are put beside the residual forces.
-N_RIVALS = 2
-# Most pieces into which a record is cut where deviations grow along it.
+# Candidates whose signatures are put beside the residual forces, and places that are estimated to
+# the end, their own disturbance smoothed.
+N_RIVALS, N_FIRST = 2, 4
+# Most steps of the fit to white noise and of the first places, of every place at first; the
+# promised fall of the cost at which they end; and decades of levels that are tried first.
+MOST_STEPS, FIRST_STEPS, NEAR_ENOUGH, DECADES = 20, 5, 0.3, 7
+# Most pieces into which a record is cut where the model diverges along it.
 MOST_PIECES = 8
 # Places that a report lists.
 LISTED = 8
@@ -59,19 +67,6 @@ WORDS = {
     "kinematics": "in the kinematics of {signal}",
     "sensor": "in the measurement of {signal}",
 }
-
-
-# Levels that are tried first, in units that move some output by its noise, and the
-# ratio within which the best is settled.
-LEVELS = (0.03, 0.12, 0.5, 2.0, 8.0)
-SETTLED = 1.15
-# At the edge of the levels tried, so small a gain is not followed; nor is the level of a place
-# that explains less than this share of what another does.
-FLAT, FAINT = 0.2, 0.1
-# Levels tried beyond the first ones, at most.
-MOST_ROUNDS = 6
-# Relinearisations of the most likely places.
-REFINEMENTS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,76 +188,18 @@ class Located:
     )  # fmt: skip
 
 
-def along_fit(fit: FilteredSolution, unit: NoiseModel, *, pieces: int = 1) -> tuple[Along, Dataset]:
-    """Linearise a fit along its smoothed trajectories.
-
-    Where deviations grow beyond all bounds along a record (missing damping, an unstable
-    vehicle), records are cut, each piece with start states of its own.
-
-    Returns
-    -------
-    linear : Along
-    dataset : Dataset
-        The records, possibly cut, in the order of the stretches.
-    """
-    problem = fit.problem
-    passes = problem.passes(fit.point.unknowns, columns=False)
-    size = problem.kernel.n_full
-    kept = np.arange(size) if problem.own is None else problem.own
-    records, nodes, local = [], [], []
-    for record, part, own in zip(problem.records, passes, fit.local, strict=True):
-        edges = np.linspace(0, record.n_samples, pieces + 1).astype(int)
-        for number, (first, stop) in enumerate(pairwise(edges)):
-            records.append(_piece(record, first, stop, number) if pieces > 1 else record)
-            nodes.append(part.path[first:stop, kept])
-            local.append(own)
-    dataset = Dataset(tuple(records))
-    model = problem.model.with_values(fit.values)
-    try:
-        noise = forces_only(fit.noise, len(unit.force))
-        linear = along(model, model.free_names, dataset, nodes, noise, unit, local)
-    except SimulationError:
-        if pieces >= MOST_PIECES or min(r.n_samples for r in records) < 40:
-            raise
-        return along_fit(fit, unit, pieces=2 * pieces)
-    return linear, dataset
-
-
-def forces_only(noise: NoiseModel, count: int) -> NoiseModel:
-    """The first disturbances of a noise model: the forces of the equations."""
-    return replace(
-        noise,
-        force=noise.force[:count],
-        force_time=noise.force_time[:count],
-        places=noise.places[:count],
-    )
-
-
-def _piece(record: Record, first: int, stop: int, number: int) -> Record:
-    part = slice(first, stop)
-    return replace(
-        record,
-        name=f"{record.name}, part {number + 1}",
-        times=record.times[part],
-        inputs=record.inputs[part],
-        outputs=record.outputs[part],
-    )
-
-
 def locate(
     fit: FilteredSolution,
     unit: NoiseModel,
     rivals: Mapping[str, FilteredSolution] | None = None,
     *,
-    correlation_times: Sequence[float] = CORRELATION_TIMES,
+    correlation_times: tuple[float, float] = CORRELATION_TIMES,
 ) -> Located:
     """Locate where a model fails.
 
-    At one place of the chain after the other (every actuator, flow, equation,
-    kinematic relation and sensor) a disturbance is let in, its variance
-    estimated by restricted maximum likelihood, and the gain in likelihood over
-    white noise compared. Parameters and initial states are projected out: what
-    they can explain accuses no place.
+    At one place of the chain after the other (every actuator, flow, equation, kinematic relation
+    and sensor) a disturbance is let in, estimated with everything else, and its gain over white
+    noise alone compared.
 
     Parameters
     ----------
@@ -273,45 +210,38 @@ def locate(
     rivals : mapping of str to FilteredSolution, optional
         Fits of models that may be right, as a ranking's refits hold them;
         their signatures are put beside the residual forces.
-    correlation_times : sequence of float
-        Of the disturbances, s; for every place the likelier one counts.
+    correlation_times : tuple of float
+        Shortest and longest time of a disturbance, s.
     """
     if fit.problem.dataset.only_tests:
         return replace(Located.nothing(fit), by_motion=in_words(fit))
-    linear, dataset = along_fit(fit, unit)
-    first: dict[Place, Evidence] = {}
-    for time in correlation_times:
-        for part in evidence(linear, correlation_time=time):
-            if part.place not in first or part.gain > first[part.place].gain:
-                first[part.place] = part
-    ordered = sorted(first.values(), key=lambda part: -part.gain)
-    found = [
-        refined(linear, part) if position < N_REFINED and part.gain > CLEAR else part
-        for position, part in enumerate(ordered)
-    ]
+    found = evidence(fit, unit, correlation_times)
+    if found is None:
+        return Located.nothing(fit)
     # Of places that are one and the same to the records, the equation is named first.
     found.sort(key=lambda part: (-round(_weight(part)), part.place.stage != "force"))
-    times = [record.times for record in dataset]
-    smoother = residual_forces(linear)
-    forces = smoother.series(times)
+    smoother = ResidualForces.of(*let_in(fit, unit))
+    names = fit.noise.places
+    chosen = [i for i, name in enumerate(names) if name.startswith("force ")]
+    forces = tuple(series.only(chosen) for series in smoother.series())
     signatures = {}
-    if len(dataset) == len(fit.problem.dataset):
-        for name, rival in (rivals or {}).items():
-            changes = [
-                simulated(rival, index) - record.outputs for index, record in enumerate(dataset)
+    for name, rival in (rivals or {}).items():
+        runs = [simulated(rival, index) for index in range(len(fit.problem.records))]
+        if all(np.isfinite(run).any() for run in runs):
+            # Nothing is noisy there, but what was not measured is not known.
+            seen = [
+                np.where(np.isfinite(record.outputs), run, np.nan)
+                for run, record in zip(runs, fit.problem.records, strict=True)
             ]
-            if all(np.isfinite(part).any() for part in changes):
-                signatures[name] = smoother.signature(changes)
+            signatures[name] = tuple(part[:, chosen] for part in smoother.signature(seen))
     return Located(
         places=tuple(part.place for part in found),
         gains={part.place.name: part.gain for part in found},
         levels={part.place.name: part.level for part in found},
-        force_names=tuple(linear.where[i].signal for i in linear.forces),
+        force_names=tuple(names[i].removeprefix("force ") for i in chosen),
         forces=forces,
         discrepancies={
-            part.place.name: _discrepancy(part, times)
-            for part in found[:N_REFINED]
-            if part.gain > CLEAR
+            part.place.name: part.smoothed() for part in found[:N_FIRST] if part.gain > CLEAR
         },
         signatures=signatures,
         agreement={name: agreement(forces, parts) for name, parts in signatures.items()},
@@ -323,19 +253,14 @@ def simulated(fit: FilteredSolution, index: int) -> np.ndarray:
     return fit.problem.alone(fit.point.unknowns, index)[0]
 
 
-def _weight(part: Evidence) -> float:
-    """Gain by which places are ordered; a geometric identity has to be accused clearly."""
-    return part.gain * (1.0 - IDENTITY if part.place.stage == "kinematics" else 1.0)
-
-
 def likeliest(ranking: Ranking) -> dict[str, FilteredSolution]:
     """Fits with each of the best candidates, for their signatures."""
     return {refit.name: refit.fit for refit in ranking.refits[:N_RIVALS]}
 
 
-def _discrepancy(part: Evidence, times: Sequence[np.ndarray]) -> tuple[Series, ...]:
-    """Disturbance of one place if nothing else is wrong."""
-    return ResidualForces.of(part.grounds, part.noise, part.records).series(times)
+def _weight(part: Evidence) -> float:
+    """Gain by which places are ordered; a geometric identity has to be accused clearly."""
+    return part.gain * (1.0 - IDENTITY if part.place.stage == "kinematics" else 1.0)
 
 
 def _words(place: Place) -> str:
@@ -348,7 +273,7 @@ def _count(gain: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One place with the most likely size of its disturbance.
+    """One place with its most likely disturbance.
 
     Attributes
     ----------
@@ -357,259 +282,223 @@ class Evidence:
         Gain in twice the log-likelihood over white noise alone.
     level : float
         Standard deviation of the disturbance, in the place's unit.
-    grounds : Grounds
-        Sensitivities and residuals of the linearisation that was used.
-    records : sequence of Deviations
-        Linear deviations driven at the place.
-    noise : NoiseModel
-        White noise and the disturbance.
-    solution : Restricted
-        With the unknowns that go with it.
+    fit : FilteredSolution
+        With that disturbance and white noise.
     """
 
     place: Place
     gain: float
     level: float
-    grounds: Grounds
-    records: Sequence[Deviations]
-    noise: NoiseModel
-    solution: Restricted
+    fit: FilteredSolution
+
+    def smoothed(self) -> tuple[Series, ...]:
+        """The disturbance if nothing else is wrong, per record."""
+        held = self.fit.problem.levels.held().starting(self.fit.noise)
+        old = self.fit.problem
+        problem = Filtered(
+            old.model.with_values(self.fit.values), old.dataset, held, kernel=old.kernel,
+            known_starts=old.known_starts,
+        )  # fmt: skip
+        unknowns = problem.point(self.fit.initial, self.fit.local).unknowns
+        return ResidualForces.of(problem, unknowns).series()
 
 
 def evidence(
-    found: Along, chosen: Sequence[int] | None = None, *, correlation_time: float
-) -> list[Evidence]:
-    """Evidence for places of the chain, largest first.
+    fit: FilteredSolution, unit: NoiseModel, times: tuple[float, float] = CORRELATION_TIMES
+) -> list[Evidence] | None:
+    """Evidence for every place of the chain, largest first; None where nothing can be told.
 
-    Parameters
-    ----------
-    found : Along
-        The linearised model.
-    chosen : sequence of int, optional
-        Positions of the places to judge; all by default.
-    correlation_time : float
-        Of the disturbances, s.
+    Where the model diverges along a record on its own (missing damping, an unstable vehicle),
+    records are cut, each piece with start states of its own.
     """
-    chosen = range(len(found.where)) if chosen is None else chosen
-    # A level that nobody declared must not make every misfit evidence for a disturbance.
-    stated = all(output.noise_std is not None for output in found.system.model.outputs)
-    grounds = replace(found.grounds, scale_known=stated)
-    nothing = np.zeros_like(grounds.white)
-    quiet = NoiseModel(grounds.white, nothing, np.zeros(1), force_time=correlation_time)
-    records = [[stretch.alone(index) for stretch in found.stretches] for index in chosen]
-    units = found.units(correlation_time)[list(chosen)]
-    base = restricted(grounds, [quiet], [records[0]])[0].objective
-    logs = np.log(LEVELS)
-    tables = [
-        {float(x): s for x, s in zip(logs, solutions, strict=True)}
-        for solutions in _at_levels(grounds, quiet, records, np.outer(units, LEVELS))
-    ]
-    for _ in range(MOST_ROUNDS):
-        gains = [base - table[_best(table)].objective for table in tables]
-        trials = {
-            i: x
-            for i, x in enumerate(map(_next_level, tables))
-            if x is not None and not gains[i] < FAINT * max(gains)
-        }
-        if not trials:
+    kernel = _kernel(fit)
+    pieces = 1
+    while True:
+        bench = _Bench.of(fit, unit, kernel, times, pieces)
+        if bench is not None:
             break
-        wanted = [records[i] for i in trials]
-        sizes = np.array([[units[i] * np.exp(x)] for i, x in trials.items()])
-        for (i, x), parts in zip(
-            trials.items(), _at_levels(grounds, quiet, wanted, sizes), strict=True
-        ):
-            tables[i][x] = parts[0]
-    best = [_best(table) for table in tables]
-    result = []
-    for position, index in enumerate(chosen):
-        solution = tables[position][best[position]]
-        level = solution.scale * float(units[position] * np.exp(best[position]))
-        gain = max(base - solution.objective, 0.0)
-        noise = replace(quiet, white=solution.scale * quiet.white, force=np.array([level]))
-        lines = records[position]
-        result.append(Evidence(found.where[index], gain, level, grounds, lines, noise, solution))
-    return sorted(result, key=lambda e: -e.gain)
+        pieces *= 2
+        shortest = min(record.n_samples for record in fit.problem.records) / pieces
+        if pieces > MOST_PIECES or shortest < 20:
+            return None
+    found = [bench.judged(place) for place in places(fit.problem.model)]
+    found.sort(key=lambda part: -part.gain)
+    first = [bench.finished(part) for part in found[:N_FIRST]]
+    return sorted([*first, *found[N_FIRST:]], key=lambda part: -part.gain)
 
 
-def refined(found: Along, first: Evidence) -> Evidence:
-    """Evidence for one place where the model is linearised with that disturbance let in.
-
-    The parameters bend to a missing effect; where the right place is disturbed
-    they straighten, and what a disturbance there does changes with them. At
-    the wrong place they may bend further still: of what is found on the way
-    the least counts, so that no place profits from a linearisation that does
-    not settle.
-    """
-    base = first.solution.objective + first.gain
-    settled = first
-    linear, present = found, first
-    gains = []
-    for _ in range(REFINEMENTS):
-        try:
-            linear, present = _relinearised(linear, present)
-        except (SimulationError, np.linalg.LinAlgError):
-            gains.append(first.gain)
-            break
-        gain = base - present.solution.objective
-        if not np.isfinite(gain):
-            gains.append(first.gain)
-            break
-        gains.append(max(gain, 0.0))
-        settled = present
-    return replace(settled, gain=min(gains))
-
-
-def _relinearised(linear: Along, present: Evidence) -> tuple[Along, Evidence]:
-    """One step of :func:`refined`."""
-    nodes = smoothed_states(linear, present.noise, present.records)
-    system = linear.system.moved(present.solution.correction[: len(linear.system.names)])
-    again = system.linearise(nodes, linear.noise)
-    index = again.where.index(present.place)
-    return again, evidence(again, [index], correlation_time=float(present.noise.force_time[0]))[0]
-
-
-def _next_level(table: dict[float, Restricted]) -> float | None:
-    """Logarithm of the level to try next; None where the best one is settled.
-
-    The vertex of the parabola through the best level and its neighbours, or
-    further out where the best one has a neighbour on one side only.
-    """
-    known = sorted(table)
-    index = known.index(_best(table))
-    if index in (0, len(known) - 1):
-        inward = known[1] if index == 0 else known[-2]
-        flat = table[inward].objective - table[known[index]].objective < FLAT
-        return None if flat else 2.0 * known[index] - inward
-    low, centre, high = known[index - 1 : index + 2]
-    left, right = centre - low, high - centre
-    below = (table[low].objective - table[centre].objective) / left
-    above = (table[high].objective - table[centre].objective) / right
-    if not np.isfinite(below + above):
-        trial = centre - 0.5 * left if np.isfinite(below) else centre + 0.5 * right
-    else:
-        trial = centre + 0.5 * (below * right - above * left) / max(below + above, 1e-12)
-    return None if min(abs(trial - x) for x in known) < np.log(SETTLED) else float(trial)
-
-
-def _best(table: dict[float, Restricted]) -> float:
-    return min(table, key=lambda x: table[x].objective)
-
-
-def _at_levels(
-    grounds: Grounds,
-    quiet: NoiseModel,
-    records: Sequence[Sequence[Deviations]],
-    levels: np.ndarray,
-) -> list[list[Restricted]]:
-    """Restricted likelihoods of every place at its levels, shape ``(n_places, n_levels)``."""
-    models = [replace(quiet, force=np.array([level])) for level in levels.ravel()]
-    lines = [part for part in records for _ in range(levels.shape[1])]
-    found = restricted(grounds, models, lines)
-    count = levels.shape[1]
-    return [found[i * count : (i + 1) * count] for i in range(len(records))]
+def _kernel(fit: FilteredSolution) -> FilterKernel:
+    """A filter with a disturbance at every place but the sensors."""
+    known = fit.problem.kernel.model
+    chain = [disturbance(p).name for p in places(fit.problem.model) if p.stage != "sensor"]
+    if set(chain) <= set(known.parameter_names):
+        return fit.problem.kernel
+    return filter_kernel(disturbed_model(known, chain))
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
-    """Smoothed signals of one record.
+class _Bench:
+    """What every place is judged by.
 
     Attributes
     ----------
-    times : ndarray (n_times,)
-        In s.
-    values, std : ndarray (n_times, n_signals)
-        Expectation, and standard error with the uncertainty of parameters and
-        initial states in it.
+    quiet : FilteredSolution
+        The fit to white noise alone.
+    model : Model
+        At the values of the fit with random forces.
+    initial, local : sequence
+        Start states and values of each record of that fit.
+    unknown : ndarray of bool (n_outputs,)
+        Sensors whose noise nobody declared: it must not make every misfit evidence.
+    times : tuple of float
     """
 
-    times: np.ndarray
-    values: np.ndarray
-    std: np.ndarray
-
-    to_dict = as_dict("times", "values", "std")
-
-
-@dataclass(frozen=True, eq=False)
-class ResidualForces:
-    """Smoother of one linearised model under one noise model.
-
-    Attributes
-    ----------
-    grounds : Grounds
-        Sensitivities and residuals.
-    noise : NoiseModel
-    lines : sequence of Deviations
-        Driven by what is smoothed.
-    smoothed : tuple of Smoothed
-        Of all columns, per record.
-    solution : Restricted
-        Parameters and initial states that go with the residuals.
-    """
-
-    grounds: Grounds
-    noise: NoiseModel
-    lines: Sequence[Deviations]
-    smoothed: tuple[Smoothed, ...]
-    solution: Restricted
+    quiet: FilteredSolution
+    model: Model
+    initial: Sequence[np.ndarray]
+    local: Sequence[Mapping[str, float]]
+    unknown: np.ndarray
+    times: tuple[float, float]
 
     @classmethod
-    def of(cls, grounds: Grounds, noise: NoiseModel, lines: Sequence[Deviations]) -> ResidualForces:
-        """Smooth residuals and sensitivities of all records."""
-        smoothed = tuple(
-            smooth(noise, line, column) for line, column in zip(lines, grounds.columns, strict=True)
+    def of(
+        cls,
+        fit: FilteredSolution,
+        unit: NoiseModel,
+        kernel: FilterKernel,
+        times: tuple[float, float],
+        pieces: int,
+    ) -> _Bench | None:
+        """Fit to white noise alone; None where the model diverges along a record."""
+        model = fit.problem.model.with_values(fit.values)
+        dataset, initial, local = _cut(fit, pieces)
+        white = np.maximum(fit.noise.white, LEAST_WHITE * unit.white)
+        unknown = np.array([output.noise_std is None for output in model.outputs])
+        noise = NoiseModel.white_only(white, model.output_names)
+        none = np.zeros(len(white), dtype=bool)
+        levels = Levels.of(noise, noise, (), white=unknown, colour=none, force=none[:0])
+        known = fit.problem.known_starts if pieces == 1 else None
+        problem = Filtered(model, dataset, levels, kernel=kernel, known_starts=known)
+        point = problem.point(initial, local)
+        quiet = solve_filtered(problem, point, max_iterations=MOST_STEPS, polish=0)
+        return None if quiet is None else cls(quiet, model, initial, local, unknown, times)
+
+    def judged(self, place: Place) -> Evidence:
+        """The most likely disturbance of one place."""
+        base = self.quiet
+        # Parameters bend to what is missing: those of the fit with random forces are nearer.
+        found = self._fitted(place, self.model.values, self.initial, self.local)
+        if found is None or not found.objective < base.objective:
+            found = self._fitted(place, base.values, base.initial, base.local)
+        return self._evidence(place, found)
+
+    def finished(self, part: Evidence) -> Evidence:
+        """The same, estimated to the end."""
+        if part.fit is self.quiet or part.fit.reason == "converged":
+            return part
+        found = solve_filtered(
+            part.fit.problem, part.fit.point, max_iterations=MOST_STEPS, tolerance=NEAR_ENOUGH,
+            polish=0,
+        )  # fmt: skip
+        return self._evidence(part.place, found)
+
+    def _evidence(self, place: Place, found: FilteredSolution | None) -> Evidence:
+        if found is None or not found.objective < self.quiet.objective:
+            return Evidence(place, 0.0, 0.0, self.quiet)
+        level = found.noise.colour.max() if place.stage == "sensor" else found.noise.force[0]
+        return Evidence(place, self.quiet.objective - found.objective, float(level), found)
+
+    def _fitted(
+        self,
+        place: Place,
+        values: Mapping[str, float],
+        initial: Sequence[np.ndarray],
+        local: Sequence[Mapping[str, float]],
+    ) -> FilteredSolution | None:
+        """Fit with a disturbance at one place, from the likeliest of some decades of its level."""
+        old = self.quiet.problem
+        model = self.model.with_values(dict(values))
+
+        def problem(size: float) -> Filtered:
+            return Filtered(
+                model, old.dataset, self._levels(place, size), kernel=old.kernel,
+                known_starts=old.known_starts,
+            )  # fmt: skip
+
+        # At variance zero its information says of which variance the records begin to tell.
+        first = problem(1.0)
+        point = first.point(initial, local).unknowns
+        point[first.layout.levels.start] = 0.0
+        parts = first.passes(point, levels_only=True)
+        told = sum(
+            float(part.level_information[0, 0] + part.gram[0, 0]) for part in parts if part.ok
         )
-        return cls(grounds, noise, lines, smoothed, restricted(grounds, [noise], [lines])[0])
+        size = told**-0.25 if told > 0 else 1.0
+        best: tuple[Filtered, Point, float] | None = None
+        for decade in range(DECADES):
+            trial = problem(size * 10.0**decade)
+            at = trial.point(initial, local)
+            objective = trial.objective(at.unknowns)
+            if best is not None and objective > best[2]:
+                break
+            if best is None or objective < best[2]:
+                best = trial, at, objective
+        if best is None or not np.isfinite(best[2]):
+            return None
+        return solve_filtered(
+            best[0], best[1], max_iterations=FIRST_STEPS, tolerance=NEAR_ENOUGH, polish=0
+        )
 
-    def series(self, times: Sequence[np.ndarray]) -> tuple[Series, ...]:
-        """What was smoothed, per record."""
-        result = []
-        for index, (t, part) in enumerate(zip(times, self.smoothed, strict=True)):
-            where = self.grounds.unknowns(index)
-            absorbed = part.forces[:, :, :-1]
-            values = part.forces[:, :, -1] - absorbed @ self.solution.correction[where]
-            covariance = self.solution.covariance[np.ix_(where, where)]
-            spread = np.sum((absorbed @ covariance) * absorbed, axis=2)
-            result.append(Series(t, values, np.sqrt(part.std**2 + np.maximum(spread, 0.0))))
-        return tuple(result)
-
-    def signature(self, changes: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-        """What would be smoothed if the records differed from what they are.
-
-        Parameters
-        ----------
-        changes : sequence of ndarray (n_times, n_outputs)
-            What to add to the measurements, per record.
-
-        Returns
-        -------
-        tuple of ndarray (n_times, n_forces)
-        """
-        columns = []
-        for column, change in zip(self.grounds.columns, changes, strict=True):
-            moved = column.copy()
-            moved[:, :, -1] += change
-            columns.append(moved)
-        grounds = replace(self.grounds, columns=tuple(columns))
-        step = restricted(grounds, [self.noise], [self.lines])[0].correction
-        result = []
-        for index, (line, column, part) in enumerate(
-            zip(self.lines, columns, self.smoothed, strict=True)
-        ):
-            own = smooth(self.noise, line, column[:, :, -1:]).forces[:, :, 0]
-            result.append(own - part.forces[:, :, :-1] @ step[self.grounds.unknowns(index)])
-        return tuple(result)
-
-
-def residual_forces(linear: Along) -> ResidualForces:
-    """Smoother of all forces together."""
-    return ResidualForces.of(linear.grounds, linear.noise, linear.joint)
+    def _levels(self, place: Place, size: float) -> Levels:
+        """The level and time of one place unknown, and what nobody declared of the sensors."""
+        noise = self.quiet.noise
+        nothing = np.zeros(len(noise.white))
+        time = float(np.sqrt(self.times[0] * self.times[1]))
+        colour = np.zeros(len(nothing), dtype=bool)
+        acting = [] if place.stage == "sensor" else [place]
+        if not acting:
+            colour[noise.outputs.index(place.signal)] = True
+        begin = NoiseModel(
+            noise.white,
+            np.where(colour, size, nothing),
+            np.full(len(acting), size),
+            time,
+            time,
+            noise.outputs,
+            tuple(one.name for one in acting),
+        )
+        return Levels.of(
+            begin,
+            replace(begin, colour=np.full(len(nothing), size)),
+            [disturbance(one).name for one in acting],
+            white=self.unknown,
+            colour=colour,
+            force=np.ones(len(acting), dtype=bool),
+            times=self.times,
+        )
 
 
-def agreement(forces: Sequence[Series], signature: Sequence[np.ndarray]) -> float:
-    """Correlation of residual forces and a signature, both in standard errors."""
-    seen = np.concatenate([(s.values / s.std).ravel() for s in forces])
-    expected = np.concatenate(
-        [(part / s.std).ravel() for part, s in zip(signature, forces, strict=True)]
-    )
-    size = np.linalg.norm(seen) * np.linalg.norm(expected)
-    return float(seen @ expected / size) if size > 0 else 0.0
+def _cut(
+    fit: FilteredSolution, pieces: int
+) -> tuple[Dataset, list[np.ndarray], list[dict[str, float]]]:
+    """Records of a fit, each in some pieces, with start states along the filtered path."""
+    problem = fit.problem
+    if pieces == 1:
+        return problem.dataset, fit.initial, list(fit.local)
+    passes = problem.passes(fit.point.unknowns, columns=False)
+    records, initial, local = [], [], []
+    for record, part, own in zip(problem.records, passes, fit.local, strict=True):
+        edges = np.linspace(0, record.n_samples, pieces + 1).astype(int)
+        for number, (first, stop) in enumerate(pairwise(edges), start=1):
+            records.append(
+                replace(
+                    record,
+                    name=f"{record.name}, part {number}",
+                    times=record.times[first:stop],
+                    inputs=record.inputs[first:stop],
+                    outputs=record.outputs[first:stop],
+                )
+            )
+            initial.append(part.path[first, : len(problem.model.states)])
+            local.append(own)
+    return Dataset(tuple(records)), initial, local

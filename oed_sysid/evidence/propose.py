@@ -1,7 +1,8 @@
 r"""Propose a term for what no known effect explains.
 
-Every term of a dictionary is a force along the smoothed trajectory. The linear deviations carry
-it to the outputs, the filter of the noise model whitens it, the unknowns that the model has
+Every term of a dictionary is a force along the filtered trajectory. At frozen gain the filter
+carries it to the innovations (:mod:`oed_sysid.likelihood.smoother`), the unknowns that the model
+has
 already are projected out, and the statistic
 
 .. math:: T = (s' M r)^2 / s' M s
@@ -19,13 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from oed_sysid.evidence.dictionary import Signals, Term, signals_along, terms
-from oed_sysid.evidence.locate import along_fit, forces_only
 from oed_sysid.evidence.rank import GROUP_WIDTH, threshold
+from oed_sysid.evidence.residual_forces import derivatives, let_in
 from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import align
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.kalman import whiten
-from oed_sysid.likelihood.linearisation import Along, Stretch
+from oed_sysid.likelihood.smoother import Path
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
@@ -202,20 +203,17 @@ def propose(study: Study, fit: FilteredSolution, *, n_refits: int = N_REFITS) ->
     n_refits : int
         How many terms to refit.
     """
-    linear, dataset = along_fit(fit, study.unit)
-    signals = signals_along(linear.system.model, dataset, [s.states for s in linear.stretches])
-    first = term_scores(linear, signals)
+    problem, unknowns = let_in(fit, study.unit)
+    first, signals = term_scores(problem, unknowns)
     needed = threshold(len(first.scores), 1)
-    bench = _Bench(study, fit, linear.system.model, signals)
+    bench = _Bench(study, fit, problem.model, signals)
     found = bench.refit(_representatives(first, n_refits))
     if found and found[0].gain > needed:
         # Parameters bend to what is missing. With the best term they have straightened,
         # and its noise is small: seen from there, a rival may be better still.
         best = found[0]
-        again = linear.system.at(best.fit.values).linearise(
-            [s.states for s in linear.stretches], forces_only(best.fit.noise, len(study.unit.force))
-        )
-        second = term_scores(again, signals)
+        again = let_in(fit, study.unit, best.fit.values, best.fit.noise)
+        second, _ = term_scores(*again, signals)
         own = next((s.statistic for s in second.scores if s.term == best.term), 0.0)
         present = {proposal.term for proposal in found}
         rivals = [
@@ -313,8 +311,6 @@ class TermScore:
         One-step estimate of the coefficient, and its standard error.
     distinct : float
         Share of its signature that free parameters cannot imitate.
-    unknowns : ndarray (n_unknowns,)
-        Change of parameters and initial states that goes with the term.
     """
 
     term: Term
@@ -322,7 +318,6 @@ class TermScore:
     estimate: float
     std_error: float
     distinct: float
-    unknowns: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,40 +354,61 @@ class TermScores:
         return [[self.scores[index] for index in family] for family in found]
 
 
-def term_scores(linear: Along, signals: Signals) -> TermScores:
+def term_scores(
+    problem: Filtered, unknowns: np.ndarray, signals: Signals | None = None
+) -> tuple[TermScores, Signals]:
     """Score every term of the dictionary; those that free parameters imitate are left out.
 
     Parameters
     ----------
-    linear : Along
-        The model along its smoothed trajectories.
-    signals : Signals
-        Along the same trajectories.
+    problem : Filtered
+        With a disturbance in every equation, and no level unknown.
+    unknowns : ndarray (n_unknowns,)
+        Where.
+    signals : Signals, optional
+        What terms are made of; by default along the filtered path.
+
+    Returns
+    -------
+    TermScores, Signals
     """
-    dictionary = terms(linear.system.model, signals.signals)
-    grounds, n_terms = linear.grounds, len(dictionary)
-    n_names = len(grounds.prior)
-    n_unknowns = n_names + grounds.n_own * len(grounds.columns)
-    matrix, right = np.zeros((n_unknowns, n_unknowns)), np.zeros(n_unknowns)
-    matrix[np.arange(n_names), np.arange(n_names)] = grounds.prior[:, 0] ** 2
-    right[:n_names] = grounds.prior[:, 0] * grounds.prior[:, 1]
-    cross, along_residual = np.zeros((n_unknowns, n_terms)), np.zeros(n_terms)
-    full, kept = np.zeros(n_terms), []
-    for index, (stretch, scope, line, known) in enumerate(
-        zip(linear.stretches, signals.values, linear.joint, grounds.columns, strict=True)
-    ):
-        responses = _respond(linear, stretch, dictionary, scope)
-        whitened, _ = whiten(linear.noise, [line], [np.concatenate([known, responses], axis=2)])
-        n_known = known.shape[2]
-        own, residual = whitened[0][:, : n_known - 1], whitened[0][:, n_known - 1]
-        rows = whitened[0][:, n_known:]
-        where = grounds.unknowns(index)
-        matrix[np.ix_(where, where)] += own.T @ own
-        right[where] += own.T @ residual
-        cross[where] += own.T @ rows
-        along_residual += rows.T @ residual
+    passes = problem.passes(unknowns, rows=True, gains=True, moves=True)
+    if signals is None:
+        size = problem.kernel.n_full
+        kept = np.arange(size) if problem.own is None else problem.own
+        states = [part.path[:, :size][:, kept] for part in passes]
+        signals = signals_along(problem.model, problem.dataset, states)
+    dictionary = terms(problem.model, signals.signals)
+    matrix, right = problem.gathered(unknowns, passes)
+    limits = problem.limits
+    matrix = matrix + np.diag(limits.prior_weight)
+    right = right + limits.prior_weight * (limits.prior_mean - unknowns)
+    n_terms = len(dictionary)
+    cross, along_residual = np.zeros((len(right), n_terms)), np.zeros(n_terms)
+    full, kept_rows = np.zeros(n_terms), []
+    for index, (part, scope) in enumerate(zip(passes, signals.values, strict=True)):
+        path = Path.of(part, problem.levels.n_coloured)
+        white = np.nan_to_num(part.innovations / np.sqrt(part.variances)).ravel()
+        own = derivatives(problem, unknowns, index, part.rows).reshape(len(white), -1)
+        drive = _driven(problem, path, dictionary, scope)
+        rows = path.responses(drive).reshape(len(white), -1)
+        cross[problem.layout.record_columns(index)] += own.T @ rows
+        along_residual -= rows.T @ white
         full += np.sum(rows**2, axis=0)
-        kept.append(rows.astype(np.float32))
+        kept_rows.append(rows.astype(np.float32))
+    return _scored(dictionary, matrix, right, cross, along_residual, full, kept_rows), signals
+
+
+def _scored(
+    dictionary: Sequence[Term],
+    matrix: np.ndarray,
+    right: np.ndarray,
+    cross: np.ndarray,
+    along_residual: np.ndarray,
+    full: np.ndarray,
+    kept: Sequence[np.ndarray],
+) -> TermScores:
+    """Statistics of terms from products of whitened columns, unknowns projected out."""
     size = np.sqrt(np.diag(matrix))
     size = np.where(size > 0, size, np.inf)
     values, vectors = np.linalg.eigh(matrix / size[:, None] / size)
@@ -417,7 +433,6 @@ def term_scores(linear: Along, signals: Signals) -> TermScores:
                 float(root[i] / left[i]),
                 float(1.0 / left[i]),
                 float(left[i] / np.sqrt(full[i])),
-                basis @ (step - root[i] / left[i] * shadow[:, i]),
             )
             for i in order
         ),
@@ -425,20 +440,16 @@ def term_scores(linear: Along, signals: Signals) -> TermScores:
     )
 
 
-def _respond(
-    linear: Along, stretch: Stretch, dictionary: Sequence[Term], scope: dict[str, np.ndarray]
+def _driven(
+    problem: Filtered, path: Path, dictionary: Sequence[Term], scope: dict[str, np.ndarray]
 ) -> np.ndarray:
-    """Change of the outputs per unit of every coefficient, ``(n_times, n_outputs, n_terms)``."""
-    n, size = stretch.states.shape
-    texts = list(dict.fromkeys(term.expression for term in dictionary))
+    """What a unit of every coefficient adds between samples, ``(n_times, n, n_terms)``."""
+    n = len(path.drive)
+    texts = dict.fromkeys(term.expression for term in dictionary)
     values = {text: np.broadcast_to(expressions.to_numpy(text, scope), (n,)) for text in texts}
-    forces = {linear.where[i].signal: stretch.gains[:, :, i] for i in linear.forces}
-    drive = np.empty((n, size, len(dictionary)))
+    place = {name: index for index, name in enumerate(problem.levels.noise.places)}
+    drive = np.empty((*path.drive.shape[:2], len(dictionary)))
     for index, term in enumerate(dictionary):
-        drive[:, :, index] = forces[term.equation] * values[term.expression][:, None]
-    result = np.empty((n, stretch.output.shape[1], len(dictionary)))
-    moved = np.zeros((size, len(dictionary)))
-    for k in range(n):
-        result[k] = stretch.output[k] @ moved
-        moved = stretch.transition[k] @ moved + drive[k]
-    return result
+        force = path.drive[:, :, place[f"force {term.equation}"]]
+        drive[:, :, index] = force * values[term.expression][:, None]
+    return drive

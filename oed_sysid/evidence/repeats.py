@@ -22,7 +22,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import SimulationError
-from oed_sysid.evidence.locate import along_fit, residual_forces
+from oed_sysid.evidence.residual_forces import ResidualForces, let_in
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.information import lagged_products
@@ -120,11 +120,8 @@ def _held(dataset: Dataset) -> bool:
 
 def _series(fit: FilteredSolution, unit: NoiseModel) -> list[Part]:
     """Smoothed forces, and the signals of the model's own run, per record; none if that fails."""
-    linear, pieces = along_fit(fit, unit)
     problem = fit.problem
-    if len(pieces) != len(problem.records):
-        return []
-    forces = residual_forces(linear).series([record.times for record in pieces])
+    forces = ResidualForces.of(*let_in(fit, unit)).series()
     result = []
     for index, record in enumerate(problem.records):
         _, states, ok = problem.alone(fit.point.unknowns, index)

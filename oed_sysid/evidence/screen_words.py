@@ -6,8 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.overlap import overlap
+from oed_sysid.data.dataset import Dataset, overlap
 from oed_sysid.evidence.result import Correction, Finding
 from oed_sysid.evidence.screens import Fault
 from oed_sysid.evidence.traces import Trace

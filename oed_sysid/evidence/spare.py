@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from oed_sysid.data.angles import unwrapped
-from oed_sysid.data.record import Record
+from oed_sysid.data.record import Record, unwrapped
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.relations import STANDARD_UNITS
 from oed_sysid.text.csv_table import read_table

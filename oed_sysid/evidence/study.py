@@ -29,7 +29,7 @@ import numpy as np
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, SimulationError
-from oed_sysid.likelihood.disturbances import chosen_places
+from oed_sysid.likelihood.disturbances import chosen_places, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.likelihood.fit import Fit
@@ -85,7 +85,7 @@ class Study:
     unit : NoiseModel
         Natural size of every level.
     kernel : FilterKernel
-        Of the nominal model with all candidates and all disturbances.
+        Of the nominal model with all candidates and a disturbance at every place but the sensors.
     estimated : ndarray of bool (n_outputs,)
         Outputs whose noise nobody declared.
     noisy_inputs : mapping of str to float
@@ -171,8 +171,7 @@ class Study:
             drifting=disturbances != "none",
         )
         effects, skipped = fitting_candidates(model, candidates)
-        wide = disturbed_model(model + effects, setting.disturbances)
-        kernel = filter_kernel(wide)
+        kernel = _kernel(model, effects, setting)
         plain = PLAIN.fit(model, train)
         starts = [_nominal_start(model, train, white)]
         if (end := _end(plain)) is not None:
@@ -206,8 +205,7 @@ class Study:
     def with_candidates(self, effects: Sequence[Effect]) -> Study:
         """The same study with more candidates, compiled anew."""
         joined, skipped = fitting_candidates(self.base, (*self.candidates, *effects))
-        wide = disturbed_model(self.base + joined, self.setting.disturbances)
-        kernel = filter_kernel(wide)
+        kernel = _kernel(self.base, joined, self.setting)
         return replace(self, candidates=joined, skipped=skipped, kernel=kernel)
 
     # -- fits ------------------------------------------------------------------------
@@ -460,6 +458,13 @@ def total_error(rms: np.ndarray) -> float:
     """Root mean square over the outputs that were measured."""
     seen = ~np.isnan(rms)
     return float(np.sqrt(np.mean(rms[seen] ** 2))) if seen.any() else np.nan
+
+
+def _kernel(model: Model, effects: Sequence[Effect], setting: Setting) -> FilterKernel:
+    """One filter for every model on the way, and for every place where it may fail."""
+    chain = [disturbance(p).name for p in every_place(model) if p.stage != "sensor"]
+    names = tuple(dict.fromkeys((*setting.disturbances, *chain)))
+    return filter_kernel(disturbed_model(model + effects, names))
 
 
 def fitting_candidates(

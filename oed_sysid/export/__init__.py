@@ -12,13 +12,9 @@ from pathlib import Path
 
 from oed_sysid.data.record import closest
 from oed_sysid.errors import ModelError
-from oed_sysid.export.c_code import write_c
-from oed_sysid.export.casadi_files import write_casadi
-from oed_sysid.export.fmu import write_fmu
-from oed_sysid.export.linear import write_control
-from oed_sysid.export.matlab_code import write_matlab
+from oed_sysid.export.c_code import write_c, write_fmu
 from oed_sysid.export.program import Program, program_of
-from oed_sysid.export.python_code import write_python
+from oed_sysid.export.scripts import write_casadi, write_control, write_matlab, write_python
 from oed_sysid.export.symbolic import write_sympy
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model

@@ -1,18 +1,42 @@
-"""C99 without dependencies: header, source, and a program that tests them against the package."""
+"""C99 without dependencies: header, source, and a program that tests them against the package.
+
+A Functional Mock-up Unit (FMI 2.0, co-simulation): the C code with the standard's functions.
+
+The unit is compiled for this machine where a C compiler is found; its sources are always inside,
+so that any importer that compiles can use it elsewhere. Between two communication points inputs
+are held; a communication step equal to the sample time repeats the package's simulation of held
+inputs. ``resources/model.json`` has the covariance of the parameters.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import warnings
+import zipfile
 from collections.abc import Iterable
+from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
 from string import Template
+from xml.etree import ElementTree
 
 import numpy as np
 
 from oed_sysid.compiled.graph import GAMMA, STAGES
-from oed_sysid.export.dialects import IN_C
-from oed_sysid.export.program import Example, Program, Routine, example
-from oed_sysid.runtime.files import write_text
+from oed_sysid.errors import FileError
+from oed_sysid.export.program import IN_C, Example, Program, Routine, example
+from oed_sysid.runtime.files import whole_file, write_text
+from oed_sysid.runtime.version import __version__
+from oed_sysid.text.typeset import safe
+
+# -- C99 without dependencies ----------------------------------------------------------
+
 
 # A self-test fails beyond this, relative to the largest value of each output.
 TOLERANCE = 1e-9
@@ -135,3 +159,176 @@ def _strings(names: Iterable[str]) -> str:
 def template(name: str) -> Template:
     """Text around the functions, kept in a file of its own."""
     return Template(files("oed_sysid.export").joinpath("templates", name).read_text("utf-8"))
+
+
+# -- a Functional Mock-up Unit ---------------------------------------------------------
+
+
+_PLATFORMS = {
+    ("linux", "x86_64"): ("linux64", ".so"),
+    ("linux", "aarch64"): ("aarch64-linux", ".so"),
+    ("darwin", "x86_64"): ("darwin64", ".dylib"),
+    ("darwin", "arm64"): ("darwin64", ".dylib"),
+    ("win32", "AMD64"): ("win64", ".dll"),
+}
+
+
+def write_fmu(program: Program, path: Path) -> tuple[Path, ...]:
+    """Write a unit.
+
+    Parameters
+    ----------
+    program : Program
+        The model.
+    path : Path
+        ``name.fmu``, or a folder for ``NAME.fmu``.
+
+    Returns
+    -------
+    tuple of Path
+        The file.
+
+    Raises
+    ------
+    FileError
+        If the C compiler refuses the code.
+    """
+    name = program.identifier
+    file = path if path.suffix == ".fmu" else path / f"{name}.fmu"
+    code = source(program)
+    guid = hashlib.sha256((code + header(program)).encode()).hexdigest()[:32]
+    texts = {
+        f"{name}.h": header(program),
+        f"{name}.c": code,
+        f"{name}_fmu.c": template("fmu.c").substitute(
+            origin=program.origin, name=name, upper=name.upper(), guid=guid
+        ),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        for title, text in texts.items():
+            (place / title).write_text(text, encoding="utf-8")
+        library = _compiled(place, name)
+        with whole_file(file) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as unit:
+            unit.writestr("modelDescription.xml", description(program, guid))
+            for title, text in texts.items():
+                unit.writestr(f"sources/{title}", text)
+            unit.writestr("resources/model.json", json.dumps(program.describe(), indent=2))
+            if library is not None:
+                unit.write(library, f"binaries/{library.parent.name}/{library.name}")
+    return (file,)
+
+
+def _compiled(place: Path, name: str) -> Path | None:
+    """The library for this machine; None without a compiler."""
+    known = _PLATFORMS.get((sys.platform, platform.machine()))
+    compiler = next((one for one in ("cc", "gcc", "clang") if shutil.which(one)), None)
+    if known is None or compiler is None:
+        warnings.warn(
+            "The FMU holds sources only, because no C compiler was found for this machine. "
+            "Importers that compile (FMPy: fmpy compile) can use it.",
+            stacklevel=4,
+        )
+        return None
+    folder, ending = known
+    target = place / folder / f"{name}{ending}"
+    target.parent.mkdir()
+    sources = [str(place / f"{name}.c"), str(place / f"{name}_fmu.c")]
+    command = [compiler, "-O2", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden", *sources]
+    done = subprocess.run([*command, "-lm", "-o", str(target)], capture_output=True, check=False)
+    if done.returncode:
+        last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
+        raise FileError(f"{compiler} refuses the code of the FMU: {' '.join(last)}")
+    return target
+
+
+def description(program: Program, guid: str) -> str:
+    """Text of ``modelDescription.xml``.
+
+    Parameters
+    ----------
+    program : Program
+        The model.
+    guid : str
+        Digest of the code, which the library compares.
+    """
+    model = program.model
+    root = ElementTree.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=safe(model.name),
+        guid=f"{{{guid}}}",
+        description=program.origin,
+        generationTool=f"oed_sysid {__version__}",
+        generationDateAndTime=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        variableNamingConvention="flat",
+        numberOfEventIndicators="0",
+    )
+    unit = ElementTree.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=program.identifier,
+        canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+    )
+    files = ElementTree.SubElement(unit, "SourceFiles")
+    for title in (f"{program.identifier}.c", f"{program.identifier}_fmu.c"):
+        ElementTree.SubElement(files, "File", name=title)
+    names = program.names
+    stated = sorted({*names.input_units, *names.output_units, *names.parameter_units})
+    units = ElementTree.SubElement(root, "UnitDefinitions")
+    for text in (one for one in stated if one):
+        ElementTree.SubElement(units, "Unit", name=text)
+    if not len(units):
+        root.remove(units)
+    variables = ElementTree.SubElement(root, "ModelVariables")
+    used: set[str] = set()
+    outputs = []
+
+    def add(name: str, unit_text: str, start: float | None, attributes: dict[str, str]) -> None:
+        while name in used:
+            name += "_"
+        used.add(name)
+        reference = len(variables)
+        one = ElementTree.SubElement(
+            variables,
+            "ScalarVariable",
+            {"name": name, "valueReference": str(reference), **attributes},
+        )
+        real = ElementTree.SubElement(one, "Real")
+        if unit_text:
+            real.set("unit", unit_text)
+        if start is not None:
+            real.set("start", repr(float(start)))
+        if attributes["causality"] == "output":
+            outputs.append(reference + 1)
+
+    for name, unit_text, linear in zip(
+        names.inputs, names.input_units, program.linear_inputs, strict=True
+    ):
+        held = "continuous" if linear else "discrete"
+        add(name, unit_text, 0.0, {"causality": "input", "variability": held})
+    moving = {"variability": "continuous", "initial": "calculated"}
+    for name, unit_text in zip(names.outputs, names.output_units, strict=True):
+        both = name in names.states  # the state and its measurement
+        title = f"{name}_measured" if both else name
+        add(title, unit_text, None, {"causality": "output", **moving})
+    exact = {"causality": "parameter", "initial": "exact"}
+    for name, unit_text, value in zip(
+        names.parameters, names.parameter_units, model.value_vector, strict=True
+    ):
+        add(name, unit_text, float(value), {"variability": "tunable", **exact})
+    for name in names.states[: program.n_own]:
+        words = {"description": f"{name} at the start"}
+        add(f"{name}_start", "", 0.0, {"variability": "fixed", **exact, **words})
+    for name in names.states:
+        add(name, "", None, {"causality": "local", **moving})
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for kind in ("Outputs", "InitialUnknowns"):
+        listed = ElementTree.SubElement(structure, kind)
+        for index in outputs:
+            ElementTree.SubElement(listed, "Unknown", index=str(index))
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + text + "\n"

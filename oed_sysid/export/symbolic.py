@@ -9,8 +9,7 @@ from string import Template
 
 import numpy as np
 
-from oed_sysid.export.dialects import IN_SYMPY
-from oed_sysid.export.program import Program, Routine
+from oed_sysid.export.program import IN_SYMPY, Program, Routine
 from oed_sysid.runtime.files import write_text
 from oed_sysid.text import notation
 from oed_sysid.text.expressions import to_latex

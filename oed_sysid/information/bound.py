@@ -1,6 +1,16 @@
-"""Information of manoeuvres, before any data exist: the Cramer-Rao bound.
+r"""Information of manoeuvres, before any data exist: the Cramer-Rao bound.
 
-Does the bound hold: repeated simulated experiments, each of them estimated.
+Of a run with whitened sensitivities :math:`J = \Sigma^{-1/2}\, \partial y / \partial(x_0, p)`,
+or with derivatives of the innovations in units of their deviations where random forces act, start
+states and parameters of the run are eliminated by a triangular factor with them in front,
+
+.. math::
+    J = Q \begin{pmatrix} R_{00} & R_{0p} \\ 0 & R_{pp} \end{pmatrix}, \qquad
+    F = \sum_r R_{pp,r}' R_{pp,r} + F_0, \qquad \mathrm{cov}(\hat p) \ge F^{-1}
+
+(:math:`R_{pp}' R_{pp}` is the Schur complement of :math:`J'J`). :class:`RunInformation` is the one
+evaluation of it: for one run or many, parameters alone or with absent effects beside them.
+:func:`confirm_bound` asks whether the bound holds, by repeated simulation and estimation.
 """
 
 from __future__ import annotations
@@ -11,7 +21,7 @@ from typing import Protocol
 
 import numpy as np
 from joblib import Parallel, delayed
-from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cholesky
 from scipy.special import chdtri
 
 from oed_sysid.data.dataset import Dataset
@@ -19,7 +29,8 @@ from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information.noise import Colour, Levels, Noise, noise_of
-from oed_sysid.information.response import Innovations, Play, Response, Run, plays, respond
+from oed_sysid.information.response import Innovations, Play, Run, expected_noise, plays, respond
+from oed_sysid.information.shifts import Shifts
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
@@ -102,9 +113,9 @@ def information_of(
     >>> print(known.names, known.std_errors.round(5))
     ('K', 'T') [0.00056 0.08128]
     """
+    expected = RunInformation(model, noise, coloured, start, outputs)
     listed = plays(model, runs, initial_states=initial_states)
-    told = _Told(model, noise, coloured, start, outputs)
-    return told.joint([told.factor(play) for play in listed], priors)
+    return expected.joint([expected.factor(play) for play in listed], priors)
 
 
 def information_of_each(
@@ -128,51 +139,105 @@ def information_of_each(
     tuple of Information or None
         One for each run; None where it diverges.
     """
-    told = _Told(model, noise, None, start, outputs)
-    found: list[Information | None] = []
-    for run in runs:
-        try:
-            (play,) = plays(model, run)
-            found.append(told.joint([told.factor(play)], priors))
-        except OedSysidError:
-            found.append(None)
-    return tuple(found)
+    expected = RunInformation(model, noise, start=start, outputs=outputs)
+    factors = [expected.factor_or_none(run) for run in runs]
+    return tuple(None if one is None else expected.joint([one], priors) for one in factors)
 
 
-class _Told:
-    """What is the same for all runs whose information is taken."""
+def joint_information(
+    model: Model,
+    runs: Run | Dataset | Iterable[Run],
+    shifts: Shifts,
+    *,
+    noise: Levels | NoiseModel = None,
+    coloured: Colour = None,
+    start: str | Mapping[str, float] = "unknown",
+    initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
+    outputs: Sequence[str] | None = None,
+) -> np.ndarray:
+    """Information of runs on the shared parameters and on absent effects together.
+
+    Parameters
+    ----------
+    model : Model
+        The nominal one.
+    runs, noise, coloured, start, initial_states, outputs
+        See :func:`information_of`; no prior is added.
+    shifts : Shifts
+
+    Returns
+    -------
+    ndarray (n_shared + n_columns, n_shared + n_columns)
+        Parameters in SI units, effects in units of their size.
+
+    Raises
+    ------
+    DesignError, SimulationError
+        If noise is not known, or a run diverges, with an effect or without.
+    """
+    expected = RunInformation(model, noise, coloured, start, outputs, shifts)
+    factors = [expected.factor(play) for play in plays(model, runs, initial_states=initial_states)]
+    return np.asarray(sum(factor.T @ factor for factor in factors))
+
+
+class RunInformation:
+    """Information of single runs of one model under one noise, made ready once.
+
+    Parameters
+    ----------
+    model, noise, coloured, start, outputs
+        See :func:`information_of`.
+    shifts : Shifts, optional
+        Absent effects, kept beside the parameters.
+    """
 
     def __init__(
         self,
         model: Model,
-        noise: Levels | NoiseModel | Fit,
-        coloured: Colour,
-        start: str | Mapping[str, float],
-        outputs: Sequence[str] | None,
+        noise: Levels | NoiseModel | Fit = None,
+        coloured: Colour = None,
+        start: str | Mapping[str, float] = "unknown",
+        outputs: Sequence[str] | None = None,
+        shifts: Shifts | None = None,
     ) -> None:
-        disturbed = disturbed_noise(noise)
         for name in outputs or ():
             if name not in model.output_names:
                 raise DesignError(
                     f"There is no output {name!r} in model {model.name!r}; it has "
                     f"{', '.join(model.output_names)}."
                 )
+        disturbed, self._levels = expected_noise(model, noise)
         self._model, self._coloured, self._start, self._outputs = model, coloured, start, outputs
+        self._shifts = shifts
         self._innovations = None if disturbed is None else Innovations.of(model, disturbed)
-        self._noise = noise.sigma if isinstance(noise, Fit) else noise
 
     def factor(self, play: Play) -> np.ndarray:
-        """Factor of one run on the shared parameters, ``(n, n_shared)``."""
-        model = self._model
-        if self._innovations is not None:
-            rows, _ = self._innovations.rows(play, outputs=self._outputs)
+        """Factor of one run on the shared parameters and absent effects, ``(n, n)``."""
+        model, innovations = self._model, self._innovations
+        response, moved = None, None
+        if innovations is None or self._shifts is not None:
+            response = respond(model, play)
+        if self._shifts is not None and response is not None:
+            moved = self._shifts.columns(play, response.outputs)
+        if innovations is not None:
+            rows, _ = innovations.rows(play, outputs=self._outputs, changes=moved)
             return eliminated(model, rows, self._start)
-        response = respond(model, play)
+        assert response is not None
+        present = response.present
         if self._outputs is not None:
-            left_out = [name not in self._outputs for name in model.output_names]
-            response.present[:, left_out] = False
-        sigma = noise_of(model, self._noise, self._coloured, changed=play.noise)  # type: ignore[arg-type]
-        return run_factor(model, response, sigma, self._start)
+            present = present & [name in self._outputs for name in model.output_names]
+        jacobian = response.jacobian
+        if moved is not None:
+            jacobian = np.concatenate([jacobian, moved], axis=2)
+        noise = noise_of(model, self._levels, self._coloured, changed=play.noise)
+        return whitened_factor(model, jacobian, present, noise, self._start)
+
+    def factor_or_none(self, run: Run) -> np.ndarray | None:
+        """The factor of a planned run; None where it diverges."""
+        try:
+            return self.factor(plays(self._model, run)[0])
+        except OedSysidError:
+            return None
 
     def joint(
         self,
@@ -187,24 +252,20 @@ class _Told:
         return Information(names, triangle(rows) * scales, scales)
 
 
-def run_factor(
-    model: Model, response: Response, noise: Noise, start: str | Mapping[str, float] = "unknown"
+def whitened_factor(
+    model: Model,
+    jacobian: np.ndarray,
+    present: np.ndarray,
+    noise: Noise,
+    start: str | Mapping[str, float] = "unknown",
 ) -> np.ndarray:
     """Factor of one run's information on the shared parameters, shape ``(n, n_shared)``.
 
     Start states and per-record parameters, with their priors, are eliminated
     by triangularisation with them in front.
     """
-    white = noise.whiten(response.jacobian, response.present)
+    white = noise.whiten(jacobian, present)
     return eliminated(model, white.reshape(-1, white.shape[2]), start)
-
-
-def disturbed_noise(noise: Levels | NoiseModel | Fit) -> NoiseModel | None:
-    """Noise with random forces or colour, if that is what is given; None for white levels."""
-    found = noise.noise if isinstance(noise, Fit) else noise
-    if not isinstance(found, NoiseModel):
-        return None
-    return None if isinstance(noise, Fit) and found.is_white else found
 
 
 def eliminated(
@@ -282,9 +343,8 @@ def prior_factor(
     model: Model, names: Sequence[str], priors: str | Mapping[str, float] | Information | None
 ) -> np.ndarray:
     """Factor of what is known besides, shape ``(n_rows, n_names)``."""
-    n = len(names)
     if priors is None:
-        return np.zeros((0, n))
+        return np.zeros((0, len(names)))
     if isinstance(priors, Information):
         missing = [name for name in priors.names if name not in names]
         if missing:
@@ -292,24 +352,31 @@ def prior_factor(
                 f"The prior knows about {', '.join(missing)}, which is not free in model "
                 f"{model.name!r}. Free it, or give information on {', '.join(names)}."
             )
-        rows = np.zeros((len(priors.factor), n))
+        rows = np.zeros((len(priors.factor), len(names)))
         rows[:, [names.index(name) for name in priors.names]] = priors.factor / priors.scales
         return rows
+    stds = _prior_deviations(model, names, priors)
+    return np.diag([1.0 / stds[name] if name in stds else 0.0 for name in names])
+
+
+def _prior_deviations(
+    model: Model, names: Sequence[str], priors: str | Mapping[str, float]
+) -> Mapping[str, float]:
+    """Standard deviations that are known, by parameter."""
+    if priors == "model":
+        return {p.name: s for p in model.free_parameters if (s := p.prior_spread) is not None}
     if isinstance(priors, str):
-        if priors != "model":
-            raise DesignError(
-                f"priors is {priors!r}. Choose 'model', None, standard deviations by name, or an "
-                "Information."
-            )
-        stds = {p.name: p.prior_spread for p in model.free_parameters if p.prior_spread is not None}
-        return np.diag([1.0 / stds[name] if name in stds else 0.0 for name in names])
+        raise DesignError(
+            f"priors is {priors!r}. Choose 'model', None, standard deviations by name, or an "
+            "Information."
+        )
     for name, std in priors.items():
         if name not in names or not std > 0:
             raise DesignError(
                 f"The prior {name!r}: {std} is of no use. Give a positive standard deviation of "
                 f"one of {', '.join(names)}."
             )
-    return np.diag([1.0 / priors[name] if name in priors else 0.0 for name in names])
+    return priors
 
 
 def start_weights(model: Model, start: str | Mapping[str, float]) -> np.ndarray:
@@ -338,12 +405,6 @@ def rows_to_parameters(factor: np.ndarray, keep: Sequence[int]) -> np.ndarray:
     n = factor.shape[1]
     rest = [i for i in range(n) if i not in keep]
     return triangle(factor[:, [*rest, *keep]])[len(rest) :, len(rest) :]
-
-
-def solve_factor(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve ``R' R x = right`` for an upper-triangular ``R``."""
-    inner = solve_triangular(factor, right, trans="T")
-    return np.asarray(solve_triangular(factor, inner))
 
 
 class _Estimator(Protocol):

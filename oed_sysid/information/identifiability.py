@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from oed_sysid.errors import DesignError, SimulationError
-from oed_sysid.information.bound import prior_factor, rows_to_parameters, run_factor, triangle
+from oed_sysid.information.bound import prior_factor, rows_to_parameters, triangle, whitened_factor
 from oed_sysid.information.noise import Noise
 from oed_sysid.information.response import Play, respond
 from oed_sysid.likelihood.information import Information
@@ -301,7 +301,9 @@ def structural_identifiability(
                 continue
             spans = np.ptp(response.outputs, axis=0)
             noise = Noise(np.where(spans > 0, spans, 1.0), ((),) * len(spans))
-            factors.append(run_factor(drawn, response, noise, start))
+            factors.append(
+                whitened_factor(drawn, response.jacobian, response.present, noise, start)
+            )
         if factors:
             scales = np.array([drawn.parameter(name).magnitude for name in names])
             rows = np.vstack([*factors, prior_factor(drawn, names, None)])

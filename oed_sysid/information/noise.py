@@ -24,14 +24,13 @@ import numpy as np
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.information.response import plays
+from oed_sysid.information.response import Levels, plays
 from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
 
-Levels = Mapping[str, float] | Sequence[float] | np.ndarray | None
 Colour = Mapping[str, float | Sequence[float]] | None
 
 

@@ -39,11 +39,14 @@ from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.disturbances import chosen_places, disturbance
 from oed_sysid.likelihood.filtered import disturbed_model
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.start_guess import measured_states
 from oed_sysid.physics.model import Model
 
 Run = Experiment | Record
+# Standard deviations of the outputs' noise.
+Levels = Mapping[str, float] | Sequence[float] | np.ndarray | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +280,30 @@ class Innovations:
         outputs: Sequence[str] | None = None,
         changes: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the innovations of one run; see :func:`innovation_rows`."""
+        """Derivatives of the innovations of one run, in units of their standard deviations.
+
+        Parameters
+        ----------
+        play : Play
+            Inputs and start of the run.
+        outputs : sequence of str, optional
+            Outputs that are measured; by default all.
+        changes : ndarray (n_times, n_outputs, n_changes), optional
+            What else may move the outputs; each is put through the same filter.
+
+        Returns
+        -------
+        rows : ndarray (n_rows, n_own + n_free + n_changes)
+            By own start states, free parameters and changes; samples that are not measured left
+            out.
+        nominal : ndarray (n_times, n_outputs)
+            Outputs without noise.
+
+        Raises
+        ------
+        DesignError
+            If the run diverges.
+        """
         model, noise, wide = self.model, self.noise, self.wide
         acting = noise.force > 0
         white = noise.white.copy()
@@ -341,42 +367,21 @@ class Innovations:
         return np.hstack([rows, moved]), nominal
 
 
-def innovation_rows(
-    model: Model,
-    play: Play,
-    noise: NoiseModel,
-    *,
-    outputs: Sequence[str] | None = None,
-    changes: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the innovations of one run, in units of their standard deviations.
+def expected_noise(
+    model: Model, noise: Levels | NoiseModel | Fit
+) -> tuple[NoiseModel | None, Levels]:
+    """Split the noise to expect: random forces and colour (None where there are none), levels.
 
-    Parameters
-    ----------
-    model : Model
-        At the values in question, without disturbances of its own or with them.
-    play : Play
-        Inputs and start of the run.
-    noise : NoiseModel
-        Levels and times of sensors and forces; sensors in the order of the model's outputs.
-    outputs : sequence of str, optional
-        Outputs that are measured; by default all.
-    changes : ndarray (n_times, n_outputs, n_changes), optional
-        What else may move the outputs; each is put through the same filter.
-
-    Returns
-    -------
-    rows : ndarray (n_rows, n_own + n_free + n_changes)
-        By own start states, free parameters and changes; samples that are not measured left out.
-    nominal : ndarray (n_times, n_outputs)
-        Outputs without noise.
-
-    Raises
-    ------
-    DesignError
-        If the noise does not fit the model, or the run diverges.
+    Levels are standard deviations of the sensors' noise, white and coloured together.
     """
-    return Innovations.of(model, noise).rows(play, outputs=outputs, changes=changes)
+    if isinstance(noise, Fit):
+        if not isinstance(noise.noise, NoiseModel) or noise.noise.is_white:
+            return None, noise.sigma
+        noise = noise.noise
+    if not isinstance(noise, NoiseModel):
+        return None, noise
+    noise = checked_noise(model, noise)
+    return None if noise.is_white else noise, noise.sensors
 
 
 def checked_noise(model: Model, noise: NoiseModel) -> NoiseModel:

@@ -20,18 +20,14 @@ are at their values.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, kernel
-from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DesignError, SimulationError
-from oed_sysid.information.bound import eliminated
-from oed_sysid.information.noise import Colour, Levels, noise_of
-from oed_sysid.information.response import Play, Run, innovation_rows, plays, respond
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.information.response import Play
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
@@ -223,70 +219,3 @@ def _signed(parameter: Parameter, size: float) -> float:
     if parameter.upper < value:
         value = max(-value, parameter.lower) if parameter.upper <= 0 else parameter.upper
     return value
-
-
-def joint_information(
-    model: Model,
-    runs: Run | Dataset | Iterable[Run],
-    shifts: Shifts,
-    *,
-    noise: Levels | NoiseModel = None,
-    coloured: Colour = None,
-    start: str | Mapping[str, float] = "unknown",
-    initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
-    outputs: Sequence[str] | None = None,
-) -> np.ndarray:
-    """Information of runs on the shared parameters and on absent effects together.
-
-    Parameters
-    ----------
-    model : Model
-        The nominal one.
-    runs, noise, coloured, start, initial_states, outputs
-        See :func:`~oed_sysid.information.information_of`; no prior is added.
-    shifts : Shifts
-
-    Returns
-    -------
-    ndarray (n_shared + n_columns, n_shared + n_columns)
-        Parameters in SI units, effects in units of their size.
-
-    Raises
-    ------
-    DesignError, SimulationError
-        If noise is not known, or a run diverges, with an effect or without.
-    """
-    n_free = len(model.free_parameters)
-    n_own = len(model.states)
-    n = sum(not p.per_record for p in model.free_parameters) + len(shifts)
-    total = np.zeros((n, n))
-    for play in plays(model, runs, initial_states=initial_states):
-        response = respond(model, play)
-        moved = shifts.columns(play, response.outputs)
-        if isinstance(noise, NoiseModel) and not noise.is_white:
-            rows, _ = innovation_rows(model, play, noise, outputs=outputs, changes=moved)
-        else:
-            levels = noise.sensors if isinstance(noise, NoiseModel) else noise
-            present = response.present.copy()
-            if outputs is not None:
-                present[:, [name not in outputs for name in model.output_names]] = False
-            sigma = noise_of(model, levels, coloured, changed=play.noise)
-            both = np.concatenate([response.jacobian, moved], axis=2)
-            rows = sigma.whiten(both, present).reshape(-1, n_own + n_free + len(shifts))
-        factor = eliminated(model, rows, start)
-        total += factor.T @ factor
-    return total
-
-
-def joint_prior(known: np.ndarray, n_columns: int) -> np.ndarray:
-    """Information on parameters put beside effects of which nothing is known.
-
-    Parameters
-    ----------
-    known : ndarray (n_shared, n_shared)
-    n_columns : int
-    """
-    n = len(known)
-    full = np.zeros((n + n_columns, n + n_columns))
-    full[:n, :n] = known
-    return full

@@ -24,7 +24,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import gammaincc
 
-from oed_sysid.data.sampling import sampled_alike
+from oed_sysid.data.record import sampled_alike
 from oed_sysid.likelihood.agreement import Sources, sources_of
 from oed_sysid.likelihood.fit import COLOUR_LIMIT
 from oed_sysid.likelihood.information import (

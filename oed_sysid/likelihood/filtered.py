@@ -237,6 +237,7 @@ class Filtered:
         levels_only: bool = False,
         rows: bool = False,
         gains: bool = False,
+        moves: bool = False,
         names: Sequence[str] | None = None,
         measured: Sequence[np.ndarray] | None = None,
     ) -> list[FilterPass]:
@@ -253,6 +254,8 @@ class Filtered:
             Whether these of every innovation.
         gains : bool
             Whether gains are kept, for :meth:`replayed`.
+        moves : bool
+            Whether transitions are kept, too, for :class:`oed_sysid.likelihood.smoother.Path`.
         names : sequence of str, optional
             Columns of parameters; by default all free ones.
         measured : sequence of ndarray, optional
@@ -280,6 +283,7 @@ class Filtered:
                 levels=self.levels.entries if columns else (),
                 rows=rows,
                 gains=gains,
+                moves=moves,
             )
             return _white_alone(part, self.levels.entries) if record.independent else part
 

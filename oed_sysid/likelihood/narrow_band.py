@@ -26,7 +26,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from oed_sysid.data.dataset import Record
-from oed_sysid.data.sampling import sampled_alike
+from oed_sysid.data.record import sampled_alike
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.information import coloured_score_covariance
 

@@ -15,12 +15,9 @@ module                          question
 ``levels``                      which of them are unknown, as what: :class:`~.levels.Levels`
 ``realisation``                 what a sea does to one simulated record
 ``disturbances``                at which places of the chain something may act
-``linearisation``               linear dynamics along the smoothed path
-``kalman``, ``smoother``        innovations and smoothed disturbances of linear deviations
-``restricted_likelihood``       the likelihood of a noise model, unknowns projected out
+``smoother``                    residual forces: disturbances given the whole record
 =============================== ===========================================================
 
-Linear deviations along the smoothed path say *where* a model fails; parameters and their errors
-come from the filtered path (:mod:`oed_sysid.likelihood.filtered`), because regressors along a
-smoothed path hold the noise.
+Parameters and their errors come from the filtered path (:mod:`oed_sysid.likelihood.filtered`):
+regressors along a smoothed path hold the noise.
 """

@@ -1,142 +1,149 @@
-"""Smoothed disturbances: what must have acted, given the whole record.
+r"""What must have acted, given the whole record: a smoother on the path of the filter.
 
-A fixed-interval smoother on the linear deviations (de Jong 1989; Durbin &
-Koopman 2012, section 4.4). It needs no inverse of a state covariance, and it
-smooths any number of columns at once: residuals, and the sensitivities by
-which unknowns that were estimated from the same residuals are accounted for.
+One scalar measurement after the other, the filter of :mod:`oed_sysid.compiled.filtering` takes a
+small deviation :math:`x_k` of its path through a sample and on to the next by
+
+.. math::
+    e_i = -h_i' \Bigl[\prod_{j<i} (I - g_j h_j')\Bigr] x_k = -\tilde h_i' x_k, \qquad
+    x_{k+1} = F_k \Bigl[\prod_i (I - g_i h_i')\Bigr] x_k + u_k = L_k x_k + u_k
+
+Backwards the same matrices gather what later innovations say of a sample (de Jong 1989,
+*Smoothing and interpolation with the state-space model*; Durbin & Koopman 2012, section 4.4),
+
+.. math::
+    r_k = L_k' r_{k+1} + \sum_i \tilde h_i\, e_i / S_i, \qquad
+    N_k = L_k' N_{k+1} L_k + \sum_i \tilde h_i \tilde h_i' / S_i
+
+and a disturbance with rows :math:`P_w` of the predicted covariance is
+:math:`\hat w_k = w^-_k + P_w r_k` with covariance :math:`P_{ww} - P_w N_k P_w'`. No covariance is
+inverted, and any number of columns is smoothed at once.
+
+Regressors along a path that has seen the whole record hold its noise: residual forces and pictures
+come from here, parameters and their errors from the filter.
 """
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
-from functools import lru_cache
-from importlib.resources import files
 
 import numpy as np
 
-from oed_sysid.compiled.compile import call, load_source
-from oed_sysid.likelihood.kalman import Deviations, memories
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.compiled.filtering import FilterPass
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothed:
-    """Disturbances and deviations of one record under one noise model.
+class Path:
+    """Small deviations of one record from the path of its filter.
 
     Attributes
     ----------
-    forces : ndarray (n_times, n_forces, n_columns)
-        Expectation of each disturbance given each column.
-    states : ndarray (n_times, n_states, n_columns)
-        Expectation of the deviations of the state.
-    std : ndarray (n_times, n_forces)
-        Standard deviation of the disturbances that is left.
+    closed : ndarray (n_times, n, n)
+        From the prediction of one sample to that of the next.
+    seen : ndarray (n_times, n_outputs, n)
+        What each innovation sees of the prediction; zero where nothing was measured.
+    drive : ndarray (n_times, n, n_disturbances)
+        Effect of each disturbance, held over the step, on the next prediction, itself left out.
+    memory : ndarray (n_times, n_disturbances)
+        Share of each disturbance that is left at the next sample.
+    gain : ndarray (n_times, n_outputs, n_disturbances)
+        Of the innovations on the disturbances.
+    spread : ndarray (n_times, n_disturbances, n)
+        Predicted covariance of the disturbances with everything.
+    variances : ndarray (n_times, n_outputs)
+        Of the innovations.
+    first : int
+        Position of the first disturbance among the components.
     """
 
-    forces: np.ndarray
-    states: np.ndarray
-    std: np.ndarray
+    closed: np.ndarray
+    seen: np.ndarray
+    drive: np.ndarray
+    memory: np.ndarray
+    gain: np.ndarray
+    spread: np.ndarray
+    variances: np.ndarray
+    first: int
 
+    @classmethod
+    def of(cls, part: FilterPass, n_coloured: int = 0) -> Path:
+        """Fold the measurements of a pass that kept its gains and moves into its transitions."""
+        assert part.gains is not None
+        assert part.moves is not None
+        _, n_outputs, _, size = part.gains.shape
+        n_random = part.moves.shape[1] - size
+        first = size - n_coloured - n_random
+        random = slice(first, first + n_random)
+        transition, spread = part.moves[:, :size], part.moves[:, size:]
+        through = np.broadcast_to(np.eye(size), transition.shape).copy()
+        seen = np.empty((len(part.gains), n_outputs, size))
+        for output in range(n_outputs):
+            row, gain = part.gains[:, output, 0], part.gains[:, output, 1]
+            seen[:, output] = np.einsum("ki,kij->kj", row, through)
+            through -= gain[:, :, None] * seen[:, output, None, :]
+        drive = transition[:, :, random].copy()
+        drive[:, random] = 0.0
+        memory = np.diagonal(transition[:, random, random], axis1=1, axis2=2)
+        gain = part.gains[:, :, 1, random]
+        closed = transition @ through
+        return cls(closed, seen, drive, memory, gain, spread, part.variances, first)
 
-def smooth(noise: NoiseModel, record: Deviations, column: np.ndarray) -> Smoothed:
-    """Smooth columns of one record under a noise model.
+    def responses(self, drive: np.ndarray) -> np.ndarray:
+        """Innovations, in standard deviations, of what is added to every prediction.
 
-    Parameters
-    ----------
-    noise : NoiseModel
-    record : Deviations
-    column : ndarray (n_times, n_outputs, n_columns)
-        Residuals and sensitivities; entries not measured are ignored.
-    """
-    n_outputs, n_states = record.output.shape[1:]
-    n_forces = record.force_gain.shape[2]
-    colour = int(noise.has_colour)
-    library = _library(n_states, n_forces, n_outputs, colour)
-    if library is None:
-        return smooth_numpy(noise, record, column)
-    n, m = len(column), column.shape[2]
-    size = n_states + n_forces + colour * n_outputs
-    white = np.where(record.present[:, :, None] > 0, column, 0.0)
-    states, variance = np.empty((n, size, m)), np.empty((n, n_forces))
-    force_memory, colour_memory = memories(noise, record)
-    failed = call(
-        library.smoother,
-        (n, m),
-        record.transition,
-        record.force_gain,
-        record.output,
-        record.present,
-        noise.force**2,
-        force_memory,
-        noise.colour**2,
-        colour_memory,
-        noise.white**2,
-        white,
-        states,
-        variance,
-        np.empty(n * size * (2 * n_outputs + size)),
-        np.empty(size * (m + 1)),
-    )
-    if failed:
-        states, variance = np.full_like(states, np.nan), np.full_like(variance, np.nan)
-    forces = slice(n_states, n_states + n_forces)
-    return Smoothed(states[:, forces], states[:, :n_states], np.sqrt(np.maximum(variance, 0.0)))
+        Parameters
+        ----------
+        drive : ndarray (n_times, n, n_columns)
+            Added between a sample and the next.
 
+        Returns
+        -------
+        ndarray (n_times, n_outputs, n_columns)
+        """
+        moved = np.zeros(drive.shape[1:])
+        result = np.empty((*self.variances.shape, drive.shape[2]))
+        for k, added in enumerate(drive):
+            result[k] = -self.seen[k] @ moved
+            moved = self.closed[k] @ moved + added
+        return result / np.sqrt(self.variances)[:, :, None]
 
-@lru_cache(maxsize=32)
-def _library(n_states: int, n_forces: int, n_outputs: int, colour: int) -> ctypes.CDLL | None:
-    return load_source(
-        f"smoother-{n_states}-{n_forces}-{n_outputs}-{colour}",
-        lambda: files("oed_sysid.compiled").joinpath("smoother.c").read_text(),
-        what="the smoother of linear deviations",
-        flags=(f"-DNX={n_states}", f"-DNF={n_forces}", f"-DNY={n_outputs}", f"-DCOLOUR={colour}"),
-    )
+    def disturbances(self, innovations: np.ndarray) -> np.ndarray:
+        """Disturbances that go with innovations or with their derivatives.
 
+        Parameters
+        ----------
+        innovations : ndarray (n_times, n_outputs, n_columns)
+            What stands where nothing was measured does not matter.
 
-def smooth_numpy(noise: NoiseModel, record: Deviations, column: np.ndarray) -> Smoothed:
-    """The same without compiled code, for machines that have no compiler."""
-    n_outputs, n_states = record.output.shape[1:]
-    n_forces, n = record.force_gain.shape[2], len(column)
-    n_colours = n_outputs if noise.has_colour else 0
-    size = n_states + n_forces + n_colours
-    force_memory, colour_memory = memories(noise, record)
-    memory = np.concatenate([force_memory, colour_memory[:n_colours]])
-    stationary = np.concatenate([noise.force, noise.colour[:n_colours]]) ** 2
-    extra = np.arange(n_states, size)
-    covariance, drive = np.zeros((size, size)), np.zeros((size, size))
-    covariance[extra, extra] = stationary
-    drive[extra, extra] = stationary * (1.0 - memory**2)
-    transition, output = np.zeros((n, size, size)), np.zeros((n, n_outputs, size))
-    transition[:, :n_states, :n_states] = record.transition
-    transition[:, :n_states, n_states : n_states + n_forces] = record.force_gain
-    transition[:, extra, extra] = memory
-    output[:, :, :n_states] = record.output
-    output[:, np.arange(n_colours), size - n_colours + np.arange(n_colours)] = 1.0
-    output *= record.present[:, :, None] > 0
-    state = np.zeros((size, column.shape[2]))
-    kept = []
-    for k in range(n):
-        seen = record.present[k] > 0
-        product = output[k] @ covariance
-        # A missing sample becomes a measurement of nothing.
-        spread = product @ output[k].T + np.diag(np.where(seen, noise.white**2, 1.0))
-        inverse = np.linalg.inv(np.linalg.cholesky(spread))
-        white = inverse @ (np.where(seen[:, None], column[k], 0.0) - output[k] @ state)
-        rows, gain = inverse @ output[k], inverse @ product
-        kept.append((rows, gain, white, covariance, state))
-        state = transition[k] @ (state + gain.T @ white)
-        covariance = covariance - gain.T @ gain
-        covariance = transition[k] @ covariance @ transition[k].T + drive
-    forces = slice(n_states, n_states + n_forces)
-    adjoint, information = np.zeros_like(state), np.zeros((size, size))
-    mean, variance = np.empty((n, *state.shape)), np.empty((n, n_forces))
-    for k in range(n - 1, -1, -1):
-        rows, gain, white, covariance, state = kept[k]
-        closed = transition[k] @ (np.eye(size) - gain.T @ rows)
-        adjoint = rows.T @ white + closed.T @ adjoint
-        information = rows.T @ rows + closed.T @ information @ closed
-        mean[k] = state + covariance @ adjoint
-        part = covariance[forces]
-        variance[k] = np.diag(covariance)[forces] - np.sum((part @ information) * part, axis=1)
-    return Smoothed(mean[:, forces], mean[:, :n_states], np.sqrt(np.maximum(variance, 0.0)))
+        Returns
+        -------
+        ndarray (n_times, n_disturbances, n_columns)
+        """
+        known = np.any(self.seen != 0, axis=2, keepdims=True)
+        columns = np.where(known, innovations, 0.0)
+        pushes = np.swapaxes(self.gain, 1, 2) @ columns
+        told = np.swapaxes(self.seen, 1, 2) @ (columns / self.variances[:, :, None])
+        n, size = self.seen.shape[0], self.seen.shape[2]
+        result = np.empty(pushes.shape)
+        mean = np.zeros(pushes.shape[1:])
+        for k in range(n):
+            result[k] = mean
+            mean = self.memory[k][:, None] * (mean + pushes[k])
+        later = np.zeros((size, columns.shape[2]))
+        for k in range(n - 1, -1, -1):
+            later = told[k] + self.closed[k].T @ later
+            result[k] += self.spread[k] @ later
+        return result
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviation of every smoothed disturbance, ``(n_times, n_disturbances)``."""
+        n, n_random, size = self.spread.shape
+        told = np.swapaxes(self.seen, 1, 2) @ (self.seen / self.variances[:, :, None])
+        later, removed = np.zeros((size, size)), np.empty((n, n_random))
+        for k in range(n - 1, -1, -1):
+            closed, rows = self.closed[k], self.spread[k]
+            later = told[k] + closed.T @ later @ closed
+            removed[k] = np.sum((rows @ later) * rows, axis=1)
+        own = np.arange(n_random)
+        variance = self.spread[:, own, self.first + own] - removed
+        return np.sqrt(np.maximum(variance, 0.0))

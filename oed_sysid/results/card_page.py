@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from oed_sysid.design import Design
-from oed_sysid.design.assurance import Tracks
+from oed_sysid.design.assurance import PredictedTracks
 from oed_sysid.results.card_plots import plot_orders, plot_tracks
 from oed_sysid.results.page import Page, Picture, Section
 from oed_sysid.results.style import new_figure
 
 
-def card_page(design: Design, tracks: Tracks | None = None, *, title: str = "") -> Page:
+def card_page(design: Design, tracks: PredictedTracks | None = None, *, title: str = "") -> Page:
     """Compose the card: danger first, then what to run, where it goes, and when to stop.
 
     Parameters
     ----------
     design : Design
-    tracks : Tracks, optional
-        From :func:`~oed_sysid.design.plausible_tracks`.
+    tracks : PredictedTracks, optional
+        From :func:`~oed_sysid.design.predicted_tracks`.
     title : str
     """
     safe = design.assurance

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from oed_sysid.design import Design
-from oed_sysid.design.assurance import Tracks
+from oed_sysid.design.assurance import PredictedTracks
 from oed_sysid.results.style import (
     COLOURS,
     DEGREE,
@@ -31,13 +31,13 @@ _HEADS = ("SEA TRIAL CARD", "STOP THE RUN", "ACCURACY TO EXPECT", "MISSING PHYSI
 _MANY, _APART = 14, 54
 
 
-def plot_tracks(tracks: Tracks, *, ax: Axes | None = None) -> Axes:
+def plot_tracks(tracks: PredictedTracks, *, ax: Axes | None = None) -> Axes:
     """Plot the drawn track, the range of plausible ones, and the sea room as a box.
 
     Parameters
     ----------
-    tracks : Tracks
-        From :func:`~oed_sysid.design.plausible_tracks`.
+    tracks : PredictedTracks
+        From :func:`~oed_sysid.design.predicted_tracks`.
     ax : Axes, optional
         Where to draw.
     """
@@ -109,13 +109,13 @@ def _folded(lines: list[str]) -> list[str]:
     return [*lines[:first], *head, *pairs, *tail, *lines[last:]]
 
 
-def figure_card(design: Design, tracks: Tracks | None = None) -> Figure:
+def figure_card(design: Design, tracks: PredictedTracks | None = None) -> Figure:
     """Compose the sea-trial card on one page of A4; danger in red above everything.
 
     Parameters
     ----------
     design : Design
-    tracks : Tracks, optional
+    tracks : PredictedTracks, optional
         Where the run goes; without them the orders take the whole width.
     """
     figure = Figure(figsize=_A4)

@@ -5,24 +5,288 @@
 >>> from oed_sysid.experiments.problem import new_problem
 >>> with tempfile.TemporaryDirectory() as place:
 ...     check_problem(new_problem(Path(place) / "my_ship"), rng=np.random.default_rng(1))
+
+The contract of an effect, to be run on every effect that is added.
+
+>>> from oed_sysid.physics.channels import Input, Output, State
+>>> from oed_sysid.physics import quadratic_drag
+>>> from oed_sysid.physics.model import Model
+>>> from oed_sysid.physics.parameters import Parameter
+>>> roll = Model(
+...     "roll",
+...     states=(State("phi", "rad"), State("p", "rad/s")),
+...     inputs=(),
+...     outputs=(Output("phi", "rad"),),
+...     axes={"K": "p"},
+...     inertia={("K", "p"): "I_xx"},
+...     kinematics={"phi": "p"},
+...     parameters=(Parameter("I_xx", 2.0, "kg m^2"),),
+... )
+>>> damping = quadratic_drag("damping", "K", "p", scale=0.2)
+>>> check_effect(damping, roll, rng=np.random.default_rng(1), mirror=("phi", "p"))
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.catalogue import catalogue_folder
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.experiments.simulation import simulate
+from oed_sysid.experiments.soundness import effect_faults
 from oed_sysid.information import information_of
 from oed_sysid.physics import Effect
-from oed_sysid.testing.effect_contract import check_effect
+from oed_sysid.physics.model import Model
+
+# -- the contract of an effect ---------------------------------------------------------
+
+
+_ABSENT = 1e-12  # relative to the outputs
+_MIRROR = 1e-9
+_STEP = 1e-5  # of finite differences, in typical sizes
+_CENTRAL = 1e-5
+_ONE_SIDED = 2e-3
+
+
+def check_effect(
+    effect: Effect,
+    model: Model,
+    *,
+    rng: np.random.Generator,
+    initial: Mapping[str, float] | None = None,
+    inputs: Mapping[str, tuple[float, float]] | None = None,
+    mirror: Collection[str] = (),
+    amplitude_sign: int = 1,
+    n_times: int = 40,
+    n_points: int = 2,
+) -> None:
+    """Check everything that the package relies on in an effect.
+
+    * It is described, cited, and says what it needs; amplitudes may be zero.
+    * The units of its terms follow from those of its parameters.
+    * At zero amplitude the outputs are those of the model without it.
+    * At its typical amplitude they are not.
+    * Sensitivities equal finite differences, at random points and, from the
+      side of growing amplitude, at zero.
+    * Where a symmetry is claimed, mirrored motion stays mirrored.
+
+    Parameters
+    ----------
+    effect : Effect
+        The effect, at any value of its parameters.
+    model : Model
+        A model that can carry it, and does not yet.
+    rng : numpy.random.Generator
+        Source of the random points.
+    initial : mapping, optional
+        Mean initial states, zero by default.
+    inputs : mapping, optional
+        Lowest and highest command of each input, by default -1 and 1.
+    mirror : collection of str, optional
+        States, inputs and outputs that change sign when the motion is mirrored
+        (port and starboard, up and down); empty claims nothing.
+    amplitude_sign : int
+        -1 where the amplitude changes sign in the mirror too, as an offset does.
+    n_times, n_points : int
+        Samples of a trajectory and number of random points.
+
+    Raises
+    ------
+    AssertionError
+        With a line for every broken promise.
+    """
+    probe = _Probe(effect, model, dict(initial or {}), dict(inputs or {}), n_times)
+    broken = [*_words(effect), *effect_faults([effect], model)]
+    broken += probe.absent_at_zero(rng)
+    for _ in range(n_points):
+        broken += probe.jacobian(rng)
+    broken += probe.slope_at_zero(rng)
+    if mirror:
+        broken += probe.mirrored(rng, frozenset(mirror), amplitude_sign)
+    if broken:
+        raise AssertionError(f"Effect {effect.name!r}:\n" + "\n".join(f"- {b}" for b in broken))
+
+
+def _words(effect: Effect) -> list[str]:
+    broken = [
+        f"has no {word}" for word in ("description", "source", "needs") if not getattr(effect, word)
+    ]
+    for parameter in effect.parameters:
+        if parameter.name in effect.amplitude_names:
+            if not parameter.lower <= 0.0 <= parameter.upper:
+                broken.append(f"amplitude {parameter.name} cannot be zero")
+            if parameter.scale is None:
+                broken.append(f"amplitude {parameter.name} has no typical scale")
+    return broken
+
+
+# -- trajectories ------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Probe:
+    """Runs of a model with and without one effect."""
+
+    effect: Effect
+    model: Model
+    initial: dict[str, float]
+    ranges: dict[str, tuple[float, float]]
+    n_times: int
+
+    @property
+    def zero(self) -> dict[str, float]:
+        """Amplitudes at which the effect is absent."""
+        return dict.fromkeys(self.effect.amplitude_names, 0.0)
+
+    def with_effect(self, values: Mapping[str, float]) -> Model:
+        """Model that carries the effect, only the effect's parameters free."""
+        return self.model.fix(*self.model.parameter_names) + self.effect.with_values(values)
+
+    def scenario(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Random initial states ``(n_own,)`` and held commands ``(n_times, n_inputs)``."""
+        own = np.array([self.initial.get(name, 0.0) for name in self.model.state_names])
+        own += 0.3 * rng.uniform(-1, 1, len(own)) * [state.scale for state in self.model.states]
+        commands = np.empty((self.n_times, len(self.model.inputs)))
+        for column, name in enumerate(self.model.input_names):
+            low, high = self.ranges.get(name, (-1.0, 1.0))
+            levels = rng.uniform(low, high, self.n_times)
+            holds = np.repeat(levels, rng.integers(2, 8, self.n_times))
+            commands[:, column] = holds[: self.n_times]
+        return own, commands
+
+    def outputs(self, model: Model, own: np.ndarray, commands: np.ndarray) -> np.ndarray:
+        """Outputs of a trajectory, ``(n_times, n_outputs)``."""
+        return self._run(model, own, commands, sensitivities=False)[0]
+
+    def _run(
+        self, model: Model, own: np.ndarray, commands: np.ndarray, *, sensitivities: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
+        kernel = Kernel(model, compiled=False)
+        times = model.step * np.arange(self.n_times)
+        values = model.value_vector
+        z, dz = kernel.start(own, commands[0], values, 0.0)
+        run = kernel.run(times, commands, values, z, sensitivities=sensitivities)
+        if not run.ok:
+            raise AssertionError(
+                f"Effect {self.effect.name!r}: the trajectory is not finite after "
+                f"{times[run.failed_at]:g} s. Give smaller initial states, inputs or scales."
+            )
+        if run.output_sensitivities is None:
+            return run.outputs, np.empty(0)
+        total = run.output_sensitivities[:, :, : kernel.n_full] @ dz
+        total[:, :, kernel.n_own :] += run.output_sensitivities[:, :, kernel.n_full :]
+        return run.outputs, total
+
+    def random_values(self, rng: np.random.Generator) -> dict[str, float]:
+        """Values of the effect's estimated parameters about their typical sizes."""
+        values = {}
+        for parameter in self.effect.parameters:
+            if parameter.name in self.effect.amplitude_names:
+                sign = 1.0 if parameter.lower >= 0 else rng.choice([-1.0, 1.0])
+                values[parameter.name] = sign * rng.uniform(0.3, 1.0) * parameter.magnitude
+            elif not parameter.fixed:
+                values[parameter.name] = parameter.value + 0.3 * rng.uniform() * parameter.magnitude
+        return values
+
+    def absent_at_zero(self, rng: np.random.Generator) -> list[str]:
+        """Zero amplitude changes nothing; a typical one changes something."""
+        own, commands = self.scenario(rng)
+        without = self.outputs(self.model, own, commands)
+        zero = self.outputs(self.with_effect(self.zero), own, commands)
+        typical = self.outputs(self.with_effect(self.random_values(rng)), own, commands)
+        size = np.abs(without).max(axis=0) + 1.0
+        broken = []
+        if self.effect.amplitude_names and np.any(np.abs(zero - without) > _ABSENT * size):
+            worst = np.abs(zero - without).max()
+            broken.append(f"is not absent at zero amplitude: outputs differ by {worst:.1e}")
+        if np.abs(typical - without).max() < 1e-9:
+            broken.append("changes no output at its typical amplitude")
+        return broken
+
+    def jacobian(self, rng: np.random.Generator) -> list[str]:
+        """Sensitivities against central differences at a random point."""
+        own, commands = self.scenario(rng)
+        values = self.random_values(rng)
+        model = self.with_effect(values)
+        _, exact = self._run(model, own, commands, sensitivities=True)
+        names = [*model.state_names, *model.free_names]
+        sizes = [state.scale for state in model.states]
+        sizes += [parameter.magnitude for parameter in model.free_parameters]
+        broken = []
+        for column, (name, size) in enumerate(zip(names, sizes, strict=True)):
+            sides = []
+            for sign in (1.0, -1.0):
+                shift = sign * _STEP * size
+                moved = own.copy()
+                changed = model
+                if column < len(own):
+                    moved[column] += shift
+                else:
+                    changed = model.with_values({name: model.values[name] + shift})
+                sides.append(self.outputs(changed, moved, commands))
+            difference = (sides[0] - sides[1]) / (2 * _STEP * size)
+            noise = 1e-14 * np.abs(sides[0]).max() / _STEP
+            broken += _compare(exact[:, :, column] * size, difference * size, name, _CENTRAL, noise)
+        return broken
+
+    def slope_at_zero(self, rng: np.random.Generator) -> list[str]:
+        """Sensitivities at zero amplitude against growing amplitude."""
+        own, commands = self.scenario(rng)
+        model = self.with_effect(self.zero)
+        base, exact = self._run(model, own, commands, sensitivities=True)
+        broken = []
+        for name in self.effect.amplitude_names:
+            column = len(own) + model.free_names.index(name)
+            size = model.parameter(name).magnitude
+            grown = self.outputs(model.with_values({name: _STEP * size}), own, commands)
+            difference = (grown - base) / _STEP
+            noise = 1e-14 * np.abs(base).max() / _STEP
+            label = f"{name} at zero"
+            broken += _compare(exact[:, :, column] * size, difference, label, _ONE_SIDED, noise)
+        return broken
+
+    def mirrored(
+        self, rng: np.random.Generator, mirror: frozenset[str], amplitude_sign: int
+    ) -> list[str]:
+        """Outputs of the mirrored motion against mirrored outputs."""
+        own, commands = self.scenario(rng)
+        values = self.random_values(rng)
+        amplitudes = self.effect.amplitude_names
+        other = {k: v * (amplitude_sign if k in amplitudes else 1) for k, v in values.items()}
+        flips = [
+            np.array([-1.0 if name in mirror else 1.0 for name in names])
+            for names in (self.model.state_names, self.model.input_names, self.model.output_names)
+        ]
+        straight = self.outputs(self.with_effect(values), own, commands)
+        reflected = self.outputs(self.with_effect(other), own * flips[0], commands * flips[1])
+        gap = np.abs(reflected - straight * flips[2]).max()
+        return [f"is not symmetric: mirrored outputs differ by {gap:.1e}"] if gap > _MIRROR else []
+
+
+def _compare(
+    exact: np.ndarray, difference: np.ndarray, name: str, tolerance: float, noise: float
+) -> list[str]:
+    """Compare, per typical size, up to a relative tolerance and the rounding of outputs."""
+    gap = np.abs(exact - difference).max()
+    if gap <= tolerance * np.abs(difference).max() + noise:
+        return []
+    return [
+        f"sensitivity to {name} is {np.abs(exact).max():.3g} at most, finite differences give "
+        f"{np.abs(difference).max():.3g} and differ by {gap:.1e} (per typical size)"
+    ]
+
+
+# -- the contract of a problem folder --------------------------------------------------
+
 
 # What a README speaks of, and words that show it does.
 TOPICS = {

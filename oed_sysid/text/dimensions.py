@@ -25,7 +25,7 @@ from functools import lru_cache
 
 from oed_sysid.errors import ModelError
 from oed_sysid.text import expressions
-from oed_sysid.text.grammar import CONSTANTS, NUMERIC, walk
+from oed_sysid.text.expressions import CONSTANTS, NUMERIC, walk
 from oed_sysid.text.units import Dimension
 
 # A number below this only guards a division: its unit is not worth a word.

@@ -1,0 +1,318 @@
+r"""What is known before a run, and what the run is expected to tell.
+
+With knowledge :math:`F_0` in hand (a fit, priors) and the information :math:`F(u; \hat\theta)` of
+a run, start states eliminated, both on the shared parameters in units :math:`\theta_s` of their
+sizes and on absent effects in units of theirs,
+
+.. math::
+    M(u) = D \left(F_0 + F(u; \hat\theta)\right) D, \qquad D = \mathrm{diag}(\theta_s, 1),
+    \qquad \text{worth} = \varphi(M)
+
+with the criterion :math:`\varphi` of :mod:`oed_sysid.design.criteria` or
+:mod:`oed_sysid.design.missing_effects`. Designs, programmes and decisions all take the expected
+information from here; random forces and autocorrelated sensors are in :math:`F`
+(:mod:`oed_sysid.information.bound`).
+
+A search sees white noise. Its levels are raised by one factor until a run is worth to it what it
+is worth under the forces,
+
+.. math:: \kappa^2 = (\det M^{white} / \det M)^{1/n}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oed_sysid.design.criteria import Criterion, Measure, Setting, log_determinant
+from oed_sysid.design.missing_effects import ByShifts, Detect, Detection, Discriminate
+from oed_sysid.errors import DesignError
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.information.bound import (
+    RunInformation,
+    information_of,
+    joint_information,
+    prior_factor,
+    triangle,
+)
+from oed_sysid.information.noise import Colour, Noise, noise_of
+from oed_sysid.information.response import Levels, expected_noise
+from oed_sysid.information.shifts import Shifts
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """What is known before a run, how well, and the noise to expect.
+
+    Parameters
+    ----------
+    prior : {"auto", None} or Information
+        Of a fit its information, of a model the parameters' ``prior_std``; None ignores both.
+    start : {"unknown", "known"} or mapping of str to float
+        See :func:`~oed_sysid.information.information_of`.
+    noise : optional
+        Standard deviations, a noise model with random forces, or a fit; by default the fit's
+        noise, random forces included, or the model's ``noise_std``.
+    coloured : optional
+        See :func:`~oed_sysid.information.information_of`.
+    spread : float or None
+        Relative half-width of uniform draws of vehicles that are possible; None draws from what
+        is known (prior standard deviations, or the fit).
+    """
+
+    prior: str | Information | None = "auto"
+    start: str | Mapping[str, float] = "unknown"
+    noise: Levels | NoiseModel | Fit = None
+    coloured: Colour = None
+    spread: float | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.prior, str) and self.prior != "auto":
+            raise DesignError(f"prior is {self.prior!r}. Choose 'auto', None or an Information.")
+        if self.spread is not None and not 0 < self.spread < 1:
+            raise DesignError(f"spread is {self.spread}. Give a number between 0 and 1, or None.")
+
+    def before(self, given: Model | Fit, model: Model) -> Information | None:
+        """What is known before the run, on all shared free parameters."""
+        names = _shared(model)
+        if self.prior is None:
+            return None
+        if isinstance(self.prior, Information):
+            rows = prior_factor(model, names, self.prior)
+        elif isinstance(given, Fit):
+            rows = prior_factor(model, names, _information(given))
+        else:
+            rows = prior_factor(model, names, "model")
+        if not rows.any():
+            return None
+        scales = np.array([model.parameter(name).magnitude for name in names])
+        return Information(names, triangle(rows) * scales, scales)
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedInformation:
+    """What runs are expected to tell a criterion, for one nominal vehicle.
+
+    Attributes
+    ----------
+    model : Model
+        At the values in question, with the sensors' levels in use.
+    criterion : Criterion or ByShifts
+    sigma : ndarray (n_outputs,)
+        Standard deviations of the sensors' noise, white and coloured together.
+    sea : NoiseModel or None
+        Random forces and autocorrelated sensors, if any.
+    prior : Information or None
+        Known before, on the shared parameters.
+    before : ndarray (n, n)
+        The same in SI units, effects in units of their size beside it: with a fit, what its
+        records would have shown of them.
+    start, coloured
+        See :class:`Knowledge`.
+    shifts : Shifts or None
+        Absent effects that the criterion asks for.
+    raised : float
+        Factor of the levels that a search sees.
+    """
+
+    model: Model
+    criterion: Criterion | ByShifts
+    sigma: np.ndarray
+    sea: NoiseModel | None
+    prior: Information | None
+    before: np.ndarray
+    start: str | Mapping[str, float]
+    coloured: Colour
+    shifts: Shifts | None
+    raised: float = 1.0
+
+    @classmethod
+    def of(
+        cls, given: Model | Fit, criterion: Criterion | ByShifts, knowledge: Knowledge
+    ) -> ExpectedInformation:
+        """Return what is expected of runs of a vehicle, or after a fit."""
+        model, sea, sigma = nominal_noise(given, knowledge.noise)
+        prior = knowledge.before(given, model)
+        shifts = criterion.shifts(model) if isinstance(criterion, ByShifts) else None
+        n = len(_shared(model))
+        before = np.zeros((n if shifts is None else n + len(shifts),) * 2)
+        if shifts is not None and isinstance(given, Fit) and isinstance(knowledge.prior, str):
+            # A fit brings its records, judged at its values: what they would have shown is known.
+            rows = prior_factor(model, _shared(model), "model")
+            before[:n, :n] = rows.T @ rows
+            before += joint_information(
+                model, given.dataset, shifts, noise=sigma if sea is None else sea,
+                coloured=knowledge.coloured, initial_states=given.initial_states,
+            )  # fmt: skip
+        elif prior is not None:
+            before[:n, :n] = prior.matrix
+        return cls(
+            model, criterion, sigma, sea, prior, before, knowledge.start, knowledge.coloured, shifts
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters that all runs share."""
+        return _shared(self.model)
+
+    @property
+    def noise(self) -> Noise:
+        """Noise of the outputs as a search sees it."""
+        found = noise_of(self.model, self.sigma, self.coloured)
+        return replace(found, sigma=self.raised * found.sigma)
+
+    @property
+    def expected(self) -> NoiseModel | np.ndarray:
+        """Noise under which the information is taken."""
+        return self.sigma if self.sea is None else self.sea
+
+    def scales(self, vehicle: Model | None = None) -> np.ndarray:
+        """Units of the shared parameters, ``(n_names,)``."""
+        model = vehicle or self.model
+        return np.array([model.parameter(name).magnitude for name in self.names])
+
+    def shifts_of(self, vehicle: Model) -> Shifts | None:
+        """Absent effects on a vehicle."""
+        if vehicle is self.model or not isinstance(self.criterion, ByShifts):
+            return self.shifts
+        return self.criterion.shifts(vehicle)
+
+    def measure(self, vehicle: Model | None = None, scales: np.ndarray | None = None) -> Measure:
+        """The criterion as a function of matrices in units of the parameters."""
+        model = vehicle or self.model
+        if isinstance(self.criterion, ByShifts):
+            shifts = self.shifts_of(model)
+            assert shifts is not None
+            return self.criterion.bind_shifts(shifts, len(self.names))
+        units = self.scales(model) if scales is None else scales
+        noise = noise_of(self.model, self.sigma, self.coloured)
+        return self.criterion.bind(Setting(model, self.names, units, noise))
+
+    def relative(self, matrix: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
+        """A matrix in SI units in units of the parameters; effects are in units of their size."""
+        units = self.scales() if scales is None else scales
+        n_effects = matrix.shape[-1] - len(units)
+        units = np.concatenate([units, np.ones(n_effects)])
+        return matrix * units[:, None] * units
+
+    def each(
+        self,
+        runs: Sequence[Experiment],
+        *,
+        vehicle: Model | None = None,
+        outputs: Sequence[str] | None = None,
+    ) -> list[np.ndarray | None]:
+        """Information of each run alone, SI units, nothing known before; None where it diverges.
+
+        Parameters
+        ----------
+        runs : sequence of Experiment
+        vehicle : Model, optional
+            By default the nominal one.
+        outputs : sequence of str, optional
+            Outputs that are measured; by default all.
+        """
+        model = vehicle or self.model
+        shifts = self.shifts_of(model)
+        told = RunInformation(model, self.expected, self.coloured, self.start, outputs, shifts)
+        factors = [told.factor_or_none(run) for run in runs]
+        return [None if factor is None else factor.T @ factor for factor in factors]
+
+    def total(self, run: Experiment | None) -> np.ndarray:
+        """Relative information after a run, or before it (None).
+
+        Raises
+        ------
+        DesignError, SimulationError
+            If the run diverges.
+        """
+        matrix = self.before
+        if run is not None and self.shifts is not None:
+            matrix = matrix + joint_information(
+                self.model, run, self.shifts, noise=self.expected, coloured=self.coloured,
+                start=self.start,
+            )  # fmt: skip
+        elif run is not None:
+            matrix = self.bound(run).matrix
+        return self.relative(matrix)
+
+    def bound(self, run: Experiment) -> Information:
+        """Information on the parameters after a run, prior knowledge included."""
+        return information_of(
+            self.model, run, noise=self.expected, coloured=self.coloured, priors=self.prior,
+            start=self.start,
+        )  # fmt: skip
+
+    def worth(self, run: Experiment) -> float:
+        """Criterion after a run, under the noise that is expected."""
+        return self.measure()(self.total(run))[0]
+
+    def seen_white(self, run: Experiment) -> ExpectedInformation:
+        """The same with the levels of a search raised until a run tells what it will tell.
+
+        Without it a search by shifts would take records in hand, judged under random forces, for
+        worse than what it may plan.
+        """
+        if self.sea is None or self.shifts is None:
+            return self
+        white, forced = (
+            log_determinant(
+                self.relative(information_of(self.model, run, noise=noise, priors=None).matrix)
+            )
+            for noise in (self.sigma, self.sea)
+        )
+        n = len(self.names)
+        return replace(self, raised=float(np.exp(0.5 * max(white - forced, 0.0) / n)))
+
+    def misfits(self, total: np.ndarray) -> dict[tuple[str, str], float]:
+        """For discrimination: expected ``2 dlogL`` of every rival over every other."""
+        if not isinstance(self.criterion, Discriminate) or self.shifts is None:
+            return {}
+        return self.criterion.misfits(self.model, self.shifts, total, len(self.names))
+
+    def detections(self, total: np.ndarray) -> tuple[Detection, ...]:
+        """For detection: how surely every candidate shows, before and after."""
+        if not isinstance(self.criterion, Detect) or self.shifts is None:
+            return ()
+        return self.criterion.detections(self.shifts, self.total(None), total, len(self.names))
+
+
+def nominal_noise(
+    given: Model | Fit, noise: Levels | NoiseModel | Fit
+) -> tuple[Model, NoiseModel | None, np.ndarray]:
+    """Return the model with the sensors' levels in use, what is not white, and these levels.
+
+    The levels belong to the model, so that reports and cards state them.
+    """
+    model = given.model if isinstance(given, Fit) else given
+    if isinstance(given, Fit) and noise is None:
+        noise = given
+    sea, levels = expected_noise(model, noise)
+    sigma = noise_of(model, levels).sigma
+    outputs = tuple(
+        replace(o, noise_std=float(s)) for o, s in zip(model.outputs, sigma, strict=True)
+    )
+    return replace(model, outputs=outputs), sea, sigma
+
+
+def _shared(model: Model) -> tuple[str, ...]:
+    return tuple(p.name for p in model.free_parameters if not p.per_record)
+
+
+def _information(fit: Fit) -> Information:
+    """What a fit knows: the inverse of the covariance that it states.
+
+    Its information where these are one; not where noise is autocorrelated or scatters.
+    """
+    information = fit.information
+    if not len(fit.names) or not np.all(np.isfinite(fit.covariance)):
+        return information
+    if np.allclose(fit.covariance, information.covariance, rtol=1e-9, atol=0.0):
+        return information
+    return Information.from_matrix(fit.names, np.linalg.inv(fit.covariance), information.scales)

@@ -1,0 +1,211 @@
+r"""Residual forces: what must have acted in every equation, given the whole record.
+
+The filter of a fit, random forces let in, gives innovations ``e`` and their derivatives by all
+unknowns; its smoother (:mod:`oed_sysid.likelihood.smoother`) turns both into forces. The unknowns
+take
+the Gauss-Newton step that goes with the innovations, and their covariance enters the errors:
+
+.. math::
+    \hat w = S(e) + S(\partial e)\, \delta, \qquad
+    \operatorname{var} \hat w = V + S(\partial e)\, C\, S(\partial e)'
+
+Free parameters absorb part of a missing force. The residual force is the rest; a candidate is put
+through the same projection and the same smoother before it is compared with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.projection import bounded_step
+from oed_sysid.likelihood.smoother import Path
+from oed_sysid.runtime.display import as_dict
+
+# Smallest force let in, as a share of its unit: where none was found one may have acted all the
+# same. Smallest white noise of a sensor, in the same way: a level that colour has taken over would
+# make one sensor the whole truth.
+LEAST_FORCE, LEAST_WHITE = 0.1, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Smoothed signals of one record.
+
+    Attributes
+    ----------
+    times : ndarray (n_times,)
+        In s.
+    values, std : ndarray (n_times, n_signals)
+        Expectation, and standard error with the uncertainty of parameters and
+        initial states in it.
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+    std: np.ndarray
+
+    def only(self, chosen: Sequence[int]) -> Series:
+        """Some of the signals."""
+        return Series(self.times, self.values[:, chosen], self.std[:, chosen])
+
+    to_dict = as_dict("times", "values", "std")
+
+
+def let_in(
+    fit: FilteredSolution,
+    unit: NoiseModel,
+    values: Mapping[str, float] | None = None,
+    noise: NoiseModel | None = None,
+) -> tuple[Filtered, np.ndarray]:
+    """The likelihood of a fit with a force in every equation, however small, and its unknowns.
+
+    Parameters
+    ----------
+    fit : FilteredSolution
+    unit : NoiseModel
+        Natural size of every level.
+    values : mapping, optional
+        Parameters, and ``noise`` of the same places, in place of the fit's.
+    noise : NoiseModel, optional
+    """
+    old, noise = fit.problem, fit.noise if noise is None else noise
+    known = dict(zip(unit.places, unit.force, strict=True))
+    least = np.array([LEAST_FORCE * known.get(place, 0.0) for place in noise.places])
+    noise = replace(
+        noise,
+        white=np.maximum(noise.white, LEAST_WHITE * unit.white),
+        force=np.maximum(noise.force, least),
+    )
+    model = old.model.with_values(
+        {name: value for name, value in (values or fit.values).items() if name in old.model.values}
+    )
+    problem = Filtered(
+        model,
+        old.dataset,
+        old.levels.held().starting(noise),
+        kernel=old.kernel,
+        known_starts=old.known_starts,
+        knowledge=old.knowledge,
+    )
+    return problem, problem.point(fit.initial, fit.local).unknowns
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualForces:
+    """Smoother of one fit.
+
+    Attributes
+    ----------
+    problem : Filtered
+        With no level unknown.
+    unknowns : ndarray (n_unknowns,)
+    paths : tuple of Path
+        Of every record.
+    columns : tuple of ndarray (n_times, n_disturbances, n_unknowns_here)
+        Derivatives of the smoothed disturbances by the unknowns of each record.
+    innovations : tuple of ndarray (n_times, n_outputs)
+    """
+
+    problem: Filtered
+    unknowns: np.ndarray
+    paths: tuple[Path, ...]
+    columns: tuple[np.ndarray, ...]
+    innovations: tuple[np.ndarray, ...]
+    matrix: np.ndarray
+    right: np.ndarray
+
+    @classmethod
+    def of(cls, problem: Filtered, unknowns: np.ndarray) -> ResidualForces:
+        """Filter and smooth the records of a problem."""
+        passes = problem.passes(unknowns, rows=True, gains=True, moves=True)
+        matrix, right = problem.gathered(unknowns, passes)
+        paths = tuple(Path.of(part, problem.levels.n_coloured) for part in passes)
+        columns = []
+        for index, (part, path) in enumerate(zip(passes, paths, strict=True)):
+            rows = derivatives(problem, unknowns, index, part.rows)
+            columns.append(path.disturbances(rows * np.sqrt(part.variances)[:, :, None]))
+        innovations = tuple(part.innovations for part in passes)
+        return cls(problem, unknowns, paths, tuple(columns), innovations, matrix, right)
+
+    def series(self) -> tuple[Series, ...]:
+        """Smoothed disturbances, per record."""
+        covariance = _inverse(self.matrix + np.diag(self.problem.limits.prior_weight))
+        values = self._smoothed(self.innovations, self.right)
+        result = []
+        for index, (path, columns) in enumerate(zip(self.paths, self.columns, strict=True)):
+            where = self.problem.layout.record_columns(index)
+            spread = np.sum((columns @ covariance[np.ix_(where, where)]) * columns, axis=2)
+            std = np.sqrt(path.std**2 + np.maximum(spread, 0.0))
+            result.append(Series(self.problem.records[index].times, values[index], std))
+        return tuple(result)
+
+    def signature(self, measured: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+        """What would be smoothed had the records been others.
+
+        Parameters
+        ----------
+        measured : sequence of ndarray (n_times, n_outputs)
+            What to put in place of the measurements, per record.
+
+        Returns
+        -------
+        tuple of ndarray (n_times, n_disturbances)
+        """
+        passes = self.problem.passes(self.unknowns, measured=measured)
+        _, right = self.problem.gathered(self.unknowns, passes)
+        return self._smoothed([part.innovations for part in passes], right)
+
+    def _smoothed(
+        self, innovations: Sequence[np.ndarray], right: np.ndarray
+    ) -> tuple[np.ndarray, ...]:
+        limits = self.problem.limits
+        free = np.full(len(right), np.inf)
+        step = bounded_step(
+            self.matrix + np.diag(limits.prior_weight),
+            right + limits.prior_weight * (limits.prior_mean - self.unknowns),
+            -free,
+            free,
+            0.0,
+        )
+        result = []
+        for index, (path, part) in enumerate(zip(self.paths, innovations, strict=True)):
+            own = path.disturbances(part[:, :, None])[:, :, 0]
+            where = self.problem.layout.record_columns(index)
+            result.append(own + self.columns[index] @ step[where])
+        return tuple(result)
+
+
+def derivatives(
+    problem: Filtered, unknowns: np.ndarray, index: int, rows: np.ndarray | None
+) -> np.ndarray:
+    """Rows of a pass by the unknowns of its record, zero where nothing was measured."""
+    assert rows is not None
+    layout = problem.layout
+    where = layout.record_columns(index)
+    slopes = layout.slopes(unknowns[where[layout.n_own :]])
+    known = np.isfinite(problem.records[index].outputs)[:, :, None]
+    size = np.concatenate([np.ones(layout.n_own), slopes])
+    return np.where(known, rows[:, :, : len(where)] * size, 0.0)
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Covariance of the directions that the records see."""
+    size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), np.inf))
+    inverse = np.linalg.pinv(matrix / size[:, None] / size, rcond=1e-11, hermitian=True)
+    return inverse / size[:, None] / size
+
+
+def agreement(forces: Sequence[Series], signature: Sequence[np.ndarray]) -> float:
+    """Correlation of residual forces and a signature, both in standard errors."""
+    seen = np.concatenate([(s.values / s.std).ravel() for s in forces])
+    expected = np.concatenate(
+        [(part / s.std).ravel() for part, s in zip(signature, forces, strict=True)]
+    )
+    size = np.linalg.norm(seen) * np.linalg.norm(expected)
+    return float(seen @ expected / size) if size > 0 else 0.0

@@ -1,0 +1,361 @@
+r"""A model as scripts for Python, MATLAB, CasADi and python-control.
+
+A Python module that needs NumPy only. A MATLAB function file that runs in Octave too; no toolbox
+is needed.
+
+CasADi functions as files that any CasADi of the same or a later version loads.
+
+``rates``, ``actuate``, ``observe`` and ``start`` are those of the model; ``advance`` is one
+integration step and ``sample`` one measurement. ``model.json`` has names, values and covariance.
+
+A linear model for python-control, about a trim.
+
+.. math:: \dot x = A x + B u, \qquad y = C x + D u,
+
+all being deviations from the trim; actuators and sensors are settled. The covariance
+:math:`\Sigma` of the parameters becomes standard errors of the entries of A and B, through their
+derivatives :math:`J` by the parameters (the trim moves with them), :math:`J \Sigma J^T`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.compiled.graph import GAMMA, STAGES, build
+from oed_sysid.errors import ModelError, SimulationError
+from oed_sysid.experiments.steady import equilibrium, linearise
+from oed_sysid.export.c_code import template
+from oed_sysid.export.program import IN_MATLAB, IN_PYTHON, Program, Routine, identifier
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.files import whole_file, write_text
+from oed_sysid.text.typeset import safe
+
+# -- a Python module that needs NumPy only ---------------------------------------------
+
+
+def write_python(program: Program, path: Path) -> tuple[Path, ...]:
+    """Write a module.
+
+    Parameters
+    ----------
+    program : Program
+        The model.
+    path : Path
+        ``name.py``, or a folder for ``NAME.py``.
+
+    Returns
+    -------
+    tuple of Path
+        The file.
+    """
+    file = path if path.suffix == ".py" else path / f"{program.identifier}.py"
+    write_text(file, python_text(program))
+    return (file,)
+
+
+def python_text(program: Program) -> str:
+    """Text of the module."""
+    model, names = program.model, program.names
+    rows = [
+        f"    {name!r}: {float(value)!r},  # {unit}"
+        for name, unit, value in zip(
+            names.parameters, names.parameter_units, model.value_vector, strict=True
+        )
+    ]
+    step = template("implicit.py.txt" if program.implicit else "explicit.py.txt").substitute(
+        gamma=repr(GAMMA), weights=", ".join(repr(w) for row in STAGES for w in row)
+    )
+    return template("model.py.txt").substitute(
+        origin=program.origin,
+        title=repr(safe(model.name)),
+        states=names.states,
+        inputs=names.inputs,
+        input_units=names.input_units,
+        linear=program.linear_inputs,
+        outputs=names.outputs,
+        output_units=names.output_units,
+        own=program.n_own,
+        na=program.n_actuator,
+        ns=program.n_sensor,
+        step=repr(model.step),
+        parameters="\n".join(rows),
+        estimated=names.free,
+        covariance=program.covariance.tolist(),
+        functions="\n\n\n".join(_python_function(one) for one in program.routines),
+        step_function=step,
+    )
+
+
+def _python_function(routine: Routine) -> str:
+    names = ", ".join(name for name, _ in routine.arguments)
+    lines = [f"def {routine.name}({names}):"]
+    lines += [f"    {name} = [0.0] * {length}" for name, length in routine.results]
+    lines += [f"    {line}" for line in IN_PYTHON.lines(routine)]
+    return "\n".join([*lines, f"    return {', '.join(name for name, _ in routine.results)}"])
+
+
+# -- a MATLAB function file that runs in Octave too ------------------------------------
+
+
+def write_matlab(program: Program, path: Path) -> tuple[Path, ...]:
+    """Write a function file, named as MATLAB wants it: after its function.
+
+    Parameters
+    ----------
+    program : Program
+        The model; explicit only.
+    path : Path
+        Folder for ``NAME.m``, or ``NAME.m`` itself.
+
+    Returns
+    -------
+    tuple of Path
+        The file.
+
+    Raises
+    ------
+    ModelError
+        If the model is stiff: MATLAB has solvers of its own for such.
+    """
+    if program.implicit:
+        raise ModelError(
+            f"Model {program.model.name!r} is stiff (integrator='implicit'), which is not written "
+            "for MATLAB. Export it as c, python or fmu."
+        )
+    name = identifier(path.stem) if path.suffix == ".m" else program.identifier
+    file = path.with_name(f"{name}.m") if path.suffix == ".m" else path / f"{name}.m"
+    write_text(file, matlab_text(program, name))
+    return (file,)
+
+
+def matlab_text(program: Program, name: str) -> str:
+    """Text of the function file."""
+    model, names = program.model, program.names
+    return template("model.m.txt").substitute(
+        origin=program.origin,
+        name=name,
+        states=_strings(names.states),
+        inputs=_strings(names.inputs),
+        input_units=_strings(names.input_units),
+        linear=" ".join(str(int(one)) for one in program.linear_inputs),
+        outputs=_strings(names.outputs),
+        output_units=_strings(names.output_units),
+        own=program.n_own,
+        na=program.n_actuator,
+        ns=program.n_sensor,
+        step=repr(model.step),
+        parameters=_strings(names.parameters),
+        values="\n".join(repr(float(value)) for value in model.value_vector),
+        estimated=_strings(names.free),
+        covariance="\n".join(
+            " ".join(map(repr, row)) for row in np.array(program.covariance).tolist()
+        ),
+        functions="\n\n".join(_matlab_function(one) for one in program.routines),
+    )
+
+
+def _strings(names: Iterable[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names)
+
+
+def _matlab_function(routine: Routine) -> str:
+    results = ", ".join(name for name, _ in routine.results)
+    arguments = ", ".join(name for name, _ in routine.arguments)
+    lines = [f"function [{results}] = {routine.name}({arguments})"]
+    lines += [f"{name} = zeros({length}, 1);" for name, length in routine.results]
+    return "\n".join([*lines, *IN_MATLAB.lines(routine), "end"])
+
+
+# -- CasADi functions as files that any CasADi of the same or a later version loads ----
+
+
+def write_casadi(program: Program, folder: Path) -> tuple[Path, ...]:
+    """Write one file per function, and ``model.json``.
+
+    Parameters
+    ----------
+    program : Program
+        The model.
+    folder : Path
+        Where the files go.
+
+    Returns
+    -------
+    tuple of Path
+        The files.
+    """
+    graph = build(program.model)
+    functions = [graph.rates, graph.actuate, graph.observe, graph.start]
+    if not program.implicit:
+        functions += [graph.advance, graph.sample]
+    files = []
+    for function in functions:
+        file = folder / f"{function.name()}.casadi"
+        with whole_file(file) as part:
+            function.save(str(part))
+        files.append(file)
+    words = {
+        function.name(): {
+            "arguments": function.name_in(),
+            "shapes": [list(function.size_in(i)) for i in range(function.n_in())],
+        }
+        for function in functions
+    }
+    text = json.dumps(program.describe() | {"functions": words}, indent=2)
+    write_text(folder / "model.json", text + "\n")
+    return (*files, folder / "model.json")
+
+
+# -- a linear model for python-control -------------------------------------------------
+
+
+_TEXT = Template('''"""$origin.
+
+Linear about the trim below: deviations of states, inputs and outputs, SI units and radians.
+Needs python-control; `python $file` prints the poles.
+"""
+
+import control
+import numpy as np
+
+TRIM = {
+    "states": $states,
+    "inputs": $inputs,
+}
+A = np.array($a)
+B = np.array($b)
+C = np.array($c)
+D = np.array($d)
+# Standard errors of the entries of A and B that follow from those of the parameters.
+A_STD = np.array($a_std)
+B_STD = np.array($b_std)
+PARAMETERS = $parameters
+ESTIMATED = $estimated
+COVARIANCE = np.array($covariance).reshape(len(ESTIMATED), len(ESTIMATED))
+
+system = control.ss(
+    A,
+    B,
+    C,
+    D,
+    inputs=$input_names,
+    outputs=$output_names,
+    states=$state_names,
+    name=$name,
+)
+
+if __name__ == "__main__":
+    for pole in system.poles():
+        print(f"{pole:.6g}")
+''')
+
+
+def write_control(
+    program: Program, path: Path, trim: Mapping[str, float] | None = None
+) -> tuple[Path, ...]:
+    """Write a Python file that makes a ``control.StateSpace``.
+
+    Parameters
+    ----------
+    program : Program
+        The model.
+    path : Path
+        ``name.py``, or a folder for ``NAME_linear.py``.
+    trim : mapping of str to float, optional
+        Inputs and states that are given there; inputs that are left out are zero, states are
+        solved for.
+
+    Returns
+    -------
+    tuple of Path
+        The file.
+
+    Raises
+    ------
+    ModelError
+        If a name is unknown or there is no equilibrium.
+    """
+    model = program.model
+    matrices, point = _linear(model, dict(trim or {}))
+    steps = np.sqrt(np.maximum(np.diag(program.covariance), 0.0))
+    slopes = []
+    for name, step in zip(program.free, steps, strict=True):
+        # A thousandth of the standard error is far below the curvature and above rounding.
+        size = 1e-3 * step or 1e-9
+        up, _ = _linear(_moved(model, name, size), dict(trim or {}), guess=point)
+        down, _ = _linear(_moved(model, name, -size), dict(trim or {}), guess=point)
+        slopes.append([(p - m) / (2 * size) for p, m in zip(up, down, strict=True)])
+    spread = [
+        np.sqrt(
+            np.maximum(
+                np.einsum(
+                    "iab,ij,jab->ab",
+                    np.array([one[k] for one in slopes]),
+                    program.covariance,
+                    np.array([one[k] for one in slopes]),
+                ),
+                0.0,
+            )
+        )
+        if slopes
+        else np.zeros_like(matrices[k])
+        for k in (0, 1)
+    ]
+    file = path if path.suffix == ".py" else path / f"{program.identifier}_linear.py"
+    names, values = program.names, [float(value) for value in model.value_vector]
+    a, b, c, d = (_rows(one) for one in matrices)
+    write_text(
+        file,
+        _TEXT.substitute(
+            origin=program.origin,
+            file=safe(file.name),
+            states=dict(zip(names.states, point.states.values(), strict=False)),
+            inputs=dict(zip(names.inputs, point.inputs.values(), strict=True)),
+            a=a,
+            b=b,
+            c=c,
+            d=d,
+            a_std=_rows(spread[0]),
+            b_std=_rows(spread[1]),
+            parameters=dict(zip(names.parameters, values, strict=True)),
+            estimated=names.free,
+            covariance=program.covariance.tolist(),
+            input_names=list(names.inputs),
+            output_names=list(names.outputs),
+            state_names=list(names.states),
+            name=repr(program.identifier),
+        ),
+    )
+    return (file,)
+
+
+def _moved(model: Model, name: str, by: float) -> Model:
+    return model.with_values({name: model.values[name] + by})
+
+
+def _linear(
+    model: Model, trim: dict[str, float], guess: Any = None
+) -> tuple[tuple[np.ndarray, ...], Any]:
+    """Matrices and equilibrium of a model."""
+    inputs = {name: trim.pop(name, 0.0) for name in model.input_names}
+    start = dict(guess.states) if guess is not None else None
+    try:
+        point = equilibrium(model, inputs=inputs, fixed=trim, guess=start)
+        system = linearise(model, point)
+    except SimulationError as error:
+        raise ModelError(
+            f"There is no trim to linearise about. {error} Inputs that are not given are zero: "
+            "give them, or states to be held, with --at NAME=VALUE or trim={...}."
+        ) from None
+    return (system.A, system.B, system.C, system.D), point
+
+
+def _rows(matrix: np.ndarray) -> str:
+    rows = [str([float(value) for value in row]) for row in np.atleast_2d(matrix)]
+    return "[\n    " + ",\n    ".join(rows) + ",\n]"
