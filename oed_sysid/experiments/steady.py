@@ -125,10 +125,9 @@ def equilibrium(
     _check(model, names, given, wanted, (*(steady or ()), *(guess or {})))
     function = _rates(graph, model.step)
     depended = _depended(function, names)
-    target = tuple(steady) if steady is not None else tuple(n for n in names if n in depended)
-    unknowns = tuple(n for n in names if n not in given and (n in depended or n in wanted))
-    unknowns += tuple(name for name in model.input_names if name in wanted)
+    target = tuple(steady) if steady is not None else depended
     order = (*names, *model.input_names)
+    unknowns = tuple(n for n in order if n not in given and n in (*depended, *wanted))
     point = np.array([given.get(name, (guess or {}).get(name, 0.0)) for name in order])
     search = _Search(model, function, names, [names.index(n) for n in target],
                      [order.index(n) for n in unknowns], point)  # fmt: skip
@@ -136,14 +135,15 @@ def equilibrium(
     rates, misses = search.rates(full), search.misses(full)
     ok = bool(np.isfinite(misses).all() and (misses < _STEADY).all())
     worst = target[int(np.argmax(misses))] if len(misses) else ""
+    by_name = dict(zip(names, rates.tolist(), strict=True))
     return Equilibrium(
         states=dict(zip(names, full[: len(names)].tolist(), strict=True)),
         inputs=dict(zip(model.input_names, full[len(names) :].tolist(), strict=True)),
-        rates=dict(zip(names, rates.tolist(), strict=True)),
+        rates=by_name,
         steady=target,
         solved=unknowns,
         ok=ok,
-        status=_status(model, ok, worst, rates[names.index(worst)] if worst else 0.0, unknowns),
+        status=_status(model, ok, worst, by_name.get(worst, 0.0), unknowns),
     )
 
 
@@ -305,10 +305,10 @@ def _readings(graph: Graph, step: float) -> ca.Function:
     return ca.Function("readings", [x, u, p], [ca.densify(ca.jacobian(y, ca.vertcat(x, u)))])
 
 
-def _depended(function: ca.Function, names: tuple[str, ...]) -> set[str]:
+def _depended(function: ca.Function, names: tuple[str, ...]) -> tuple[str, ...]:
     """States on which some rate depends; a position usually is not among them."""
     used = {column for _, column in zip(*function.sparsity_out(1).get_triplet(), strict=True)}
-    return {name for index, name in enumerate(names) if index in used}
+    return tuple(name for index, name in enumerate(names) if index in used)
 
 
 def _scales(model: Model, names: tuple[str, ...]) -> np.ndarray:
