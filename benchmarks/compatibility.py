@@ -26,7 +26,7 @@ from benchmarks.compatibility_logs import (
     spoil,
 )
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State
-from oed_sysid.evidence.log_check import LogCheck, check, quick_check
+from oed_sysid.evidence.check import LogCheck, check, quick_check
 
 FINE = 10
 SPEEDS = (1.0, 1.5, 2.1)

@@ -22,7 +22,7 @@ from oed_sysid import (
     load_problem,
     read_csv,
 )
-from oed_sysid.evidence.log_check import LogCheck
+from oed_sysid.evidence.check import LogCheck
 
 Spoil = Callable[[dict[str, np.ndarray], np.ndarray, np.random.Generator], None]
 DEGREES = 180.0 / math.pi

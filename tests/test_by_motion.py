@@ -7,8 +7,8 @@ import pytest
 
 from oed_sysid import Dataset, Force, MultipleShooting, diagnose, improve
 from oed_sysid.errors import DataError
-from oed_sysid.evidence.by_motion import failing
 from oed_sysid.evidence.compare import compare
+from oed_sysid.evidence.misfit import failing
 from oed_sysid.evidence.preparation import prepared
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.captive import CaptiveTests

@@ -21,7 +21,7 @@ from benchmarks.compatibility_logs import (
     spoil,
 )
 from oed_sysid import Dataset, Problem, check, load_problem, read_csv, simulate
-from oed_sysid.evidence.log_check import LogCheck
+from oed_sysid.evidence.check import LogCheck
 
 DATA = Path(os.environ.get("OED_SYSID_DATA", "nowhere"))
 

@@ -12,7 +12,7 @@ from bs4 import BeautifulSoup
 from oed_sysid import MultipleShooting, compare, improve, load_problem, new_problem
 from oed_sysid.design import Search, Trial, design_experiment
 from oed_sysid.errors import OedSysidError
-from oed_sysid.evidence.log_check import quick_check
+from oed_sysid.evidence.check import quick_check
 from oed_sysid.results.notebook import html
 
 

@@ -10,7 +10,7 @@ from oed_sysid.app.jobs import Tell
 from oed_sysid.app.records import archive
 from oed_sysid.app.study import Study
 from oed_sysid.data.dataset import Dataset, together
-from oed_sysid.evidence.log_check import LogCheck, corrected_copies, quick_check
+from oed_sysid.evidence.check import LogCheck, corrected_copies, quick_check
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Outcome:
 
 def check(study: Study, tell: Tell) -> Outcome:
     """Say whether the records agree with themselves."""
-    from oed_sysid.evidence.log_check import check as look
+    from oed_sysid.evidence.check import check as look
     from oed_sysid.results import check_page
 
     records = study.records()
@@ -98,7 +98,7 @@ def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outc
 
 def diagnose(study: Study, tell: Tell) -> Outcome:
     """Say where the nominal model fails and what may be missing."""
-    from oed_sysid.evidence.diagnose import diagnose as look
+    from oed_sysid.evidence.compare import diagnose as look
     from oed_sysid.results import diagnosis_page
 
     problem, train = study.problem, study.training()

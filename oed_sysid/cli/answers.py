@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from oed_sysid.baselines.benchmark import Benchmark
     from oed_sysid.design.decision import Decision
     from oed_sysid.design.result import Design, Programme
-    from oed_sysid.evidence.compare import Comparison
-    from oed_sysid.evidence.diagnose import Diagnosis
+    from oed_sysid.evidence.compare import Comparison, Diagnosis
     from oed_sysid.evidence.improvement import Improvement
     from oed_sysid.information import SensitivityRanking, Subset
     from oed_sysid.likelihood.fit import Fit

@@ -50,8 +50,8 @@ def check(
     [bold]Example[/bold]: oed-sysid check remus_diving_plane dive_*.csv --html check.html
     """
     from oed_sysid.data.dataset import together, write_csv
-    from oed_sysid.evidence.log_check import check as look
-    from oed_sysid.evidence.log_check import corrected_copies, why_not_more
+    from oed_sysid.evidence.check import check as look
+    from oed_sysid.evidence.check import corrected_copies, why_not_more
     from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)

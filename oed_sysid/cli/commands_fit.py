@@ -81,8 +81,8 @@ def fit(
     --validate dive_3.csv --save fit.json
     """
     from oed_sysid.data.dataset import check_disjoint
+    from oed_sysid.evidence.check import quick_check
     from oed_sysid.evidence.compare import compare as compare_models
-    from oed_sysid.evidence.log_check import quick_check
     from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)
@@ -147,8 +147,8 @@ def compare(
     --validate dive_3.csv
     """
     from oed_sysid.data.dataset import check_disjoint, together
+    from oed_sysid.evidence.check import quick_check
     from oed_sysid.evidence.compare import compare as compare_models
-    from oed_sysid.evidence.log_check import quick_check
     from oed_sysid.evidence.usual import equipped
     from oed_sysid.experiments.problem import load_problem
 

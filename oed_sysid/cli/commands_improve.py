@@ -53,8 +53,8 @@ def diagnose(
 
     [bold]Example[/bold]: oed-sysid diagnose remus_diving_plane dive_1.csv dive_2.csv
     """
-    from oed_sysid.evidence.diagnose import diagnose as look
-    from oed_sysid.evidence.log_check import quick_check
+    from oed_sysid.evidence.check import quick_check
+    from oed_sysid.evidence.compare import diagnose as look
     from oed_sysid.experiments.problem import load_problem
 
     chosen = load_problem(problem, variant=model)

@@ -75,7 +75,7 @@ def pond(out: Path) -> dict[str, tuple[float, float]] | None:
     """
     from oed_sysid.data.dataset import Dataset
     from oed_sysid.data.third_party import data_folder, registered
-    from oed_sysid.evidence.diagnose import diagnose
+    from oed_sysid.evidence.compare import diagnose
     from oed_sysid.experiments.problem import load_problem
     from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 

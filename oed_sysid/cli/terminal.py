@@ -24,7 +24,7 @@ from oed_sysid.runtime.files import write_text
 
 if TYPE_CHECKING:
     from oed_sysid.data.dataset import Dataset
-    from oed_sysid.evidence.log_check import LogCheck
+    from oed_sysid.evidence.check import LogCheck
     from oed_sysid.likelihood.gauss_newton import Progress
     from oed_sysid.runtime.journal import Journal
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.locate import Located
-from oed_sysid.evidence.log_check import LogCheck
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.remainder import Remains

@@ -20,7 +20,7 @@ import numpy as np
 
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.evidence.by_motion import in_words
+from oed_sysid.evidence.misfit import in_words
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.residual_forces import (
     LEAST_WHITE,

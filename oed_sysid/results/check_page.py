@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.evidence.log_check import Finding, LogCheck
+from oed_sysid.evidence.check import Finding, LogCheck
 from oed_sysid.evidence.words import amount
 from oed_sysid.results.check_plots import figure_check, plot_balances
 from oed_sysid.results.page import Page, Picture, Section, Table

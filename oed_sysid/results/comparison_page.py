@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.compare import Comparison, ModelMisfit
-from oed_sysid.evidence.log_check import LogCheck
 from oed_sysid.results.page import Page, Picture, Section, Table
 from oed_sysid.results.prediction_plots import figure_predictions, plot_comparison
 from oed_sysid.results.style import new_figure

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.evidence.diagnose import Diagnosis
+from oed_sysid.evidence.compare import Diagnosis
 from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.results.force_plots import figure_force

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.compare import Comparison
-from oed_sysid.evidence.log_check import LogCheck
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.results.comparison_page import comparison_sections, log_verdict
 from oed_sysid.results.fit_plots import (

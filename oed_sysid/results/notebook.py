@@ -16,10 +16,9 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.design import Design, Programme
 from oed_sysid.errors import OedSysidError
-from oed_sysid.evidence.compare import Comparison
-from oed_sysid.evidence.diagnose import Diagnosis
+from oed_sysid.evidence.check import LogCheck
+from oed_sysid.evidence.compare import Comparison, Diagnosis
 from oed_sysid.evidence.improvement import Improvement
-from oed_sysid.evidence.log_check import LogCheck
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
