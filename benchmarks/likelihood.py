@@ -25,7 +25,7 @@ from oed_sysid.compiled.filtering import filter_kernel
 from oed_sysid.evidence.study import fitting_candidates
 from oed_sysid.likelihood.disturbances import chosen_places
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
-from oed_sysid.likelihood.setting import Setting
+from oed_sysid.likelihood.score_test import Setting
 from oed_sysid.physics import Effect
 
 
