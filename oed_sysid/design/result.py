@@ -1,17 +1,19 @@
-"""A designed experiment: what to run, what it will tell, what it respects.
+r"""What is designed: a run or a programme of runs, what it will tell, what it respects.
 
-A designed programme: which runs in which order, what they will tell, how near the optimum.
+Accuracy is the bound :math:`s_i = \sqrt{[F^{-1}]_{ii}}` of the information after the runs, prior
+knowledge included, as a share :math:`s_i / |\theta_i|` of the values.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import wrap
 
 import numpy as np
 
+from oed_sysid.data.dataset import Record
 from oed_sysid.design.assurance import AccuracyRange, Assurance, stated
 from oed_sysid.design.library import Candidate, Reference
 from oed_sysid.design.limits import percent
@@ -22,14 +24,84 @@ from oed_sysid.experiments.simulation import Trajectory, simulate
 from oed_sysid.information.noise import sea_words
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict, as_html
 from oed_sysid.runtime.files import make_folder
 from oed_sysid.text.csv_table import write_table
 
+_WIDTH = 92
+
+
+class _Accuracy:
+    """What a designed run and a designed programme say of accuracy alike."""
+
+    model: Model
+    information: Information
+    prior: Information | None
+    sea: NoiseModel | None
+    spread: AccuracyRange | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters."""
+        return self.information.names
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Absolute values (or scales of zeros) that make errors relative, ``(n,)``."""
+        return np.array([self.model.parameter(name).reference for name in self.names])
+
+    @property
+    def relative_errors(self) -> np.ndarray:
+        """Expected standard errors as shares of the values, ``(n,)``."""
+        return self.information.std_errors / self.sizes
+
+    @property
+    def prior_errors(self) -> np.ndarray:
+        """The same before the experiment; infinite where nothing is known."""
+        if self.prior is None:
+            return np.full(len(self.names), np.inf)
+        return self.prior.std_errors / self.sizes
+
+    def _table(
+        self,
+        title: str,
+        others: Mapping[str, np.ndarray],
+        widths: tuple[int, int],
+        order: Iterable[int],
+    ) -> list[str]:
+        """Lines with expected relative errors: before, after, on other vehicles, of other runs."""
+        columns: list[tuple[str, int, Callable[[int], str]]] = []
+        if np.isfinite(self.prior_errors).any():
+            columns.append(("before", 9, lambda i: percent(self.prior_errors[i])))
+        columns.append((title, 9, lambda i: stated(self.relative_errors[i], self.sea)))
+        spread = self.spread
+        if spread is not None:
+            columns.append(("other vehicles", widths[0], lambda i: spread.words(self.names[i])))
+        for name, errors in others.items():
+            columns.append((name, widths[1], lambda i, e=errors: stated(e[i], self.sea)))  # type: ignore[misc]
+        head = "".join(f" {name:>{width}}" for name, width, _ in columns)
+        lines = [f"  {'parameter':<20} {'value':>11}{head}"]
+        for i in order:
+            row = "".join(f" {words(i):>{width}}" for _, width, words in columns)
+            name = self.names[i]
+            lines.append(f"  {name:<20} {self.model.values[name]:>11.4g}{row}")
+        return lines
+
+
+def write_commands(path: Path, model: Model, run: Trajectory | Record, *, predicted: bool) -> Path:
+    """Write the commands of a run, and its outputs where wanted, with units in the header."""
+    columns = {"t [s]": run.times}
+    channels: list[Input | Output] = [*model.inputs, *(model.outputs if predicted else ())]
+    for channel, values in zip(channels, np.hstack([run.inputs, run.outputs]).T, strict=False):
+        columns[f"{channel.name} [{channel.unit or '-'}]"] = values
+    write_table(path, list(columns), np.column_stack(list(columns.values())))
+    return path
+
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class Design(_Accuracy):
     """Result of :func:`~oed_sysid.design.design_experiment`.
 
     Attributes
@@ -99,30 +171,6 @@ class Design:
             f"+/- {1.96 * self.relative_errors[worst]:.2%} (95 %)>"
         )
 
-    # -- accuracy ------------------------------------------------------------------
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Parameters."""
-        return self.information.names
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """Absolute values (or scales of zeros) that make errors relative, ``(n,)``."""
-        return np.array([self.model.parameter(name).reference for name in self.names])
-
-    @property
-    def relative_errors(self) -> np.ndarray:
-        """Expected standard errors as shares of the values, shape ``(n,)``."""
-        return self.information.std_errors / self.sizes
-
-    @property
-    def prior_errors(self) -> np.ndarray:
-        """The same before the experiment; infinite where nothing is known."""
-        if self.prior is None:
-            return np.full(len(self.names), np.inf)
-        return self.prior.std_errors / self.sizes
-
     def gain(self, reference: Reference) -> tuple[float, float]:
         """How much larger a reference's errors are.
 
@@ -139,8 +187,6 @@ class Design:
             return float("inf"), float("inf")
         mean = float(np.exp(np.mean(np.log(theirs / ours))))
         return mean, float(theirs.max() / ours.max())
-
-    # -- words ---------------------------------------------------------------------
 
     def report(self) -> str:
         """Return the design as text."""
@@ -171,25 +217,9 @@ class Design:
 
     def accuracy_table(self, *, sort: bool = False) -> list[str]:
         """Lines with the expected relative standard errors; sorted, the best first."""
-        known = bool(np.isfinite(self.prior_errors).any())
-        head = f"  {'parameter':<20} {'value':>11}" + (f" {'before':>9}" if known else "")
-        head += f" {'this run':>9}"
-        if self.spread is not None:
-            head += f" {'other vehicles':>15}"
-        lines = [head + "".join(f" {reference.name:>14}" for reference in self.references)]
-        columns = [r.information.std_errors / self.sizes for r in self.references]
-        for i in np.argsort(self.relative_errors) if sort else range(len(self.names)):
-            row = f"  {self.names[i]:<20} {self.model.values[self.names[i]]:>11.4g}"
-            if known:
-                row += f" {percent(self.prior_errors[i]):>9}"
-            row += f" {self._percent(self.relative_errors[i]):>9}"
-            if self.spread is not None:
-                row += f" {self.spread.words(self.names[i]):>15}"
-            lines.append(row + "".join(f" {self._percent(column[i]):>14}" for column in columns))
-        return lines
-
-    def _percent(self, error: float) -> str:
-        return stated(error, self.sea)
+        others = {r.name: r.information.std_errors / self.sizes for r in self.references}
+        order = np.argsort(self.relative_errors) if sort else range(len(self.names))
+        return self._table("this run", others, (15, 14), order)
 
     def sea_trial_card(self) -> str:
         """Return one page for the people who run the trial."""
@@ -233,16 +263,7 @@ class Design:
             Also write the outputs that the model predicts, to watch against;
             the file can then be read as a record.
         """
-        columns = {"t [s]": self.trajectory.times}
-        for channel, values in zip(self.model.inputs, self.trajectory.inputs.T, strict=True):
-            columns[f"{channel.name} [{channel.unit or '-'}]"] = values
-        if predicted:
-            for output, values in zip(self.model.outputs, self.trajectory.outputs.T, strict=True):
-                columns[f"{output.name} [{output.unit or '-'}]"] = values
-        write_table(Path(path), list(columns), np.column_stack(list(columns.values())))
-
-
-_WIDTH = 92
+        write_commands(Path(path), self.model, self.trajectory, predicted=predicted)
 
 
 def joint_share(found: Sequence[Assurance]) -> float:
@@ -280,7 +301,7 @@ class Standard:
 
 
 @dataclass(frozen=True, eq=False)
-class Programme:
+class Programme(_Accuracy):
     """Result of :func:`~oed_sysid.design.design_programme`.
 
     Attributes
@@ -372,21 +393,6 @@ class Programme:
         return self.bound - self.relaxed
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Parameters."""
-        return self.information.names
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """Values that make errors relative, ``(n,)``."""
-        return np.array([self.model.parameter(name).reference for name in self.names])
-
-    @property
-    def relative_errors(self) -> np.ndarray:
-        """Expected standard errors as shares of the values, ``(n,)``."""
-        return self.information.std_errors / self.sizes
-
-    @property
     def limited(self) -> bool:
         """Whether there is any limit on the motion."""
         return any(one.limited for one in self.assurances.values())
@@ -423,34 +429,18 @@ class Programme:
 
     def report(self) -> str:
         """Return the programme as text; danger in the first line."""
-        lines = []
-        if self.danger_together:
-            lines += wrap(f"{self.danger_together} Stand by to stop.", _WIDTH)
-        if self.unsafe:
-            worst = min(self.unsafe, key=lambda name: self.assurances[name].probability)
-            lines += wrap(
-                f"DANGER: {worst!r} leaves its limits on "
-                f"{1 - self.assurances[worst].probability:.0%} of the vehicles that are possible. "
-                "Stand by to stop, or begin with a gentle run and plan from its fit.", _WIDTH
-            )  # fmt: skip
-        lines.append(
+        lines = [
+            *self._danger(),
             f"Programme for {self.model.name}: {len(self.runs)} runs, {self.hours:.3g} h with "
-            f"{self.turnaround / 60:.3g} min between runs"
-        )
-        lines.append(
+            f"{self.turnaround / 60:.3g} min between runs",
             f"  random forces {'none' if self.sea is None else sea_words(self.sea)}; measured "
-            f"{', '.join(self.outputs)}"
-        )
-        lines += ["", f"  {'':>3} {'run':<44} {'length':>7} {'limits kept':>12}"]
-        for number, run in enumerate(self.runs, start=1):
-            kept = self.assurances.get(run.name)
-            share = "-" if kept is None or not kept.limited else f"{kept.probability:.0%}"
-            length = f"{float(run.experiment.duration or 0.0):g} s"
-            lines.append(f"  {number:>3} {run.name:<44} {length:>7} {share:>12}")
-        if self.limited:
-            checked = max(one.n_checked for one in self.assurances.values())
-            lines.append(f"      all together keep them on {self.kept:.0%} of {checked} vehicles")
-        lines += ["", *self.accuracy_table(), ""]
+            f"{', '.join(self.outputs)}",
+            "",
+            *self._listed(),
+            "",
+            *self.accuracy_table(),
+            "",
+        ]
         lines += wrap(
             f"  Of what the best programme of these {len(self.candidates)} runs could tell, this "
             f"one tells {self.share:.1%} (criterion {self.criterion}; the weights are within "
@@ -468,6 +458,33 @@ class Programme:
         lines += [f"  Not determined: {text}." for text in self.information.null_directions()]
         return "\n".join(lines)
 
+    def _danger(self) -> list[str]:
+        """First lines where limits are likely to be left."""
+        lines = []
+        if self.danger_together:
+            lines += wrap(f"{self.danger_together} Stand by to stop.", _WIDTH)
+        if self.unsafe:
+            worst = min(self.unsafe, key=lambda name: self.assurances[name].probability)
+            lines += wrap(
+                f"DANGER: {worst!r} leaves its limits on "
+                f"{1 - self.assurances[worst].probability:.0%} of the vehicles that are possible. "
+                "Stand by to stop, or begin with a gentle run and plan from its fit.", _WIDTH
+            )  # fmt: skip
+        return lines
+
+    def _listed(self) -> list[str]:
+        """Lines with the runs, in order."""
+        lines = [f"  {'':>3} {'run':<44} {'length':>7} {'limits kept':>12}"]
+        for number, run in enumerate(self.runs, start=1):
+            kept = self.assurances.get(run.name)
+            share = "-" if kept is None or not kept.limited else f"{kept.probability:.0%}"
+            length = f"{float(run.experiment.duration or 0.0):g} s"
+            lines.append(f"  {number:>3} {run.name:<44} {length:>7} {share:>12}")
+        if self.limited:
+            checked = max(one.n_checked for one in self.assurances.values())
+            lines.append(f"      all together keep them on {self.kept:.0%} of {checked} vehicles")
+        return lines
+
     def _compared(self) -> str:
         assert self.standard is not None
         trials = ", ".join(self.standard.names)
@@ -480,22 +497,11 @@ class Programme:
 
     def accuracy_table(self) -> list[str]:
         """Lines with the expected relative errors."""
-        head = f"  {'parameter':<20} {'value':>11}"
-        before = None if self.prior is None else self.prior.std_errors / self.sizes
-        head += "" if before is None else f" {'before':>9}"
-        head += f" {'after':>9}"
-        head += "" if self.spread is None else f" {'other vehicles':>18}"
-        head += "" if self.standard is None else f" {'standard trials':>16}"
-        lines = [head]
-        for i, name in enumerate(self.names):
-            row = f"  {name:<20} {self.model.values[name]:>11.4g}"
-            row += "" if before is None else f" {percent(before[i]):>9}"
-            row += f" {stated(self.relative_errors[i], self.sea):>9}"
-            row += "" if self.spread is None else f" {self.spread.words(name):>18}"
-            if self.standard is not None:
-                row += f" {stated(self.standard.errors[name], self.sea):>16}"
-            lines.append(row)
-        return lines
+        others = {}
+        if self.standard is not None:
+            errors = [self.standard.errors[name] for name in self.names]
+            others["standard trials"] = np.array(errors)
+        return self._table("after", others, (18, 16), range(len(self.names)))
 
     to_dict = as_dict(
         "hours", "runs", "criterion", "value", "relaxed", "bound", "gap", "greedy_share",
@@ -545,11 +551,7 @@ class Programme:
         written = []
         for number, run in enumerate(self.runs, start=1):
             record = simulate(self.model, run.experiment, noise=False)
-            columns = {"t [s]": record.times}
-            for channel, values in zip(self.model.inputs, record.inputs.T, strict=True):
-                columns[f"{channel.name} [{channel.unit or '-'}]"] = values
             word = "".join(c if c.isalnum() else "_" for c in run.name)
             path = place / f"{number:02d}_{word}.csv"
-            write_table(path, list(columns), np.column_stack(list(columns.values())))
-            written.append(path)
+            written.append(write_commands(path, self.model, record, predicted=False))
         return tuple(written)
