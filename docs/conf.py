@@ -53,7 +53,7 @@ PACKAGES = {
     "oed_sysid.experiments.manoeuvres": "Manoeuvres",
     "oed_sysid.experiments.simulation": "Simulation",
     "oed_sysid.data.logs": "Logs in",
-    "oed_sysid.evidence.log_check": "Checks of logs",
+    "oed_sysid.evidence.check": "Checks of logs",
     "oed_sysid.baselines": "Estimators",
     "oed_sysid.information": "Sensitivity",
     "oed_sysid.design": "Design of trials",

@@ -78,10 +78,10 @@ _HOME = {
     "GOptimal": "design",
     "ModifiedE": "design",
     "VOptimal": "design",
-    "check": "evidence.log_check",
-    "quick_check": "evidence.log_check",
+    "check": "evidence.check",
+    "quick_check": "evidence.check",
     "compare": "evidence.compare",
-    "diagnose": "evidence.diagnose",
+    "diagnose": "evidence.compare",
     "improve": "evidence.improve",
     "usual_effects": "evidence.usual",
     "Discriminate": "design",
@@ -124,10 +124,9 @@ if TYPE_CHECKING:
         design_series,
     )
     from oed_sysid.errors import OedSysidError
-    from oed_sysid.evidence.compare import compare
-    from oed_sysid.evidence.diagnose import diagnose
+    from oed_sysid.evidence.check import check, quick_check  # type: ignore[no-redef]
+    from oed_sysid.evidence.compare import compare, diagnose
     from oed_sysid.evidence.improve import improve
-    from oed_sysid.evidence.log_check import check, quick_check  # type: ignore[no-redef]
     from oed_sysid.evidence.usual import usual_effects
     from oed_sysid.experiments.experiment import Experiment, Limits
     from oed_sysid.experiments.manoeuvres import (

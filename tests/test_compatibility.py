@@ -9,16 +9,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.compatibility import DIVER, SHIP, Fault, is_named, log, match, motions
-from benchmarks.compatibility_logs import (
+from benchmarks.compatibility import (
+    DIVER,
+    SHIP,
     SPOILS,
+    Fault,
+    is_named,
+    log,
+    match,
+    motions,
     named_as,
     spoil,
 )
 from oed_sysid import Dataset, check, load_problem, quick_check, read_csv, write_csv
-from oed_sysid.evidence.blocks import integral
-from oed_sysid.evidence.colour import Colour, estimate
-from oed_sysid.evidence.log_check import corrected_copies
+from oed_sysid.evidence.blocks import Colour, estimate, integral
+from oed_sysid.evidence.check import corrected_copies
 from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.simulation import simulate

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, check, load_problem, simulate
-from oed_sysid.evidence.bursts import bursts, deviations, weights
-from oed_sysid.evidence.screens import screen, screened
+from oed_sysid.evidence.screens import bursts, deviations, screen, screened, weights
 from oed_sysid.evidence.traces import Trace
 
 TIMES = np.arange(800) * 0.1

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.compatibility import DIVER, SHIP, Vehicle, log, motions
 from oed_sysid import Dataset, check
-from oed_sysid.evidence.log_check import corrected_copies
+from oed_sysid.evidence.check import corrected_copies
 
 
 def spoilt(vehicle: Vehicle, seed: int, sizes: dict[int, tuple[str, float]]) -> Dataset:

@@ -9,19 +9,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.compatibility import DIVER, SHIP, Fault, log, match, motions
-from benchmarks.compatibility_logs import (
+from benchmarks.compatibility import (
+    DIVER,
     ESSO,
     HSVA,
+    SHIP,
     SPOILS,
+    Fault,
     free_running,
     hidden_effect_cases,
+    log,
+    match,
+    motions,
     named_as,
     read_filled,
     spoil,
 )
 from oed_sysid import Dataset, Problem, check, load_problem, read_csv, simulate
-from oed_sysid.evidence.log_check import LogCheck
+from oed_sysid.evidence.check import LogCheck
 
 DATA = Path(os.environ.get("OED_SYSID_DATA", "nowhere"))
 

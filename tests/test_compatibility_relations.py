@@ -17,8 +17,7 @@ from oed_sysid import (
     read_csv,
     write_csv,
 )
-from oed_sysid.evidence.relations import relations
-from oed_sysid.evidence.spare import spare_signals
+from oed_sysid.evidence.relations import relations, spare_signals
 
 
 def ship_log(*faults: Fault, seed: int = 0, colour: float = 0.0) -> Dataset:

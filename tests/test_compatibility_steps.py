@@ -9,9 +9,8 @@ import pytest
 
 from benchmarks.compatibility import DIVER, SHIP, log, motions
 from oed_sysid import Dataset, Model, check, load_problem, quick_check, simulate
-from oed_sysid.evidence.log_check import corrected_copies
-from oed_sysid.evidence.screens import screen, screened
-from oed_sysid.evidence.steps import steps
+from oed_sysid.evidence.check import corrected_copies
+from oed_sysid.evidence.screens import screen, screened, steps
 from oed_sysid.evidence.traces import Trace
 
 TIMES = np.arange(800) * 0.1

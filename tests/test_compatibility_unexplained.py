@@ -10,10 +10,9 @@ import pytest
 from benchmarks.compatibility import DIVER, SHIP, Vehicle, log, motions
 from oed_sysid import Dataset, check, load_problem, read_csv, simulate, write_csv
 from oed_sysid.cli import main
-from oed_sysid.evidence.log_check import corrected_copies, why_not_more
+from oed_sysid.evidence.check import SHARE, corrected_copies, misfit, why_not_more
 from oed_sysid.evidence.relations import relations
 from oed_sysid.evidence.traces import Trace
-from oed_sysid.evidence.unexplained import SHARE, misfit
 
 
 def clean_log(vehicle: Vehicle, seed: int = 0, colour: float = 0.0) -> Dataset:

@@ -9,7 +9,7 @@ from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State
 from oed_sysid.evidence.constancy import CHANCE, Sizes, imitates, sizes_by_record
 from oed_sysid.evidence.rank import threshold
 from oed_sysid.evidence.reconsider import without_imitations
-from oed_sysid.evidence.standing import Added, Standing
+from oed_sysid.evidence.search import Added, Standing
 from oed_sysid.evidence.study import Study
 from oed_sysid.physics import sensor_scale
 

@@ -13,8 +13,7 @@ from oed_sysid.errors import DataError
 from oed_sysid.evidence.compare import Comparison, compare
 from oed_sysid.evidence.forecasts import forecasts
 from oed_sysid.evidence.improve import improve
-from oed_sysid.evidence.misfit import correlate
-from oed_sysid.evidence.regimes import Signal, concentrations, regimes
+from oed_sysid.evidence.misfit import Signal, concentrations, correlate, regimes
 
 NOISE = np.array([0.01, 0.004])
 CUBIC = Force(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from oed_sysid import load_problem, read_csv
-from oed_sysid.evidence.diagnose import diagnose
+from oed_sysid.evidence.compare import diagnose
 from oed_sysid.experiments.problem import catalogue_folder
 
 

@@ -23,7 +23,7 @@ SUBJECTS = (
     "experiments.manoeuvres",
     "experiments.problem",
     "experiments.simulation",
-    "evidence.log_check",
+    "evidence.check",
     "baselines.benchmark",
 )
 

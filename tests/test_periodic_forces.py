@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Model, Record, load_problem, simulate
-from oed_sysid.evidence.lines import lines
 from oed_sysid.evidence.rank import Ranking, rank, threshold
+from oed_sysid.evidence.score import lines
 from oed_sysid.evidence.study import Study
 from oed_sysid.physics import wave_force
 

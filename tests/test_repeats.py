@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, improve
 from oed_sysid.evidence.improvement import Improvement
-from oed_sysid.evidence.repeats import _standard_error
+from oed_sysid.evidence.residual_forces import _standard_error
 from oed_sysid.likelihood.information import lagged_products
 from oed_sysid.physics import Force, quadratic_drag
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from oed_sysid.evidence.standing import confirmed
+from oed_sysid.evidence.search import confirmed
 
 
 @pytest.mark.parametrize(

@@ -26,9 +26,8 @@ from oed_sysid import (
     usual_effects,
 )
 from oed_sysid.errors import OedSysidError
-from oed_sysid.evidence.log_check import check
-from oed_sysid.evidence.sizes import sizes_of
-from oed_sysid.evidence.usual import equipped, settled
+from oed_sysid.evidence.check import check
+from oed_sysid.evidence.usual import equipped, settled, sizes_of
 from oed_sysid.testing import check_effect
 from oed_sysid.text.expressions import to_numpy
 

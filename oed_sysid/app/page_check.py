@@ -11,7 +11,7 @@ from oed_sysid.app.panels import command, download, html_download, work
 from oed_sysid.app.panels import show as show_page
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
-from oed_sysid.evidence.log_check import why_not_more
+from oed_sysid.evidence.check import why_not_more
 
 
 def show(study: Study) -> None:

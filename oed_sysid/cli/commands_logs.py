@@ -114,7 +114,7 @@ def import_(
     result, files = _written(found, chosen, target, out)
     for line in result.notes:
         note(line)
-    from oed_sysid.evidence.log_check import quick_check, signal_check
+    from oed_sysid.evidence.check import quick_check, signal_check
 
     dataset = result.dataset
     checked = signal_check(dataset) if target is None else quick_check(dataset, target.model)

@@ -75,7 +75,7 @@ def pond(out: Path) -> dict[str, tuple[float, float]] | None:
     """
     from oed_sysid.data.dataset import Dataset
     from oed_sysid.data.third_party import data_folder, registered
-    from oed_sysid.evidence.diagnose import diagnose
+    from oed_sysid.evidence.compare import diagnose
     from oed_sysid.experiments.problem import load_problem
     from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 
@@ -221,7 +221,7 @@ def _write(
     """Write the report, and its main pictures once more as PNG files."""
     from oed_sysid import results as report
 
-    page = report.improvement_page(found, comparison, train=train, title=title)
+    page = found.document(comparison, train=train, title=title)
     written = page.write(out / "report.html")
     single: dict[str, tuple[Callable[..., Any], Any]] = {
         "located": (report.plot_located, found.location),

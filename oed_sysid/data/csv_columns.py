@@ -137,6 +137,12 @@ class Columns:
                 f"{moment:%Y-%m-%dT%H:%M:%S.%fZ}."
             )
             return np.asarray((values - first) * seconds)
+        self._check_seconds(index, times, unit)
+        return times
+
+    def _check_seconds(self, index: int, times: np.ndarray, unit: str) -> None:
+        """Refuse, or note, times that are no seconds of one clock."""
+        header, first = self.table.headers[index], self.table.values[0, index]
         for factor, other in ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
             if unit == "s" and EPOCH[0] < first * factor < EPOCH[1]:
                 raise DataError(
@@ -167,7 +173,6 @@ class Columns:
                 f"Column {header!r} of {self.path.name} steps by {step:.4g} s. If it is in "
                 f"milliseconds, write the header as 't [ms]'."
             )
-        return times
 
     def _suspect_unit(self, words: str) -> None:
         self.suspicions.append(UnitWarning(words))
@@ -305,6 +310,17 @@ class Columns:
                 f"{where} holds times of a clock, but channel {channel.name} needs numbers in "
                 f"[{channel.unit}]. Choose another column with column=..."
             )
+        unit = self._unit(channel, header, name, unit)
+        self._check_plausible(index, where)
+        values, si_unit = to_si(self.table.values[:, index], unit)
+        self._suspect_size(
+            channel, where, name, unit, si_unit, float(np.nanmax(np.abs(values), initial=0.0))
+        )
+        return channel.sign * values
+
+    def _unit(self, channel: Input | Output, header: str, name: str, unit: str | None) -> str:
+        """Unit of a column, which has to be one that its channel can be given in."""
+        where = f"Column {header!r} of {self.path.name}"
         given = next((self.units[k] for k in (channel.name, header, name) if k in self.units), None)
         needed = dimension(channel.unit)
         if not np.isclose(to_si(1.0, channel.unit)[0], 1.0, rtol=1e-12):
@@ -333,22 +349,24 @@ class Columns:
                 "unit that converts to it. Correct the unit in the header, as "
                 f"'{name} [{channel.unit}]', or choose another column with column=..."
             )
-        self._check_plausible(index, where)
-        values, si_unit = to_si(self.table.values[:, index], unit)
-        if si_unit == "rad" and unit == "rad" and np.any(np.abs(values) > SUSPICIOUS_ANGLE):
+        return unit
+
+    def _suspect_size(
+        self, channel: Input | Output, where: str, name: str, unit: str, si_unit: str, size: float
+    ) -> None:
+        """Note what is larger than a vehicle makes it."""
+        if si_unit == unit == "rad" and size > SUSPICIOUS_ANGLE:
             self._suspect_unit(
-                f"{where} reaches {np.nanmax(np.abs(values)):.3g} rad, more than three turns. If "
-                f"it is in degrees, write the header as '{name} [deg]'."
+                f"{where} reaches {size:.3g} rad, more than three turns. If it is in degrees, "
+                f"write the header as '{name} [deg]'."
             )
-        limit = SUSPICIOUS_SIZE.get(si_unit)
         if si_unit == "rad/s" and isinstance(channel, Input):
-            limit = None  # a propeller turns as fast as it likes
-        if limit is not None and np.any(np.abs(values) > limit):
+            return  # a propeller turns as fast as it likes
+        if size > SUSPICIOUS_SIZE.get(si_unit, np.inf):
             self._suspect_unit(
-                f"{where} reaches {np.nanmax(np.abs(values)):.3g} {si_unit}, which no vehicle "
-                f"does. Check that [{unit}] is its unit."
+                f"{where} reaches {size:.3g} {si_unit}, which no vehicle does. Check that "
+                f"[{unit}] is its unit."
             )
-        return channel.sign * values
 
     def _check_plausible(self, index: int, where: str) -> None:
         """Refuse numbers that stand for something else, or are too large to be squared."""

@@ -129,16 +129,12 @@ def _numeric(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _log(path: Path, kind: str, tables: Mapping[str, Mapping[str, np.ndarray]]) -> Log:
+    def is_time(header: str) -> bool:
+        return not {header.lower(), parse_header(header)[0].lower()}.isdisjoint(TIME_NAMES)
+
     topics = {}
     for topic, columns in tables.items():
-        clock = next(
-            (
-                header
-                for header in columns
-                if header.lower() in TIME_NAMES or parse_header(header)[0].lower() in TIME_NAMES
-            ),
-            None,
-        )
+        clock = next(filter(is_time, columns), None)
         if clock is None:
             continue
         times = to_si(columns[clock], parse_header(clock)[1] or "s")[0]
@@ -146,9 +142,10 @@ def _log(path: Path, kind: str, tables: Mapping[str, Mapping[str, np.ndarray]]) 
         if np.isfinite(times).sum() > 1 and fields:
             topics[topic] = (times, fields)
     if not topics:
+        found = ", ".join(repr(h) for columns in tables.values() for h in list(columns)[:6])
         raise DataError(
             f"{path.name} has no column with times. Call it 't [s]' or 'time [s]'; found were "
-            f"{', '.join(repr(h) for c in tables.values() for h in list(c)[:6]) or 'no columns'}."
+            f"{found or 'no columns'}."
         )
     first = min(float(np.nanmin(times)) for times, _ in topics.values())
     origin = None
@@ -202,8 +199,9 @@ def read_ulog(path: Path) -> Log:
             for key, values in data.data.items()
             if key != "timestamp" and np.asarray(values).dtype.kind in "fiub"
         }
-        if fields and len(data.data["timestamp"]):
-            topics[name] = (np.asarray(data.data["timestamp"], dtype=float) * 1e-6, fields)
+        clock = np.asarray(data.data.get("timestamp", ()), dtype=float)
+        if fields and clock.size:
+            topics[name] = (clock * 1e-6, fields)
         units |= {f"{name}.{key}": "us" for key in fields if "timestamp" in key}
     return assemble(path, "PX4 log (ULog)", topics, units=units, notes=notes)
 
@@ -257,6 +255,32 @@ def read_dataflash(path: Path) -> Log:
     DataError
         If pymavlink is missing or the file holds no messages.
     """
+    rows, formats, said = _messages(path)
+    notes = []
+    if "bad" in said or "skipped" in said:
+        notes.append(f"{path.name} is damaged or breaks off: parts of it were skipped.")
+    topics: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]] = {}
+    units: dict[str, str] = {}
+    for topic, messages in rows.items():
+        columns, known = formats[topic]
+        times, table = np.array([time for time, _ in messages]), np.array([v for _, v in messages])
+        present = [
+            name for name, one in zip(columns, table.T, strict=True) if np.isfinite(one).any()
+        ]
+        if present:
+            fields = {name: table[:, columns.index(name)] * known[name][1] for name in present}
+            topics[topic] = (times, fields)
+        units |= {f"{topic}.{name}": known[name][0] for name in present if known[name][0]}
+    if not topics:
+        raise DataError(
+            f"{path.name} holds no message with a time: it is empty, torn, or no DataFlash log. "
+            "Copy it again from the vehicle."
+        )
+    return assemble(path, "ArduPilot log (DataFlash)", topics, units=units, notes=notes)
+
+
+def _messages(path: Path) -> tuple[dict, dict, str]:
+    """Rows and formats of every topic of a DataFlash log, and what its reader complained of."""
     reader_module = library("pymavlink.DFReader", "an ArduPilot log (DataFlash)")
     rows: dict[str, list[tuple[float, list[float]]]] = {}
     formats: dict[str, tuple[list[str], dict[str, tuple[str, float]]]] = {}
@@ -264,10 +288,7 @@ def read_dataflash(path: Path) -> Log:
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
             reader = reader_module.DFReader_binary(str(path), zero_time_base=True)
-            while True:
-                message = reader.recv_msg()
-                if message is None:
-                    break
+            for message in iter(reader.recv_msg, None):
                 _keep(message, rows, formats)
             if reader.data_len - reader.offset > 0:
                 said.write("skipped: the last message is not whole")
@@ -279,29 +300,7 @@ def read_dataflash(path: Path) -> Log:
                 f"({str(error)[:100] or type(error).__name__}). Copy it again from the vehicle."
             ) from None
         said.write("bad")
-    notes = []
-    if "bad" in said.getvalue().lower() or "skipped" in said.getvalue().lower():
-        notes.append(f"{path.name} is damaged or breaks off: parts of it were skipped.")
-    topics, units = {}, {}
-    for topic, messages in rows.items():
-        columns, known = formats[topic]
-        table = np.array([values for _, values in messages])
-        times = np.array([time for time, _ in messages])
-        fields = {}
-        for index, name in enumerate(columns):
-            unit, factor = known.get(name, ("", 1.0))
-            if np.isfinite(table[:, index]).any():
-                fields[name] = table[:, index] * factor
-                if unit:
-                    units[f"{topic}.{name}"] = unit
-        if fields:
-            topics[topic] = (times, fields)
-    if not topics:
-        raise DataError(
-            f"{path.name} holds no message with a time: it is empty, torn, or no DataFlash log. "
-            "Copy it again from the vehicle."
-        )
-    return assemble(path, "ArduPilot log (DataFlash)", topics, units=units, notes=notes)
+    return rows, formats, said.getvalue().lower()
 
 
 def _keep(message: object, rows: dict, formats: dict) -> None:
@@ -410,20 +409,24 @@ def _topics(name: str, content: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     }
     clock = next((vectors[key] for key in vectors if key.lower() in _TIMES), None)
     if clock is not None and clock.ndim == 1 and clock.size > 1:
-        fields: dict[str, np.ndarray] = {}
-        for key, value in (vectors | dict(_simulink(content))).items():
-            if key.lower() in _TIMES:
-                continue
-            if value.ndim == 1 and value.size == clock.size:
-                fields[key] = value
-            elif value.ndim == 2 and clock.size in value.shape:
-                columns = value.T if value.shape[0] == clock.size else value
-                fields |= {f"{key}[{i}]": column for i, column in enumerate(columns)}
+        fields = dict(_fields(vectors | dict(_simulink(content)), clock.size))
         if fields:
             yield name, (clock, fields)
     for key, value in content.items():
         if isinstance(value, dict) and key != "signals":
             yield from _topics(key, value)
+
+
+def _fields(vectors: dict[str, np.ndarray], n_times: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Vectors, and columns of matrices, as long as the times."""
+    for key, value in vectors.items():
+        if key.lower() in _TIMES:
+            continue
+        if value.ndim == 1 and value.size == n_times:
+            yield key, value
+        elif value.ndim == 2 and n_times in value.shape:
+            columns = value.T if value.shape[0] == n_times else value
+            yield from ((f"{key}[{i}]", column) for i, column in enumerate(columns))
 
 
 def _simulink(content: dict[str, Any]) -> Iterator[tuple[str, np.ndarray]]:

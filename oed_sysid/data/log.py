@@ -351,10 +351,21 @@ def derived(topic: str, fields: Mapping[str, Series]) -> Iterator[Series]:
     fields : mapping
         Field name to series.
     """
-    for names in _QUATERNIONS:
-        if all(name in fields for name in names):
-            yield from _attitude(topic, fields, names, "", f"from {names[0]} to {names[3]}")
-            break
+    names = next((names for names in _QUATERNIONS if all(one in fields for one in names)), None)
+    if names is not None:
+        yield from _attitude(topic, fields, names, "", f"from {names[0]} to {names[3]}")
+    yield from _ros_attitude(topic, fields)
+    fix = next((pair for pair in _FIXES if all(name in fields for name in pair)), None)
+    if fix is not None:
+        lat, lon = (fields[name] for name in fix)
+        position = local_position(_degrees(lat), _degrees(lon))
+        for name, values in zip(("north", "east"), position, strict=True):
+            if name not in fields:
+                yield Series(f"{topic}.{name}", lat.times, values, "m", "of the first fix")
+
+
+def _ros_attitude(topic: str, fields: Mapping[str, Series]) -> Iterator[Series]:
+    """Attitude from quaternions of ROS, as they are and in NED."""
     for prefix in {name[: -len(_ROS[0])] for name in fields if name.endswith(_ROS[0])}:
         parts = tuple(prefix + name for name in _ROS)
         if all(name in fields for name in parts):
@@ -365,14 +376,6 @@ def derived(topic: str, fields: Mapping[str, Series]) -> Iterator[Series]:
             for name, values in (("roll", roll), ("pitch", -pitch), ("yaw", turned)):
                 full = f"{topic}.{prefix}orientation.{name}_ned"
                 yield Series(full, times, values, "rad", "NED, if the log is ENU and FLU")
-    for lat, lon in _FIXES:
-        if lat in fields and lon in fields:
-            north, east = local_position(_degrees(fields[lat]), _degrees(fields[lon]))
-            for name, values in (("north", north), ("east", east)):
-                if name not in fields:
-                    words = "of the first fix"
-                    yield Series(f"{topic}.{name}", fields[lat].times, values, "m", words)
-            break
 
 
 def _angles(fields: Mapping[str, Series], names: tuple[str, ...]) -> tuple[np.ndarray, ...]:

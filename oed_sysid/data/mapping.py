@@ -27,7 +27,7 @@ A mapping is TOML::
 
 Only ``field`` (or ``constant``, for an input that was not logged) is required; ``unit`` where the
 log does not say it. ``[cut_by_commands]`` and ``[cut_while]`` find manoeuvres by themselves
-(:mod:`oed_sysid.data.logs.cuts`).
+(:class:`CommandCuts`, :class:`WhileCuts`).
 
 Cutting a log into manoeuvres: by time, by what was commanded, or by a state of the vehicle.
 """
@@ -365,7 +365,7 @@ class LogMapping:
     def text(self) -> str:
         """The mapping as TOML; :func:`parse` reads it."""
         lines = []
-        for name in ("problem", "clock", "tolerance", "sample_time"):
+        for name in _PLAIN:
             value = getattr(self, name)
             if value not in ("", None, "outputs"):
                 lines.append(f"{name} = {_toml(value)}")
@@ -423,8 +423,8 @@ def read_mapping(path: str | Path) -> LogMapping:
     return parse(text, where=place.name)
 
 
-_KEYS = ("problem", "clock", "tolerance", "sample_time", "inputs", "outputs", "cuts")
-_CUTTERS = {"cut_by_commands": CommandCuts, "cut_while": WhileCuts}
+_PLAIN = ("problem", "clock", "tolerance", "sample_time")
+_CUTTERS = {"cut_by_commands": ("by_commands", CommandCuts), "cut_while": ("while_", WhileCuts)}
 
 
 def parse(text: str, *, where: str = "The mapping") -> LogMapping:
@@ -446,11 +446,8 @@ def parse(text: str, *, where: str = "The mapping") -> LogMapping:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"{where} is no TOML: {error}. Texts stand in quotation marks.") from None
-    _known(where, "", content, (*_KEYS, *_CUTTERS))
-    found: dict[str, Any] = {
-        key: content[key] for key in ("problem", "clock", "tolerance", "sample_time")
-        if key in content
-    }  # fmt: skip
+    _known(where, "", content, (*_PLAIN, "inputs", "outputs", "cuts", *_CUTTERS))
+    found: dict[str, Any] = {key: content[key] for key in _PLAIN if key in content}
     for kind in ("inputs", "outputs"):
         tables = content.get(kind, {})
         if not isinstance(tables, dict) or not all(isinstance(t, dict) for t in tables.values()):
@@ -466,14 +463,15 @@ def parse(text: str, *, where: str = "The mapping") -> LogMapping:
     found["cuts"] = tuple(
         _built(Cut, cut, f"{where}: cut {number}") for number, cut in enumerate(renamed, start=1)
     )
-    for key, kind_ in _CUTTERS.items():
+    for key, (target, cutter) in _CUTTERS.items():
         if key in content:
-            target = "by_commands" if key == "cut_by_commands" else "while_"
-            found[target] = _built(kind_, content[key], f"{where}: [{key}]")
+            found[target] = _built(cutter, content[key], f"{where}: [{key}]")
     return LogMapping(**found, where=where)
 
 
 _CUT = {"from": "start", "to": "stop"}
+# What a value of TOML is in the type of a field.
+_KINDS = {str: "str", tuple: "tuple", int: "float", float: "float"}
 
 
 def _known(where: str, table: str, content: Mapping[str, Any], known: tuple[str, ...]) -> None:
@@ -494,14 +492,8 @@ def _built(kind: type, table: Mapping[str, Any], where: str) -> Any:
         text = str(known[key].type)
         if isinstance(value, list):
             value = tuple(value)
-        good = (
-            ("bool" in text and isinstance(value, bool))
-            or ("str" in text and isinstance(value, str))
-            or ("tuple" in text and isinstance(value, tuple))
-            or ("float" in text and isinstance(value, int | float) and value is not True
-                and value is not False)
-        )  # fmt: skip
-        if not good:
+        kind_of = "bool" if isinstance(value, bool) else _KINDS.get(type(value), "nothing")
+        if kind_of not in text:
             raise DataError(f"{where}: {key} is {value!r:.40}, expected {_words(text)}.")
         values[key] = value
     try:

@@ -41,21 +41,7 @@ def read_nmea(path: Path) -> Log:
     DataError
         If pynmea2 is missing, or no sentence can be read or timed.
     """
-    pynmea2 = library("pynmea2", "NMEA 0183 sentences")
-    parsed: list[tuple[str, dict[str, float], float | None, float | None]] = []
-    bad = 0
-    for _, line in text_lines(path):
-        found = _SENTENCE.search(line)
-        if found is None:
-            continue
-        try:
-            sentence = pynmea2.parse(found.group().strip(), check=True)
-        except Exception:  # a wrong checksum or a torn line
-            bad += 1
-            continue
-        before = line[: found.start()]
-        topic = f"{getattr(sentence, 'talker', '') or ''}{sentence.sentence_type}"
-        parsed.append((topic, _numbers(sentence), _stamp(before), _time_of_day(sentence)))
+    parsed, bad = _sentences(path)
     if not parsed:
         raise DataError(
             f"{path.name} holds no NMEA 0183 sentence with a right checksum ({bad} were refused). "
@@ -76,6 +62,26 @@ def read_nmea(path: Path) -> Log:
         if values:
             topics[topic] = (np.array([time for time, _ in messages]), values)
     return assemble(path, "NMEA 0183", topics, notes=notes)
+
+
+_Parsed = tuple[str, dict[str, float], float | None, float | None]
+
+
+def _sentences(path: Path) -> tuple[list[_Parsed], int]:
+    """Topic, numbers, time of the logger and time of day of every sentence; how many are torn."""
+    pynmea2 = library("pynmea2", "NMEA 0183 sentences")
+    parsed: list[_Parsed] = []
+    bad = 0
+    for found in filter(None, (_SENTENCE.search(line) for _, line in text_lines(path))):
+        try:
+            sentence = pynmea2.parse(found.group().strip(), check=True)
+        except Exception:  # a wrong checksum or a torn line
+            bad += 1
+            continue
+        before = found.string[: found.start()]
+        topic = f"{getattr(sentence, 'talker', '') or ''}{sentence.sentence_type}"
+        parsed.append((topic, _numbers(sentence), _stamp(before), _time_of_day(sentence)))
+    return parsed, bad
 
 
 def _numbers(sentence: Any) -> dict[str, float]:

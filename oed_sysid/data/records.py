@@ -244,6 +244,32 @@ def _record(
     notes: list[str],
 ) -> Record:
     """One manoeuvre."""
+    pieces = _pieces(cut, mapping, outputs, log, notes)
+    steps = [piece.step for piece in pieces.values() if piece.times.size > 1]
+    tolerance = mapping.tolerance or TOLERANCE * min(steps, default=0.0)
+    start = max((one.times[0] for one in inputs.values() if one.times.size > 1), default=cut.start)
+    rows = _commanded(cut, _rows(pieces, mapping, tolerance), start, notes)
+    rows = _with_switches(rows, channels, inputs, cut, tolerance, notes)
+    placed = {name: _placed(piece, rows) for name, piece in pieces.items()}
+    _note_shifts(cut, mapping, pieces, placed, start, notes)
+    nothing = np.full(rows.size, np.nan)
+    table = {name: placed[name][0] if name in placed else nothing for name in channels.output_names}
+    columns = [_at(inputs[one.name], rows, one, cut, tolerance, notes) for one in channels.inputs]
+    return Record(
+        cut.name,
+        rows,
+        np.column_stack(columns) if columns else np.empty((rows.size, 0)),
+        np.column_stack(list(table.values())),
+        channels,
+        source=str(log.path),
+        missing_outputs=tuple(name for name, one in table.items() if not np.isfinite(one).any()),
+    )
+
+
+def _pieces(
+    cut: Cut, mapping: LogMapping, outputs: Mapping[str, _Signal], log: Log, notes: list[str]
+) -> dict[str, _Signal]:
+    """What the outputs hold within a cut, thinned if the mapping asks for it."""
     pieces = {name: _piece(signal, cut, log, notes) for name, signal in outputs.items()}
     if sum(piece.times.size for piece in pieces.values()) < MINIMUM_SAMPLES:
         raise DataError(
@@ -251,57 +277,42 @@ def _record(
             f"{MINIMUM_SAMPLES} samples of the outputs. Choose other times; oed-sysid import "
             f"{log.path.name} --list shows what the log spans."
         )
-    start = max((one.times[0] for one in inputs.values() if one.times.size > 1), default=cut.start)
     if mapping.sample_time is not None:
         pieces = {n: _thinned(p, cut, mapping.sample_time, notes) for n, p in pieces.items()}
-    steps = [piece.step for piece in pieces.values() if piece.times.size > 1]
-    tolerance = mapping.tolerance or TOLERANCE * min(steps, default=0.0)
-    rows = _rows(pieces, mapping, tolerance)
+    return pieces
+
+
+def _commanded(cut: Cut, rows: np.ndarray, start: float, notes: list[str]) -> np.ndarray:
+    """Rows from the first command on."""
     early = rows < start
     if early.any():
         notes.append(
             f"{cut.name}: {int(early.sum())} rows before the first command at {start:.2f} s were "
             "left out: nobody knows what was commanded then."
         )
-        rows = rows[~early]
-    rows = _with_switches(rows, channels, inputs, cut, tolerance, notes)
-    table, moved = [], 0.0
-    for channel in channels.outputs:
-        piece = pieces.get(channel.name)
-        column, shift = (np.full(rows.size, np.nan), 0.0) if piece is None else _placed(piece, rows)
-        table.append(column)
-        moved = max(moved, shift)
-    kept = {
-        name: int(np.isfinite(column).sum())
-        for name, column in zip(channels.output_names, table, strict=True)
-        if name in pieces
-    }
-    lost = sum(piece.times[piece.times >= start].size for piece in pieces.values()) - sum(
-        kept.values()
-    )
+    return rows[~early]
+
+
+def _note_shifts(
+    cut: Cut,
+    mapping: LogMapping,
+    pieces: Mapping[str, _Signal],
+    placed: Mapping[str, tuple[np.ndarray, float]],
+    start: float,
+    notes: list[str],
+) -> None:
+    """Say how far samples were moved to share rows, and how many found none."""
+    moved = max((shift for _, shift in placed.values()), default=0.0)
     if moved > 0.0:
         notes.append(
             f"{cut.name}: samples of one moment share a row; the largest shift is {moved:.3g} s."
         )
+    kept = sum(int(np.isfinite(column).sum()) for column, _ in placed.values())
+    lost = sum(piece.times[piece.times >= start].size for piece in pieces.values()) - kept
     if mapping.clock != "outputs" and lost > 0:
         notes.append(
             f"{cut.name}: {lost} samples away from those of {mapping.clock!r} were left out."
         )
-    columns = [_at(inputs[one.name], rows, one, cut, tolerance, notes) for one in channels.inputs]
-    empty = tuple(
-        name
-        for name, column in zip(channels.output_names, table, strict=True)
-        if not np.isfinite(column).any()
-    )
-    return Record(
-        cut.name,
-        rows,
-        np.column_stack(columns) if columns else np.empty((rows.size, 0)),
-        np.column_stack(table),
-        channels,
-        source=str(log.path),
-        missing_outputs=empty,
-    )
 
 
 def _piece(signal: _Signal, cut: Cut, log: Log, notes: list[str]) -> _Signal:

@@ -227,7 +227,7 @@ def _accuracy(design: Design) -> list[str]:
             f"  Against a {reference.name}{note}, equally long: errors {mean:.2g} times smaller on "
             f"geometric mean, {worst:.2g} times for the worst."
         )
-    lines += design.accuracy_table(sort=True)
+    lines += [f"  {line}" for line in design.accuracy(sort=True).lines()]
     errors = dict(zip(design.names, design.relative_errors, strict=True))
     usable = _USABLE if design.sea is None else TRUSTED
     for title, low, high in (

@@ -1,4 +1,7 @@
-"""Compare models with records: where, when and how much they differ, and whether it is noise."""
+"""Compare models with records: where, when and how much they differ, and whether it is noise.
+
+One look without adding anything: where a model fails and what might be missing.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,20 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, check_disjoint
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.forecasts import Forecasts, forecasts
-from oed_sysid.evidence.misfit import OutputMisfit, output_misfit
-from oed_sysid.evidence.regimes import Signal, regimes
-from oed_sysid.likelihood.fit import Fit, align
+from oed_sysid.evidence.locate import Located, likeliest, locate
+from oed_sysid.evidence.misfit import OutputMisfit, Signal, output_misfit, regimes
+from oed_sysid.evidence.rank import Ranking, rank
+from oed_sysid.evidence.result import LogCheck
+from oed_sysid.evidence.study import Study
+from oed_sysid.evidence.usual import settled
+from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.prediction import WAYS, Initial, Prediction, predict
+from oed_sysid.likelihood.start_guess import check_channels
+from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict, as_html
+from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_html, as_text
 from oed_sysid.runtime.threads import single_threaded
 from oed_sysid.text.units import shown_unit
 
@@ -59,6 +68,19 @@ class ModelMisfit:
         "label", "relative", "is_noise", "verdict", "outputs",
         initial_states="prediction.initial_states", forecast="forecasts",
     )  # fmt: skip
+
+    def section(self) -> Section:
+        """Return the misfit by output, and of forecasts, as a part of a document."""
+        ahead, words = self.forecasts, []
+        if ahead.n_forecasts:
+            words.append(
+                f"{ahead.horizon:g} s ahead: {ahead.overall:.3f} x what a right model would "
+                f"leave ({ahead.n_forecasts} forecasts)"
+            )
+        if ahead.failed:
+            words.append(f"{ahead.failed} of the forecasts diverged.")
+        title = f"{self.label}: {self.relative:.3f} x noise over all outputs"
+        return Section(title, words, (_table(self),), heading=True, indent=2)
 
     @property
     def relative(self) -> float:
@@ -138,28 +160,59 @@ class Comparison:
             lines.append(f"Closest: {best.label}, {best.relative:.3g} x noise against {others}.")
         return "\n".join(lines)
 
-    def report(self) -> str:
-        """Return the comparison as text."""
-        lines = [
-            f"comparison on {', '.join(self.dataset.names)}",
-            "  independent tests: motion and inputs are given, their order says nothing"
+    def document(self, *, title: str = "Models and records", log: LogCheck | None = None) -> Report:
+        """Return what the comparison says: misfit by output, and predictions."""
+        names = self.dataset.names
+        way = (
+            "independent tests: motion and inputs are given, their order says nothing"
             if self.dataset.only_tests
-            else f"  initial states: {WAYS[self.models[0].prediction.way]}",
-        ]
-        for part in self.models:
-            lines += ["", f"{part.label}: {part.relative:.3f} x noise over all outputs", ""]
-            lines += [f"  {line}" for line in align(_table(part))]
-            ahead = part.forecasts
-            if ahead.n_forecasts:
-                lines += [
-                    "",
-                    f"  {ahead.horizon:g} s ahead: {ahead.overall:.3f} x what a right model would "
-                    f"leave ({ahead.n_forecasts} forecasts)",
-                ]
-            if ahead.failed:
-                lines.append(f"  {ahead.failed} of the forecasts left the numbers.")
-        lines += ["", self.verdict, *(f"Note: {note}" for note in self.notes)]
-        return "\n".join(lines)
+            else f"initial states: {WAYS[self.models[0].prediction.way]}"
+        )
+        bars = Figure(
+            "plot_comparison", self,
+            "Root mean square error of each output in units of its noise; whiskers show the best "
+            "and the worst record. At the line the error is as large as noise alone.",
+            size=(8.4, 3.8),
+        )  # fmt: skip
+        drawings = [
+            Figure(
+                "figure_predictions", [part.prediction for part in self.models],
+                f"{name}: dots are measured; bands hold 95 % of new measurements if the model is "
+                "right. Right: errors in units of the noise, whose 95 % band is grey.",
+                (name,), {"labels": [part.label for part in self.models]},
+            )
+            for name in names[:MOST_DRAWN]
+        ]  # fmt: skip
+        rest = len(self.dataset) - len(drawings)
+        words = (f"{rest} further records are not drawn.",) if rest else ()
+        return Report(
+            title=title,
+            subtitle=f"Compared on {', '.join(names)}",
+            headline=f"comparison on {', '.join(names)}\n  {way}",
+            answer=self._answer(),
+            warnings=() if log is None else log.warning().splitlines(),
+            numbers=[(part.label, f"{part.relative:.3g} × noise") for part in self.models],
+            sections=(
+                *(part.section() for part in self.models),
+                Section("Where the models differ from the records", figures=(bars,), only="page"),
+                Section("Predictions", words, figures=drawings, only="page"),
+            ),
+            verdict=(*self.verdict.splitlines(), *(f"Note: {note}" for note in self.notes)),
+        )
+
+    report = as_text
+
+    def _answer(self) -> str:
+        """Which model predicts best, and whether what is left is noise."""
+        best = self.best
+        left = "noise is left" if best.is_noise else "more than noise is left"
+        if len(self.models) == 1:
+            return f"{best.label} predicts to {best.relative:.3g} × noise: {left}."
+        others = (f"{m.relative:.3g} ({m.label})" for m in self.models if m is not best)
+        return (
+            f"{best.label} predicts best, to {best.relative:.3g} × noise: {left}; the others to "
+            f"{', '.join(others)}."
+        )
 
     to_dict = as_dict(
         "models", "verdict", "notes",
@@ -371,10 +424,19 @@ def _labels(models: Sequence[Model]) -> tuple[str, ...]:
     return tuple(labels)
 
 
-def _table(part: ModelMisfit) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = [
-        ("output", "rmse", "unit", "x noise", "in band", "eff. samples", "of", "ahead", "worst")
-    ]
+def _table(part: ModelMisfit) -> Table:
+    headers = (
+        "output",
+        "rmse",
+        "unit",
+        "x noise",
+        "in band",
+        "eff. samples",
+        "of",
+        "ahead",
+        "worst",
+    )
+    rows = []
     for output, ahead in zip(part.outputs, part.forecasts.relative, strict=True):
         if not (output.n_samples or output.in_time):  # captive tests measure forces alone
             continue
@@ -392,4 +454,113 @@ def _table(part: ModelMisfit) -> list[tuple[str, ...]]:
                 f"{output.worst[3]:.2g} in {output.where}" if output.where else "",
             )
         )
-    return rows
+    return Table(headers, rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Where a model fails on some records, and which effects would explain it.
+
+    Attributes
+    ----------
+    model : Model
+        The nominal model.
+    location : Located
+    ranking : Ranking
+    """
+
+    model: Model
+    location: Located
+    ranking: Ranking
+
+    _repr_html_ = as_html
+
+    def __repr__(self) -> str:
+        return f"<Diagnosis of {self.model.name!r}: lacks {', '.join(self.group) or 'nothing'}>"
+
+    @property
+    def best(self) -> Effect | None:
+        """The likeliest effect, ready to be added; None where chance explains its gain."""
+        for refit in self.ranking.refits[:1]:
+            if refit.gain >= self.ranking.needed(refit):
+                return refit.score.effect.with_values(refit.fit.values)
+        return None
+
+    @property
+    def group(self) -> tuple[str, ...]:
+        """Identifiers of the best effect and of those that cannot be told from it here."""
+        if self.best is None:
+            return ()
+        names = [refit.name for refit in self.ranking.group()]
+        return tuple(dict.fromkeys((*names, *self.ranking.alike(names[0]))))
+
+    @property
+    def verdict(self) -> str:
+        """Which effect is missing, as far as these records can tell."""
+        group = self.group
+        if not group:
+            return f"{self.model.name}: no candidate explains more than chance does."
+        others = f"; these records cannot tell it from {', '.join(group[1:])}" if group[1:] else ""
+        return f"{self.model.name} lacks {group[0]}{others}."
+
+    def document(self, train: Dataset | None = None, *, title: str = "") -> Report:
+        """Return the diagnosis; with its records, residual forces against their signals."""
+        return Report(
+            title=title or self.model.name,
+            subtitle="Where the model fails and what may be missing; nothing was added",
+            headline=self.model.name,
+            answer=self.verdict,
+            sections=(
+                *self.location.document(train).sections,
+                *self.ranking.document().sections,
+                Section(
+                    "Equations of the nominal model", listing=self.model.equations(), only="page"
+                ),
+            ),
+            verdict=(
+                self.verdict,
+                "Nothing has been added, and no validation record been asked: that is `improve`.",
+            ),
+        )
+
+    report = as_text
+
+    to_dict = as_dict(
+        "group",
+        best=lambda self: None if self.best is None else self.best.name,
+        located="location.gains", ranking=lambda self: self.ranking.scored(),
+        undetectable=lambda self: self.ranking.undetectable(),
+    )  # fmt: skip
+
+
+@single_threaded
+def diagnose(
+    model: Model,
+    dataset: Dataset,
+    *,
+    candidates: Sequence[Effect] | None = None,
+    known_noise: bool = False,
+    disturbances: str | Sequence[str] = "auto",
+) -> Diagnosis:
+    """Locate where a model fails and rank what may be missing, adding nothing.
+
+    Parameters
+    ----------
+    model : Model
+        The nominal model.
+    dataset : Dataset
+        Measured records.
+    candidates : sequence of Effect, optional
+        What may be missing; without any, what usually is
+        (:func:`~oed_sysid.evidence.usual.usual_effects`).
+    known_noise : bool
+    disturbances : str or sequence of str
+        See :func:`oed_sysid.evidence.improve.improve`.
+    """
+    check_channels(model, dataset)
+    candidates, _ = settled(model, dataset, candidates)
+    study, fit = Study.begin(
+        model, dataset, None, candidates, known_noise=known_noise, disturbances=disturbances
+    )
+    ranking = rank(study, fit, study.candidates)
+    return Diagnosis(model, locate(fit, study.unit, likeliest(ranking)), ranking)

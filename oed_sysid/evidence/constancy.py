@@ -42,7 +42,7 @@ import numpy as np
 from scipy.special import chdtrc, stdtrit
 
 from oed_sysid.evidence.improvement import RISE
-from oed_sysid.evidence.standing import own_error
+from oed_sysid.evidence.search import own_error
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.summary import record_information

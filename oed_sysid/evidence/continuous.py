@@ -1,6 +1,6 @@
 r"""Faults of a log that have a size: bias, scale, delay, lever arm, misalignment, drift.
 
-With the residuals of all equations whitened (:mod:`~oed_sysid.evidence.colour`) and free
+With the residuals of all equations whitened (:mod:`~oed_sysid.evidence.blocks`) and free
 constants projected out, the faults :math:`\varphi` enter linearly,
 
 .. math:: e = Z \varphi + \varepsilon, \qquad \varepsilon \sim N(0, I),
@@ -23,13 +23,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.evidence.blocks import Candidate, Stretch, stretches
-from oed_sysid.evidence.colour import Colour, estimate
+from oed_sysid.evidence.blocks import (
+    LARGEST,
+    Candidate,
+    Colour,
+    Stretch,
+    estimate,
+    gain_of,
+    ridge,
+    select,
+    solve,
+    stretches,
+)
 from oed_sysid.evidence.corrections import undo
 from oed_sysid.evidence.discrete import levers, positions_of, velocities_of
 from oed_sysid.evidence.relations import Relation
 from oed_sysid.evidence.result import Correction
-from oed_sysid.evidence.selection import LARGEST, gain_of, ridge, select, solve
 from oed_sysid.evidence.traces import Trace
 
 ACCEPTED = 16.0

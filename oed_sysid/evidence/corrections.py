@@ -1,4 +1,13 @@
-"""Undoing what was found, in a trace or in a copy of a record."""
+r"""Undoing what was found, in a trace or in a copy of a record.
+
+Corrected copies of records: what was found is undone, and said.
+
+Steps of a clock: times that jump although the vehicle does not.
+
+Over a gap of the times from :math:`t_i` to :math:`t_{i+1}` each equation
+:math:`\dot y = f` predicts the change :math:`f\,(t_{i+1} - t_i)`. If the signals change as if only
+one usual step had passed, the clock was set and no time is missing.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +18,11 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
-from oed_sysid.evidence.relations import Relation
-from oed_sysid.evidence.result import Correction
+from oed_sysid.evidence.relations import Relation, relations
+from oed_sysid.evidence.result import Correction, Finding, LogCheck
 from oed_sysid.evidence.traces import Trace
+from oed_sysid.experiments.problem import Problem
+from oed_sysid.physics.model import Model
 
 # An angle that stays below this is scaled about zero, a heading about its mean.
 PITCH_LIKE = 1.6
@@ -212,3 +223,129 @@ def _partial(
     return relation({**zero, **here, name: up}, times) - relation(
         {**zero, **here, name: down}, times
     )
+
+
+# A current is no fault of the log, and what stands for a dead sensor nobody knows.
+LEFT_ALONE = ("drift", "duplicate", "gap", "clock")
+
+
+def corrected_copies(
+    dataset: Dataset, problem: Problem | Model, found: LogCheck
+) -> tuple[Dataset, tuple[str, ...]]:
+    """Return copies of records with the findings undone, and what was done in sentences.
+
+    Bad samples become missing ones; faults with several explanations are undone by the first of
+    them. Records that a finding calls a copy, clocks and currents are left as they are, and a
+    sensor that is dead in a record counts as not measured there. Where an equation stays
+    unexplained with the findings undone, only the bad samples are left out: signs, units and sizes
+    that make the rest agree a little better may answer the wrong question
+    (:func:`why_not_more`).
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The records that were checked.
+    problem : Problem or Model
+        As given to :func:`~oed_sysid.evidence.check`.
+    found : LogCheck
+        Its result.
+
+    Returns
+    -------
+    copies : Dataset
+    done : tuple of str
+    """
+    model = problem.model if isinstance(problem, Problem) else problem
+    mine = {*dataset.channels.output_names, *dataset.channels.input_names}
+    fixes: list[Correction] = []
+    done = []
+    doubtful = found.named("unexplained") is not None
+    for one in found.findings:
+        fix = one.correction
+        if fix is None or (doubtful and fix.kind != "blank"):
+            continue
+        if one.kind in LEFT_ALONE or not set(fix.signals) <= mine:
+            continue
+        fixes.append(fix)
+        done.append(one.says)
+    if not fixes:
+        return dataset, ()
+    return corrected(dataset, fixes, relations(model)), tuple(done)
+
+
+def why_not_more(found: LogCheck) -> str:
+    """Return why faults that were found are not undone in the copies; empty if they are.
+
+    Parameters
+    ----------
+    found : LogCheck
+        Result of :func:`~oed_sysid.evidence.check`.
+    """
+    open_ones = [one for one in found.findings if one.kind == "unexplained"]
+    left = [
+        one.name
+        for one in found.findings
+        if one.correction is not None and one.correction.kind != "blank"
+        if one.kind not in LEFT_ALONE
+    ]
+    if not open_ones:
+        return ""
+    size = open_ones[0].size or 0.0
+    what = f"{', '.join(left)} is left as logged" if left else "nothing but bad samples is changed"
+    return (
+        f"{what}: with all findings undone an equation of {open_ones[0].signals[0]} still leaves "
+        f"{100.0 * size:.0f} % unexplained, so that no correction can be relied on; mend that first"
+    )
+
+
+JUMP = 2.5
+WRONG, RIGHT = 8.0, 4.0
+
+
+def clock_findings(traces: list[Trace], relations: tuple[Relation, ...]) -> list[Finding]:
+    """Gaps in time over which the signals contradict the clock."""
+    result = []
+    for trace in traces:
+        steps = np.diff(trace.times)
+        for k in np.flatnonzero(steps > JUMP * trace.step):
+            if _contradicts(trace, relations, int(k)):
+                result.append(
+                    Finding(
+                        "clock",
+                        (),
+                        (trace.name,),
+                        f"the clock jumps by {steps[k]:.3g} s at t = {trace.times[k]:.6g} s, but "
+                        f"the signals go on as if {trace.step:.3g} s had passed.",
+                        "the model runs on through time that did not pass",
+                        f"take {steps[k] - trace.step:.6g} s off all later times",
+                        True,
+                        size=float(steps[k] - trace.step),
+                        unit="s",
+                    )
+                )
+    return result
+
+
+def _contradicts(trace: Trace, relations: tuple[Relation, ...], k: int) -> bool:
+    """Whether the changes over a gap agree with a usual step, and not with the clock's."""
+    by_clock, by_step = 0.0, 0.0
+    span = trace.times[k + 1] - trace.times[k]
+    for relation in relations:
+        names = (relation.target, *relation.signals)
+        if not relation.is_rate or any(name not in trace.values for name in names):
+            continue
+        rows = slice(max(k - 4, 0), k + 6)
+        here = {name: trace.values[name][rows] for name in relation.signals}
+        target = trace.values[relation.target]
+        ends = (target[max(k - 4, 0) : k + 1], target[k + 1 : k + 6])
+        if any(not np.isfinite(v).all() for v in (*here.values(), *ends)) or len(ends[1]) < 5:
+            continue
+        rate = float(np.mean(relation(here, trace.times[rows])))
+        # Means of five samples on either side, five usual steps apart beside the gap.
+        change = float(np.mean(ends[1]) - np.mean(ends[0]))
+        noise = trace.noise[relation.target] * np.sqrt(2.0 / 5.0) + 0.02 * abs(rate) * span
+        noise += 1e-9 + 1e-3 * abs(change)
+        sides = 4.0 * trace.step
+        by_clock = max(by_clock, abs(change - rate * (span + sides)) / noise)
+        by_step = max(by_step, abs(change - rate * (trace.step + sides)) / noise)
+    return by_clock > WRONG and by_step < RIGHT

@@ -7,6 +7,8 @@ An effect is claimed where three things hold:
 2. the validation records become more likely, judged with noise levels and start states
    estimated on them and with the uncertainty of the parameters taken along;
 3. the error of the model on its own on the validation records is finite and does not rise.
+
+What shapes an improvement, so that a later call finds the steps of one that did not end.
 """
 
 from __future__ import annotations
@@ -14,16 +16,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
+from oed_sysid.evidence.check import LogCheck, check, quick_check
 from oed_sysid.evidence.constancy import doubt, imitates
 from oed_sysid.evidence.improvement import Improvement, Step, Term, Yardstick, parameter_table
-from oed_sysid.evidence.journal import opened
 from oed_sysid.evidence.locate import Located, likeliest, locate
-from oed_sysid.evidence.log_check import LogCheck, check, quick_check
 from oed_sysid.evidence.preparation import prepared
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking, Refit, rank, threshold
@@ -32,11 +34,12 @@ from oed_sysid.evidence.reconsider import (
     on_all_samples,
     reviewed,
     with_effect,
+    with_term,
     without_imitations,
 )
 from oed_sysid.evidence.remainder import Remains, remains
-from oed_sysid.evidence.smoothers import ASKED, without_smoothers
-from oed_sysid.evidence.standing import (
+from oed_sysid.evidence.search import (
+    ASKED,
     BOUGHT,
     CONFIRMED,
     Standing,
@@ -44,10 +47,11 @@ from oed_sysid.evidence.standing import (
     difference,
     own_error,
     rises,
+    without_smoothers,
 )
 from oed_sysid.evidence.study import Study
-from oed_sysid.evidence.unknown_term import with_term
 from oed_sysid.evidence.usual import settled
+from oed_sysid.likelihood.archive import encode
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import level_concerns
@@ -512,3 +516,43 @@ def relative(rms: Mapping[str, np.ndarray], sigma: np.ndarray, study: Study) -> 
         total = float(np.sum(count[seen] * (rms[key][seen] / sigma[seen]) ** 2))
         found[key] = float(np.sqrt(total / count.sum())) if seen.any() else np.nan
     return found
+
+
+def opened(
+    journal: Journal | None,
+    model: Model,
+    train: Dataset,
+    validation: Dataset | None,
+    candidates: Sequence[Effect],
+    settings: Mapping[str, Any],
+) -> Journal:
+    """Open a journal for one improvement.
+
+    Parameters
+    ----------
+    journal : Journal or None
+        None keeps nothing.
+    model : Model
+    train, validation : Dataset
+    candidates : sequence of Effect
+    settings : mapping
+        Further arguments of :func:`~oed_sysid.evidence.improve.improve`.
+
+    Returns
+    -------
+    Journal
+        With steps of an earlier call with equal content, if there was one.
+    """
+    keep = journal or Journal()
+    if keep.folder is None:
+        return keep
+    content = {
+        "task": "improve",
+        "model": encode(model),
+        "candidates": [encode(effect) for effect in candidates],
+        "train": [[record.name, record.content_hash] for record in train],
+        "validation": [[record.name, record.content_hash] for record in validation or ()],
+        **settings,
+    }
+    keep.open(content, shared={"train": train, "validation": validation})
+    return keep

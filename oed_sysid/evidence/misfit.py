@@ -1,4 +1,20 @@
-"""What is left of one output after a model has been subtracted, in numbers and words."""
+r"""What is left of one output after a model has been subtracted, in numbers and words.
+
+On independent tests a model fails as a function of motion and input, not of time. Rows of captive
+tests have no order, so that no disturbance links one with the next. The residual :math:`r` of each
+output is averaged in classes of one input after the other (held velocities are inputs there); the
+share of its squares that the :math:`k` means :math:`m_c` of :math:`n` rows explain beyond chance
+(Fisher's analysis of variance) tells on what it depends,
+
+.. math::
+    \eta^2 = \frac{\sum_c n_c m_c^2}{\sum r^2}, \qquad
+    F = \frac{n - k}{k} \frac{\eta^2}{1 - \eta^2} \sim F_{k,\,n-k} .
+
+Of time series, regimes say where in a manoeuvre a misfit sits: fast or slow, turning or straight,
+after a command. They are derived from the signals themselves, so that they exist for any
+system: large or small values of a state or input, one sign or the other, and
+the seconds after a command has changed.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +22,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import fdtrc
 
-from oed_sysid.evidence.regimes import Concentration, Regime, Signal, concentrations
-from oed_sysid.likelihood.information import Whiteness, autocorrelation, whiteness
-from oed_sysid.physics.channels import Output
+from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.likelihood.information import (
+    Whiteness,
+    autocorrelation,
+    effective_sample_size,
+    whiteness,
+)
+from oed_sysid.likelihood.noise_levels import given_levels
+from oed_sysid.physics.channels import Input, Output
 from oed_sysid.runtime.display import as_dict
+from oed_sysid.text.units import shown_unit
 
 # Lags up to which residuals are compared with inputs and states, s.
 LONGEST_LAG = 5.0
@@ -333,3 +357,318 @@ def _worst(
                 float(filled[i]),
             )
     return best
+
+
+# Values of an input that are classes of their own, and classes where there are more.
+VALUES, CLASSES = 7, 5
+# Chance, over all inputs, that a residual of noise is said to depend on one.
+CHANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ByMotion:
+    """How the residual of an output depends on an input.
+
+    Attributes
+    ----------
+    output : Output
+    signal : Input or None
+        On which it depends most; None where on none clearly.
+    error : float
+        Root mean square residual, in units of the noise.
+    share : float
+        Of its squares that the means explain.
+    values, means : ndarray (n_classes,)
+        Mean of the input in each class, in its unit, and of the residual, in units of the noise.
+    """
+
+    output: Output
+    signal: Input | None
+    error: float
+    share: float
+    values: np.ndarray
+    means: np.ndarray
+
+    @property
+    def text(self) -> str:
+        """The finding in words."""
+        what = self.output.label or self.output.name
+        begin = f"{what} is off by {self.error:.2g} x noise"
+        if self.signal is None:
+            return f"{begin}, by none of the motions and inputs clearly"
+        factor, unit = shown_unit(self.signal.unit)
+        at = ", ".join(f"{factor * value:.3g}" for value in self.values)
+        means = ", ".join(f"{mean:+.2g}" for mean in self.means)
+        return (
+            f"{begin}, {100 * self.share:.0f} % of it as a function of "
+            f"{self.signal.label or self.signal.name}: {means} x noise at {at} {unit}"
+        )
+
+
+def failing(fit: FilteredSolution) -> tuple[ByMotion, ...]:
+    """Outputs that a model misses by more than their noise on independent tests, worst first.
+
+    Parameters
+    ----------
+    fit : FilteredSolution
+        To independent tests alone.
+    """
+    problem, unknowns = fit.problem, fit.point.unknowns
+    records, outputs = problem.dataset.records, problem.model.outputs
+    levels = given_levels(outputs)
+    sigma = np.where(np.isfinite(levels), levels, fit.noise.sensors)
+    residuals = np.vstack(
+        [r.residuals(problem.alone(unknowns, i)[0]) / sigma for i, r in enumerate(records)]
+    )
+    inputs = np.vstack([record.inputs for record in records])
+    found = []
+    for column, output in enumerate(outputs):
+        seen = np.isfinite(residuals[:, column])
+        rows = residuals[seen, column]
+        limit = max(NOISE_LIMIT, 1.0 + 3.0 / np.sqrt(2.0 * max(len(rows), 1)))
+        error = float(np.sqrt(np.mean(rows**2))) if len(rows) else 0.0
+        if error > limit:
+            found.append(_dependence(output, error, rows, inputs[seen], problem.model.inputs))
+    return tuple(sorted(found, key=lambda one: -one.error))
+
+
+def in_words(fit: FilteredSolution) -> str:
+    """Where a model fails on independent tests, in sentences."""
+    found = failing(fit)
+    begin = "The records are independent tests, asked by motion and input and not in time: "
+    if not found:
+        return begin + "no force is off by more than its noise."
+    return begin + "; ".join(one.text for one in found) + "."
+
+
+def _dependence(
+    output: Output,
+    error: float,
+    rows: np.ndarray,
+    inputs: np.ndarray,
+    signals: tuple[Input, ...],
+) -> ByMotion:
+    best, nothing = (np.inf, -1), np.empty(0)
+    for place in range(len(signals)):
+        labels = _classes(inputs[:, place])
+        count = int(labels.max()) + 1
+        if count < 2 or len(rows) <= count:
+            continue
+        share = _share(rows, labels)
+        ratio = (len(rows) - count) / count * share / max(1.0 - share, 1e-12)
+        # Where chance is beyond the digits of a number, the larger share is the clearer one.
+        best = min(best, (float(fdtrc(count, len(rows) - count, ratio)) - 1e-12 * share, place))
+    if not best[0] * len(signals) < CHANCE:
+        return ByMotion(output, None, error, 0.0, nothing, nothing)
+    column = inputs[:, best[1]]
+    labels = _classes(column)
+    groups = [labels == one for one in range(int(labels.max()) + 1)]
+    return ByMotion(
+        output,
+        signals[best[1]],
+        error,
+        _share(rows, labels),
+        np.array([column[group].mean() for group in groups]),
+        np.array([rows[group].mean() for group in groups]),
+    )
+
+
+def _share(rows: np.ndarray, labels: np.ndarray) -> float:
+    """Share of the squares that means of classes explain."""
+    sums, counts = np.bincount(labels, rows), np.bincount(labels)
+    return float(np.sum(sums**2 / counts) / max(rows @ rows, 1e-300))
+
+
+def _classes(column: np.ndarray) -> np.ndarray:
+    """Class of every row, ``(n_rows,)``, in ascending order of the signal; none of them empty."""
+    values, labels = np.unique(column, return_inverse=True)
+    if len(values) > VALUES:
+        edges = np.quantile(column, np.arange(1, CLASSES) / CLASSES)
+        _, labels = np.unique(np.searchsorted(edges, column), return_inverse=True)
+    return np.asarray(labels).ravel()
+
+
+# Seconds after a change of a command that count as its consequence.
+AFTER_CHANGE = 2.0
+# A regime is worth naming if it concentrates the misfit this much, this surely.
+CLEAR_RATIO, CLEAR_SCORE = 1.5, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """A state or input over several records.
+
+    Attributes
+    ----------
+    name, unit, label : str
+    series : tuple of ndarray (n_times,)
+        One per record.
+    is_input : bool
+    """
+
+    name: str
+    unit: str
+    label: str
+    series: tuple[np.ndarray, ...]
+    is_input: bool
+
+    @property
+    def words(self) -> str:
+        """Label and symbol."""
+        return f"{self.label} {self.name}" if self.label and self.label != self.name else self.name
+
+
+@dataclass(frozen=True, eq=False)
+class Regime:
+    """A part of the manoeuvre.
+
+    Attributes
+    ----------
+    words : str
+        For instance ``while pitch rate q is large (above 0.12 rad/s)``.
+    inside : tuple of ndarray of bool (n_times,)
+        Which samples belong to it, per record.
+    """
+
+    words: str
+    inside: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class Concentration:
+    """How much of a misfit one regime holds.
+
+    Attributes
+    ----------
+    words : str
+        Of the regime.
+    ratio : float
+        Mean square residual inside over that outside.
+    share_of_misfit, share_of_time : float
+    score : float
+        Difference of the mean squares in standard errors.
+    """
+
+    words: str
+    ratio: float
+    share_of_misfit: float
+    share_of_time: float
+    score: float
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the regime deserves to be named."""
+        return self.ratio > CLEAR_RATIO and self.score > CLEAR_SCORE
+
+
+def regimes(
+    signals: Sequence[Signal], times: Sequence[np.ndarray], *, in_time: bool = True
+) -> list[Regime]:
+    """Regimes that the signals of a manoeuvre define.
+
+    Parameters
+    ----------
+    signals : sequence of Signal
+    times : sequence of ndarray (n_times,)
+        Of each record, s.
+    in_time : bool
+        Whether records are time series; rows of independent tests follow no command.
+    """
+    found = []
+    for signal in signals:
+        pooled = np.concatenate(signal.series)
+        low, high = np.quantile(pooled, [0.05, 0.95])
+        if not high - low > 1e-9 * max(abs(low), abs(high), 1e-300):
+            continue
+        if low < 0 < high and min(-low, high) > 0.2 * (high - low):
+            found += _split(signal, np.abs(pooled), "large", "small", absolute=True)
+            found += _split(signal, pooled, "positive", "negative")
+        else:
+            found += _split(signal, pooled, "high", "low")
+        if signal.is_input and in_time:
+            changed = _after_changes(signal, times)
+            if changed is not None:
+                found.append(changed)
+    return found
+
+
+def concentrations(
+    residuals: Sequence[np.ndarray], candidates: Sequence[Regime], *, in_time: bool = True
+) -> list[Concentration]:
+    """How strongly each regime concentrates a misfit, the most significant first.
+
+    Parameters
+    ----------
+    residuals : sequence of ndarray (n_times,)
+        In units of the noise, NaN where nothing was measured.
+    candidates : sequence of Regime
+    in_time : bool
+        Whether neighbours may be alike; rows of independent tests count whole.
+    """
+    squares = np.concatenate(residuals) ** 2
+    seen = np.isfinite(squares)
+    effective: float = sum(effective_sample_size(residual**2) for residual in residuals)
+    if not in_time:
+        effective = float(seen.sum())
+    if seen.sum() < 20:
+        return []
+    result = []
+    for regime in candidates:
+        inside = np.concatenate(regime.inside)[seen]
+        share = float(inside.mean())
+        if not 0.05 < share < 0.8:
+            continue
+        within, outside = squares[seen][inside], squares[seen][~inside]
+        variance = np.var(within) / (effective * share) + np.var(outside) / (
+            effective * (1.0 - share)
+        )
+        score = (within.mean() - outside.mean()) / np.sqrt(max(variance, 1e-300))
+        result.append(
+            Concentration(
+                regime.words,
+                float(within.mean() / max(outside.mean(), 1e-300)),
+                float(within.sum() / max(squares[seen].sum(), 1e-300)),
+                share,
+                float(score),
+            )
+        )
+    return sorted(result, key=lambda c: -c.score)
+
+
+def _split(
+    signal: Signal, values: np.ndarray, above: str, below: str, *, absolute: bool = False
+) -> list[Regime]:
+    """Upper and lower third of a signal."""
+    first, second = np.quantile(values, [1 / 3, 2 / 3])
+    series = [np.abs(part) if absolute else part for part in signal.series]
+    unit = f" {signal.unit}" if signal.unit else ""
+    return [
+        Regime(
+            f"while {signal.words} is {above} (above {second:.2g}{unit})",
+            tuple(part > second for part in series),
+        ),
+        Regime(
+            f"while {signal.words} is {below} (below {first:.2g}{unit})",
+            tuple(part < first for part in series),
+        ),
+    ]
+
+
+def _after_changes(signal: Signal, times: Sequence[np.ndarray]) -> Regime | None:
+    """Samples soon after a command has moved by a fifth of its range."""
+    pooled = np.concatenate(signal.series)
+    threshold = 0.2 * float(np.ptp(pooled))
+    inside = []
+    for series, t in zip(signal.series, times, strict=True):
+        jumps = t[1:][np.abs(np.diff(series)) > threshold]
+        since = _since(t, jumps) if len(jumps) else np.full_like(t, np.inf)
+        inside.append(since <= AFTER_CHANGE)
+    if not any(part.any() for part in inside):
+        return None
+    return Regime(f"in the {AFTER_CHANGE:g} s after {signal.words} changes", tuple(inside))
+
+
+def _since(times: np.ndarray, events: np.ndarray) -> np.ndarray:
+    """Time since the last event, infinite before the first."""
+    last = np.searchsorted(events, times, side="right") - 1
+    return np.where(last >= 0, times - events[np.maximum(last, 0)], np.inf)

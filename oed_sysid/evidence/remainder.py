@@ -2,7 +2,8 @@ r"""What a model leaves unexplained: noise of sensors, random forces, or structu
 
 The likelihood with random forces is compared with that without, everything else estimated
 anew. A force is *random* where its level is the same on the validation records, no term of the
-dictionary explains it and it does not follow the motion (:mod:`oed_sysid.evidence.repeats`);
+dictionary explains it and it does not follow the motion
+(:mod:`oed_sysid.evidence.residual_forces`);
 *structure is missing* where something that repeats with the manoeuvre would. How much it matters is
 the error of the model on its own, beside the spread of each signal.
 """
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.evidence.repeats import Repeated, repeated
+from oed_sysid.evidence.residual_forces import Repeated, repeated
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.gauss_newton import FilteredSolution

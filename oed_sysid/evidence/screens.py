@@ -7,9 +7,38 @@ Spikes are looked for in what a cubic through four neighbours does not explain,
 at 8.5 times the robust deviation of :math:`d`, globally and nearby: with normal noise one in
 :math:`10^{16}` samples. A kink, where a rudder starts to move say, changes the slope and is left
 alone: the deviation from both neighbours has to exceed 1.5 times the change of slope around it.
-Groups of bad samples are found by :mod:`~oed_sysid.evidence.bursts`, lasting jumps by
-:mod:`~oed_sysid.evidence.steps`. Where chance would hardly put so many of them right after
-steps of the inputs, those there are no faults but answers that are faster than the sampling.
+Groups of bad samples and lasting jumps are found as below. Where chance would hardly put so many of
+them right after steps of the inputs, those there are no faults but answers that are faster than the
+sampling.
+
+Groups of bad samples: a signal leaves its surroundings at once and comes back.
+
+For a group of :math:`L` samples from :math:`i` on, :math:`c_k` is the cubic through the two samples
+before it and the two after it, and
+
+.. math:: D_i = \min(|y_i - c_i|,\, |y_{i+L-1} - c_{i+L-1}|)
+
+is how far both of its ends stand out. The scatter of the same deviations over the whole record, for
+the same :math:`L`, allows for the motion that a cubic does not follow; that near by for a manoeuvre
+in an otherwise quiet record. With :math:`a, b` the changes from sample to sample after and before
+the group, it is left alone unless the steps into it and out of it exceed :math:`1.5\,|a - b|`
+beside :math:`b` and :math:`a`, and unless its ends stand out by half of what its middle does: a
+turning point and a short hump are no faults.
+
+Steps: a signal jumps once between two samples and stays there.
+
+A compass that was set, a gyro that was reset, a depth whose zero was changed. Straight lines
+through the five samples before and the five after meet the middle between samples :math:`i` and
+:math:`i + 1` at different levels,
+
+.. math:: J_i = r_i(t_{i+1/2}) - l_i(t_{i+1/2}).
+
+A step stands out by 8.5 robust deviations of :math:`J`, over the record and near by, is three times
+what the signal moves by itself over these samples, happens between two samples (the raw change is
+most of it), and is the largest of its neighbours. Curvature moves both lines alike and falls out.
+
+:math:`J` is uncertain by 1.28 times the noise. Its size is therefore fitted once more as a cubic
+with a step, over the widest surroundings in which noise is all that this leaves.
 """
 
 from __future__ import annotations
@@ -20,14 +49,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import bdtrc
 
-from oed_sysid.evidence.bursts import bursts
-from oed_sysid.evidence.steps import SMALL as SMALL_STEP
-from oed_sysid.evidence.steps import steps
-from oed_sysid.evidence.traces import QUARTILE, Trace
+from oed_sysid.evidence.traces import QUARTILE, Trace, fast_noise
 
 SPIKE = 8.5
 # Faults below this share of a signal's range are immaterial.
 SMALL = 0.01
+# Largest deviation of a time step in a burst or about a step from the usual one, and fewest
+# windows that tell what is usual.
+UNEVEN, LEAST_WINDOWS = 0.2, 20
 LEAST_RUNS = 4
 FROZEN = 8
 # Shortest run of one value that may be a drop-out of its own, and the steps into it and out of it
@@ -317,3 +346,200 @@ def _spikes(times: np.ndarray, series: np.ndarray, taken: np.ndarray, coarse: bo
     known[found] = True
     groups = bursts(times, y, known, SPIKE, floor)
     return np.sort(np.concatenate([np.array(found, dtype=int), *groups]))
+
+
+LENGTHS = (2, 3, 4, 5, 6)
+# Half width, in samples, of what is near by, beside the group.
+AROUND_BURST = 20
+
+
+def bursts(
+    times: np.ndarray, series: np.ndarray, taken: np.ndarray, limit: float, least: float
+) -> list[np.ndarray]:
+    """Find groups of two to six consecutive samples that their surroundings contradict.
+
+    Parameters
+    ----------
+    times, series : numpy.ndarray
+        Shape ``(n_times,)``; the series has no gaps.
+    taken : numpy.ndarray of bool
+        Samples that are known to be bad, already replaced by what lies between the others.
+    limit : float
+        Robust deviations that both ends of a group have to stand out by.
+    least : float
+        The least deviation that matters, in the unit of the series.
+
+    Returns
+    -------
+    list of numpy.ndarray
+        Indices of the samples of each group.
+
+    Examples
+    --------
+    >>> t = np.arange(300) * 0.1
+    >>> y = np.sin(t) + 0.01 * np.random.default_rng(0).standard_normal(300)
+    >>> y[100:103] += [0.5, -0.5, 0.5]
+    >>> [rows.tolist() for rows in bursts(t, y, np.zeros(300, dtype=bool), 8.5, 0.02)]
+    [[100, 101, 102]]
+    """
+    used = taken.copy()
+    steps = np.diff(times)
+    uneven = np.abs(steps - np.median(steps)) > UNEVEN * np.median(steps)
+    found: list[tuple[float, int, int]] = []
+    for length in LENGTHS:
+        if series.size - length - 3 >= LEAST_WINDOWS:
+            found += _candidates(series, length, limit, least)
+    groups = []
+    # The clearest first: a window that holds a part of a group sees the rest beside it.
+    for _, first, length in sorted(found, reverse=True):
+        window = slice(first - 2, first + length + 2)
+        if used[window].any() or uneven[first - 2 : first + length + 1].any():
+            continue
+        groups.append(np.arange(first, first + length))
+        used[first : first + length] = True
+    return groups
+
+
+def weights(length: int) -> np.ndarray:
+    """Share of each of the four surrounding samples in the cubic, shape ``(length, 4)``.
+
+    >>> print(weights(1) * 6.0)
+    [[-1.  4.  4. -1.]]
+    """
+    at = np.array([-2.0, -1.0, length, length + 1.0])
+    powers = np.arange(4)
+    inside = np.arange(length)[:, None] ** powers
+    return np.round(inside @ np.linalg.inv(at[:, None] ** powers), 12)
+
+
+def deviations(y: np.ndarray, length: int) -> np.ndarray:
+    """Distance from the cubic of every group of a length, shape ``(n - length - 3, length)``."""
+    n = y.size - length - 3
+    around = np.column_stack([y[k : k + n] for k in (0, 1, length + 2, length + 3)])
+    inside = np.column_stack([y[k + 2 : k + 2 + n] for k in range(length)])
+    return inside - around @ weights(length).T
+
+
+def _candidates(
+    y: np.ndarray, length: int, limit: float, least: float
+) -> Sequence[tuple[float, int, int]]:
+    """Excess, first sample and length of each group that stands out."""
+    d = np.abs(deviations(y, length))
+    ends = np.minimum(d[:, 0], d[:, -1])
+    usual = float(np.median(d[:, [0, -1]])) / QUARTILE
+    result = []
+    # What rises from sample to sample stands out most in its middle.
+    sharp = ends >= 0.5 * d.max(axis=1)
+    for k in np.flatnonzero(sharp & (ends > max(limit * usual, least))):
+        first = int(k) + 2
+        last = first + length - 1
+        before, after = y[first - 1] - y[first - 2], y[last + 2] - y[last + 1]
+        bend = 1.5 * abs(after - before)
+        into, out = y[first] - y[first - 1] - before, y[last + 1] - y[last] - after
+        back = y[last + 1] - y[first - 1] - 0.5 * (length + 1) * (before + after)
+        if min(abs(into), abs(out)) <= bend or abs(back) > 0.5 * ends[k]:
+            continue
+        # Windows that overlap the group see it as well.
+        beside = np.abs(np.arange(d.shape[0]) - k)
+        near = d[(beside > length + 3) & (beside <= length + 3 + AROUND_BURST)]
+        nearby = limit * float(np.median(near[:, [0, -1]])) / QUARTILE if near.size else 0.0
+        # Calm surroundings: their own changes are no size that would make a group stand out.
+        calm = 3.0 * max(abs(before), abs(after))
+        if ends[k] > max(nearby, calm):
+            result.append((float(ends[k] / max(limit * usual, nearby, least)), first, length))
+    return result
+
+
+LIMIT = 8.5
+# Samples on either side that tell level and slope.
+SIDE = 5
+AROUND_STEP = 25
+# A step below this share of the range of a signal is left to the equations.
+SMALL_STEP = 0.05
+# Against the motion along either line over its samples, and the part between the two samples.
+STEEP, AT_ONCE = 3.0, 0.7
+# Half widths, in samples, of the surroundings that its size is fitted in.
+WIDTHS = (10, 20, 40, 80)
+# What a fit may leave against the noise.
+NOISY = 1.15
+
+
+@dataclass(frozen=True)
+class Step:
+    """A jump: index of the first sample after it, and its size in the unit of the signal."""
+
+    row: int
+    size: float
+
+
+def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float) -> list[Step]:
+    """Find jumps after which a signal keeps its new level.
+
+    Parameters
+    ----------
+    times, series : numpy.ndarray
+        Shape ``(n_times,)``; the series has no gaps.
+    taken : numpy.ndarray of bool
+        Samples that are known to be bad; no step is looked for beside them.
+    least : float
+        The least size that matters, in the unit of the series.
+
+    Examples
+    --------
+    >>> t = np.arange(400) * 0.1
+    >>> y = np.sin(t) + 0.01 * np.random.default_rng(0).standard_normal(400)
+    >>> y[250:] += 1.5
+    >>> [(one.row, round(one.size, 1)) for one in steps(t, y, np.zeros(400, dtype=bool), 0.1)]
+    [(250, 1.5)]
+    """
+    n = series.size - 2 * SIDE + 1
+    if n < LEAST_WINDOWS:
+        return []
+    # Level half a sample beyond the end of a line through SIDE samples, and its slope.
+    at = np.arange(SIDE) - 0.5 * (SIDE - 1)
+    slope = at / np.sum(at**2)
+    level = 1.0 / SIDE + 0.5 * SIDE * slope
+    windows = np.lib.stride_tricks.sliding_window_view(series, SIDE)
+    before, after = windows[:n], windows[SIDE : SIDE + n]
+    jumps = after @ level[::-1] - before @ level
+    motion = SIDE * np.maximum(np.abs(before @ slope), np.abs(after @ slope))
+    raw = series[SIDE : SIDE + n] - series[SIDE - 1 : SIDE - 1 + n]
+    usual = float(np.median(np.abs(jumps))) / QUARTILE
+    intervals = np.diff(times)
+    uneven = np.abs(intervals - np.median(intervals)) > UNEVEN * np.median(intervals)
+    size = np.abs(jumps)
+    result = []
+    for k in np.flatnonzero(size > np.maximum(max(LIMIT * usual, least), STEEP * motion)):
+        around = slice(k, k + 2 * SIDE)
+        if taken[around].any() or uneven[k : k + 2 * SIDE - 1].any():
+            continue
+        if size[k] < size[max(k - SIDE, 0) : k + SIDE + 1].max():
+            continue
+        beside = np.abs(np.arange(n) - k)
+        near = size[(beside >= SIDE) & (beside < SIDE + AROUND_STEP)]
+        nearby = LIMIT * float(np.median(near)) / QUARTILE
+        if size[k] > nearby and raw[k] / jumps[k] > AT_ONCE:
+            result.append(Step(int(k) + SIDE, float(jumps[k])))
+    edges = [0, *(one.row for one in result), series.size]
+    return [
+        Step(one.row, _size(series, taken, one, (edges[j], edges[j + 2])))
+        for j, one in enumerate(result)
+    ]
+
+
+def _size(series: np.ndarray, taken: np.ndarray, one: Step, free: tuple[int, int]) -> float:
+    """Size of a jump from the widest surroundings that a cubic with a step follows."""
+    noise, size = fast_noise(series), one.size
+    for width in WIDTHS:
+        if one.row - width < free[0] or one.row + width > free[1]:
+            break
+        rows = np.arange(one.row - width, one.row + width)
+        x = (rows - one.row + 0.5) / width
+        matrix = np.column_stack([x**0, x, x**2, x**3, x > 0.0])[~taken[rows]]
+        here = series[rows[~taken[rows]]]
+        fitted = np.linalg.lstsq(matrix, here, rcond=None)[0]
+        left = here - matrix @ fitted
+        if np.sqrt(np.sum(left**2) / (here.size - 5)) > NOISY * noise:
+            break
+        size = float(fitted[-1])
+    return size

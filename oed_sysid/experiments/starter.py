@@ -149,7 +149,7 @@ def new_problem(
 def _write_template(place: Path, template: str, words: dict[str, str]) -> None:
     """Write the files of a template, and example data simulated from its truth."""
     kind = TEMPLATES[template]
-    folder = files("oed_sysid.experiments.problem").joinpath("starter_files")
+    folder = files("oed_sysid.experiments").joinpath("starter_files")
     code = Template(folder.joinpath(f"{template}.txt").read_text("utf-8")).substitute(words)
     write_text(place / FILE, code)
     problem = load_problem(place / FILE)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from string import Template
 
 import numpy as np
 
 from oed_sysid.export.program import IN_SYMPY, Program, Routine
+from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import write_text
 from oed_sysid.text import notation
 from oed_sysid.text.expressions import to_latex
@@ -169,33 +170,20 @@ def _equations(program: Program, values: Mapping[str, float]) -> Iterator[str]:
     def line(left: str, text: str) -> str:
         return f"{left} &= {write(text)}"
 
-    for signal, text in model.actuator_signals.items():
-        if text != signal:
-            yield line(to_latex(signal), text)
-    for stage in ("actuator", "environment"):
-        if stage == "environment":
-            for signal, text in model.signals.items():
-                yield line(to_latex(signal), text)
+    def replaced(stage: str) -> Iterator[str]:
         for effect in model.effects:
-            if effect.stage == stage:
-                for signal, text in effect.terms.items():
-                    yield f"{to_latex(signal)} &\\leftarrow {write(text)}"
+            for signal, text in effect.terms.items() if effect.stage == stage else ():
+                yield f"{to_latex(str(signal))} &\\leftarrow {write(text)}"
+
+    named = {name: text for name, text in model.actuator_signals.items() if text != name}
+    yield from (line(to_latex(name), text) for name, text in named.items())
+    yield from replaced("actuator")
+    yield from (line(to_latex(name), text) for name, text in model.signals.items())
+    yield from replaced("environment")
     for effect in model.effects:
-        for name, text in effect.definitions.items():
-            yield line(to_latex(name), text)
-    entries = list(model.inertia.items())
-    for effect in model.effects:
-        entries += effect.terms.items() if effect.stage == "inertia" else ()
-    for axis, velocity in model.axes.items():
-        parts = []
-        for other in model.axes.values():
-            texts = [text for key, text in entries if key == (axis, other)]
-            if texts:
-                factor = write(" + ".join(f"({text})" for text in texts))
-                parts.append(rf"\left({factor}\right) \dot{{{to_latex(other)}}}")
-        if not any(key[0] == axis for key in model.inertia):
-            parts.insert(0, rf"\dot{{{to_latex(velocity)}}}")
-        yield f"{' + '.join(parts)} &= {write(_forces(model.effects, axis))}"
+        yield from (line(to_latex(name), text) for name, text in effect.definitions.items())
+    for axis in model.axes:
+        yield f"{_inertia(model, axis, write)} &= {write(_forces(model.effects, axis))}"
     for state, rate in model.kinematics.items():
         added = _forces(model.effects, state)
         yield line(rf"\dot{{{to_latex(state)}}}", rate if added == "0" else f"{rate} + {added}")
@@ -204,6 +192,22 @@ def _equations(program: Program, values: Mapping[str, float]) -> Iterator[str]:
             yield line(rf"\dot{{{to_latex(extra.name)}}}", extra.rate)
     for output in model.outputs:
         yield line(rf"{to_latex(output.name)}_{{\text{{measured}}}}", output.source)
+
+
+def _inertia(model: Model, axis: str, write: Callable[[str], str]) -> str:
+    """Left-hand side of the equation of an axis."""
+    entries = list(model.inertia.items())
+    for effect in model.effects:
+        entries += effect.terms.items() if effect.stage == "inertia" else ()  # type: ignore[arg-type]
+    parts = []
+    if not any(row == axis for row, _ in model.inertia):
+        parts.append(rf"\dot{{{to_latex(model.axes[axis])}}}")
+    for velocity in model.axes.values():
+        texts = [f"({text})" for key, text in entries if key == (axis, velocity)]
+        if texts:
+            factor = write(" + ".join(texts))
+            parts.append(rf"\left({factor}\right) \dot{{{to_latex(velocity)}}}")
+    return " + ".join(parts)
 
 
 def _forces(effects: tuple, key: str) -> str:

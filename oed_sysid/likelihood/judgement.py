@@ -96,7 +96,7 @@ class Concern:
     kind : str
         ``noise_level``, ``colour``, ``swing``, ``spikes``, ``delay``, ``actuator_start``,
         ``per_record_follows``, ``records_differ``, ``input_noise``, ``other_way``, ``absorbed``,
-        ``integration``, ``runaway``, ``degenerate`` or ``few_samples``.
+        ``process_noise``, ``integration``, ``runaway``, ``degenerate`` or ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
     record : str
@@ -107,7 +107,8 @@ class Concern:
         a command (``actuator_start``), a correlation (``per_record_follows``), a factor of the
         standard error (``records_differ``), the true input over the logged one (``other_way``),
         noise levels (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of
-        the signal (``degenerate``), samples per unknown (``few_samples``).
+        the signal (``degenerate``), samples per unknown (``few_samples``), the score test's
+        2 delta ln L (``process_noise``).
     text : str
         What was expected, what was found, what to do.
     """
@@ -157,6 +158,7 @@ def judge(fit: Estimate) -> tuple[Concern, ...]:
     return (
         *found,
         *_few_samples(fit),
+        *_process_noise(fit),
         *_other_way(fit),
         *_records_differ(fit),
         *spikes,
@@ -290,6 +292,25 @@ def colour_concerns(fit: Estimate) -> tuple[Concern, ...]:
     return tuple(found)
 
 
+def _process_noise(fit: Estimate) -> tuple[Concern, ...]:
+    """Process noise that acts, but whose estimation failed."""
+    if (reason := fit.extras.get("process_noise_failed")) is None:
+        return ()
+    gain = float(fit.extras.get("disturbance_test", np.inf))
+    return (
+        Concern(
+            "process_noise",
+            "",
+            "",
+            gain,
+            f"Process noise seems to act (2 delta ln L is about {gain:.3g} by the score test), but "
+            f"the fit with it ended with {reason!r}: these values are from the fit without it. "
+            "Look for what is missing with improve() and for faults of the log with "
+            "`oed-sysid check`, or name the disturbed equations, such as disturbances=('Z', 'M').",
+        ),
+    )
+
+
 def swing_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """Innovations that swing with a period of their own."""
     if fit.innovations is None:
@@ -355,7 +376,8 @@ def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
                 "sensor that jumps is repaired, not fitted.",
             )
         )
-    masks, sizes = spike_masks(fit.series), spike_sizes(fit.series)
+    masks = spike_masks(fit.series, declared=~fit.sigma_estimated)
+    sizes = spike_sizes(fit.series)
     for column, name in enumerate(fit.model.output_names):
         count = int(sum(mask[:, column].sum() for mask in masks))
         if not count:

@@ -72,6 +72,8 @@ BENT = 3.0
 PATIENCE, KNOWN, ENOUGH = 8, 2, 0.7
 # Ends of a white fit that are where it was going.
 ENDED = ("converged", "enough")
+# Ends of a fit whose values are not returned where another fit has ended well.
+FAILED = ("stalled", "diverged", "runaway", "integration", "degenerate")
 # Of two ends the one that converged is taken unless its cost is higher by this factor; an end that
 # leaves this share of an output's motion is doubted.
 WORSE, HALF = 1.2, 0.5
@@ -103,10 +105,11 @@ class MultipleShooting:
         ``"given"`` insists on declared ones, ``"estimate"`` estimates all; or
         one standard deviation per output.
     loss : str
-        ``"square"``; ``"auto"``, which leaves out samples that clearly are spikes at
-        the white fit (NaN in the fit's own data, counted in ``extras["excluded"]`` and in
-        the report), the same as ``"square"`` where there are none; or ``"huber"`` or
-        ``"student"``.
+        ``"auto"`` is the square, and leaves out samples that clearly are spikes at the fit
+        without process noise, before process noise is tested for (NaN in the fit's own data,
+        counted in ``extras["excluded"]`` and in the report); ``"square"`` keeps them;
+        ``"huber"`` and ``"student"`` let them count less. With a ``horizon``, ``"auto"`` is
+        the square.
     start : str
         ``"auto"``, ``"near"`` (trust the start values) or ``"wide"``.
     max_iterations, tolerance
@@ -139,7 +142,7 @@ class MultipleShooting:
 
     interval: float | None = None
     noise: str | Sequence[float] = "auto"
-    loss: str = "square"
+    loss: str = "auto"
     start: str = "auto"
     max_iterations: int = 100
     tolerance: float = 1e-6
@@ -189,10 +192,11 @@ class MultipleShooting:
             raise ModelError(
                 f"disturbances={self.disturbances!r} needs whole records. Drop it or the horizon."
             )
-        if self.solver != "gauss-newton" or self.loss != "square" or self.interval is not None:
+        squares = self.loss in ("auto", "square")
+        if self.solver != "gauss-newton" or not squares or self.interval is not None:
             raise ModelError(
-                "A horizon goes with solver='gauss-newton', loss='square' and interval=None: its "
-                "windows are the intervals."
+                "A horizon goes with solver='gauss-newton', loss='auto' or 'square' and "
+                "interval=None: its windows are the intervals."
             )
 
     @property
@@ -319,11 +323,31 @@ class MultipleShooting:
             summarise, estimated=estimated, estimator=self.name, began=began, coloured=self.coloured
         )
         fit = white = described(shooting, solution, iterations=iterations, weighed=not wanted)
-        excluded: dict[str, tuple[int, int]] = {}
+        told: dict[str, object] = {
+            "magnitudes": {p.name: p.magnitude for p in model.free_parameters},
+            "nominal": {p.name: p.value for p in model.free_parameters},
+        }
         if self.loss == "auto" and fit.status.code != "interrupted":
             fit, excluded = self._without_spikes(fit, model, known_starts)
+            told |= {"excluded": excluded} if excluded else {}
+
+        def judged(fit: Fit) -> Fit:
+            """The fit with all that is told of it, and a status that holds for its values."""
+            fit = with_step_advice(fit, shooting, solution)
+            return with_verdict(replace(fit, extras={**fit.extras, **told}))
+
+        disturbed = None
         if wanted and fit.status.code != "interrupted":
-            fit = self._disturbed(fit, model, fit.dataset, estimated, began, known_starts, carried)
+            left = fit.dataset
+            fit, disturbed = self._disturbed(
+                fit, model, left, estimated, began, known_starts, carried
+            )
+        if disturbed is not None:
+            disturbed = judged(disturbed)
+            chosen = self.disturbances != "auto" or bool(random_effects(model.effects))
+            if chosen or disturbed.status.code not in FAILED:
+                return disturbed
+            told["process_noise_failed"] = disturbed.status.code
         early = solution is not None and solution.reason == "enough"
         if wanted and fit.covariance is white.covariance and (early or tests or fit.coloured):
             if solution is not None and early:
@@ -332,39 +356,43 @@ class MultipleShooting:
             whole = described(shooting, solution, iterations=iterations)
             kept = {key: told for key, told in fit.extras.items() if key not in white.extras}
             fit = replace(whole, extras={**kept, **whole.extras})
-        fit = with_step_advice(fit, shooting, solution)
-        told: dict[str, object] = {"excluded": excluded} if excluded else {}
-        told["magnitudes"] = {p.name: p.magnitude for p in model.free_parameters}
-        told["nominal"] = {p.name: p.value for p in model.free_parameters}
-        return with_verdict(replace(fit, extras={**fit.extras, **told}))
+        fit = judged(fit)
+        unusable = fit.status.code in FAILED
+        if disturbed is not None and unusable and np.isfinite(disturbed.estimates).all():
+            return disturbed  # no better without process noise
+        return fit
 
     def _without_spikes(
         self, fit: Fit, model: Model, known_starts: KnownStarts | None
     ) -> tuple[Fit, dict[str, tuple[int, int]]]:
         """Fit again without samples that stand out alone, and how many of how many they were."""
-        whole, again = fit.dataset, fit
+        before, again, iterations = _measured(fit.dataset), fit, fit.iterations
+        plain = replace(self, loss="square", disturbances="none")
+        # While some are left, they must not bend the residuals in which they are looked for.
+        looking = plain if self.solver == "ipopt" else replace(plain, loss="student")
         for _ in range(SPIKE_ROUNDS):
             if not all(np.isfinite(part).all() for part in again.predictions):
                 break
-            masks = spike_masks(again.series)
+            masks = spike_masks(
+                again.series,
+                declared=~again.sigma_estimated,
+                taken=before - _measured(again.dataset),
+            )
             if not any(mask.any() for mask in masks):
                 break
-            plain = replace(self, loss="square", disturbances="none")
             left = without_spikes(again.dataset, masks)
-            again = plain._fit(model, left, again, None, known_starts)
+            again = looking._fit(model, left, again, None, known_starts)
+            iterations += again.iterations
         if again is fit:
             return fit, {}
-        before, after = (
-            np.isfinite(np.vstack([record.outputs for record in data])).sum(axis=0)
-            for data in (whole, again.dataset)
-        )
-        names = model.output_names
+        again = plain._fit(model, again.dataset, again, None, known_starts)
+        after = _measured(again.dataset)
         counts = {
             name: (int(n - m), int(n))
-            for name, n, m in zip(names, before, after, strict=True)
+            for name, n, m in zip(model.output_names, before, after, strict=True)
             if m < n
         }
-        return replace(again, iterations=fit.iterations + again.iterations), counts
+        return replace(again, iterations=iterations + again.iterations), counts
 
     def _disturbed(
         self,
@@ -375,8 +403,16 @@ class MultipleShooting:
         began: float,
         known_starts: KnownStarts | None,
         carried: Start | None,
-    ) -> Fit:
-        """Go on from a white fit with random forces and coloured sensors, where they act."""
+    ) -> tuple[Fit, Fit | None]:
+        """Go on from a white fit with process noise and autocorrelated sensors, where they act.
+
+        Returns
+        -------
+        Fit
+            The white one, with what was tested.
+        Fit or None
+            The one with process noise; None where none acts, or its estimation failed.
+        """
         declared = [e.noise for e in random_effects(model.effects) if e.noise is not None]
         auto = self.disturbances == "auto" and not declared
         asked = "all" if self.disturbances == "auto" else self.disturbances
@@ -385,7 +421,7 @@ class MultipleShooting:
             places = () if asked == "none" else chosen_places(model, asked)
         except ModelError:
             if self.disturbances == "auto" and not declared:
-                return fit  # no equation in which a force could act
+                return fit, None  # no equation in which a force could act
             if not declared:
                 raise
             places = ()
@@ -421,28 +457,32 @@ class MultipleShooting:
                 louder = replace(quiet, white=np.where(larger, larger, quiet.white))
                 gain = score_test(at, dataset, louder, first.initial, first.local, kernel).gain
                 if gain < CLEAR:
-                    return replace(fit, extras={**fit.extras, "disturbance_test": gain})
+                    return replace(fit, extras={**fit.extras, "disturbance_test": gain}), None
             look = partial(score_test, at, dataset, quiet, first.initial, first.local, kernel)
             test = look(times=_times(carried))
             if carried is not None and test.gain < CLEAR:
                 test = look()
-        except SimulationError:  # the model itself leaves the numbers: the status says so
-            return fit
+        except SimulationError:  # the model itself diverges: the status says so
+            return fit, None
+        fit = replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
         if auto and test.gain < CLEAR:
-            return replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
+            return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
         found = None
         for begun in ([carried], starts) if carried is not None else (starts,):
-            solution = fit_disturbed(
-                model,
-                dataset,
-                setting,
-                begun,
-                test,
-                kernel=kernel,
-                max_iterations=self.max_iterations,
-                progress=self.progress,
-            )
+            try:
+                solution = fit_disturbed(
+                    model,
+                    dataset,
+                    setting,
+                    begun,
+                    test,
+                    kernel=kernel,
+                    max_iterations=self.max_iterations,
+                    progress=self.progress,
+                )
+            except np.linalg.LinAlgError:  # equations without numbers: no way on from there
+                solution = None
             if solution is None:
                 continue
             name, iterations = f"{self.name}, random forces", fit.iterations + solution.iterations
@@ -452,7 +492,7 @@ class MultipleShooting:
             if not _no_likelier(found, fit):
                 break
         if found is None:
-            return fit
+            return replace(fit, extras={**fit.extras, "process_noise_failed": "diverged"}), None
         extras = {**found.extras, "disturbance_test": test.gain}
         # Random forces absorb a delay, and the start of an actuator: both are looked for without.
         if fit.names and (late := clear_delay(fit, estimate_delays(fit))) is not None:
@@ -460,8 +500,8 @@ class MultipleShooting:
         if fit.names and (elsewhere := clear_starts(fit)):
             extras["white_starts"] = tuple(astuple(one) for one in elsewhere)
         if auto and _no_likelier(found, fit):
-            return replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
-        return replace(found, extras=extras, model=with_levels(found.model, found.noise))
+            return fit, None
+        return fit, replace(found, extras=extras, model=with_levels(found.model, found.noise))
 
     def _estimate_noise(
         self,
@@ -528,6 +568,11 @@ class MultipleShooting:
         least = min(s.cost for s in found)
         best = min(found, key=lambda s: (s.cost > WORSE * least, s.reason not in ENDED, s.cost))
         return best, sum(s.iterations for s in found)
+
+
+def _measured(dataset: Dataset) -> np.ndarray:
+    """Measured samples of every output, shape ``(n_outputs,)``."""
+    return np.isfinite(np.vstack([record.outputs for record in dataset])).sum(axis=0)
 
 
 def _carried(shooting: Shooting, point: Point, warm: Fit | None) -> Start | None:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from oed_sysid.evidence.log_check import Balance, LogCheck
+from oed_sysid.evidence.check import Balance, LogCheck
 from oed_sysid.results.style import (
     COLOURS,
     NEUTRAL,

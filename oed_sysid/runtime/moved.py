@@ -20,7 +20,7 @@ MOVED = {
     "benchmark": "baselines.benchmark",
     "bodies": "physics.bodies",
     "channels": "physics.channels",
-    "compatibility": "evidence.log_check",
+    "compatibility": "evidence.check",
     "diagnosis": "evidence",
     "effects": "physics",
     "estimators": "baselines",

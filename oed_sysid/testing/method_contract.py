@@ -294,38 +294,13 @@ def check_criterion(
     except OedSysidError as error:
         raise AssertionError(f"Criterion {name!r}:\n- does not bind: {error}") from None
     broken: list[str] = []
-    units = np.exp(rng.uniform(-1.0, 1.0, len(names)))
-    # The same parameters in other units: so much smaller scales, so much less information.
-    rescaled = criterion.bind(replace(setting, scales=scales * units)) if invariant else None
-    before: tuple[float, float] | None = None
-    for _ in range(n_points):
-        matrix = _matrix(rng, len(names))
-        kept = matrix.copy()
-        value, gradient = measure(matrix)
-        again, _ = measure(matrix)
-        if not np.array_equal(matrix, kept):
-            broken.append("changes the matrix that it is given")
-            matrix = kept
-        if value != again:
-            broken.append("gives two results for the same information")
-        if gradient.shape != matrix.shape or not np.isfinite(gradient).all():
-            broken.append(f"returns a derivative of shape {gradient.shape} or not finite")
-            break
-        if not np.allclose(gradient, gradient.T, rtol=1e-6, atol=1e-9 * np.abs(gradient).max()):
-            broken.append("returns a derivative that is not symmetric")
-        broken += _derivative(measure, matrix, gradient, rng)
+    matrices = [_matrix(rng, len(names)) for _ in range(n_points)]
+    for matrix in matrices:
+        broken += _at_point(measure, matrix, rng)
         if monotone:
-            row = rng.normal(size=len(names)) * np.sqrt(np.diag(matrix))
-            more, _ = measure(matrix + np.outer(row, row))
-            if more < value - _ROUNDING * max(abs(value), 1.0):
-                broken.append(f"falls from {value:.6g} to {more:.6g} by one more measurement")
-        if rescaled is not None:
-            other, _ = rescaled(matrix * units[:, None] * units)
-            if before is not None:
-                one, two = value - before[0], other - before[1]
-                if abs(one - two) > 1e-6 * max(abs(one), abs(two), 1.0):
-                    broken.append(f"prefers by {one:.6g}, in other units by {two:.6g}")
-            before = value, other
+            broken += _monotone(measure, matrix, rng)
+    if invariant:
+        broken += _invariant(criterion, setting, matrices, rng)
     blind = _matrix(rng, len(names))
     blind[0], blind[:, 0] = 0.0, 0.0
     value, gradient = measure(blind)
@@ -334,6 +309,51 @@ def check_criterion(
     if broken:
         lines = "\n".join(f"- {line}" for line in dict.fromkeys(broken))
         raise AssertionError(f"Criterion {name!r}:\n{lines}")
+
+
+def _at_point(measure: Any, matrix: np.ndarray, rng: np.random.Generator) -> list[str]:
+    """Value and derivative at one information matrix."""
+    broken = _repeatable(measure, matrix)
+    _, gradient = measure(matrix)
+    if gradient.shape != matrix.shape or not np.isfinite(gradient).all():
+        return [*broken, f"returns a derivative of shape {gradient.shape} or not finite"]
+    if not np.allclose(gradient, gradient.T, rtol=1e-6, atol=1e-9 * np.abs(gradient).max()):
+        broken.append("returns a derivative that is not symmetric")
+    return broken + _derivative(measure, matrix, gradient, rng)
+
+
+def _repeatable(measure: Any, matrix: np.ndarray) -> list[str]:
+    """The same result twice, from a matrix that stays as it is."""
+    kept = matrix.copy()
+    first, again = measure(matrix)[0], measure(matrix)[0]
+    broken = [] if np.array_equal(matrix, kept) else ["changes the matrix that it is given"]
+    matrix[:] = kept
+    return broken if first == again else [*broken, "gives two results for the same information"]
+
+
+def _monotone(measure: Any, matrix: np.ndarray, rng: np.random.Generator) -> list[str]:
+    """One more measurement never counts less."""
+    row = rng.normal(size=len(matrix)) * np.sqrt(np.diag(matrix))
+    value, more = measure(matrix)[0], measure(matrix + np.outer(row, row))[0]
+    if more >= value - _ROUNDING * max(abs(value), 1.0):
+        return []
+    return [f"falls from {value:.6g} to {more:.6g} by one more measurement"]
+
+
+def _invariant(
+    criterion: Criterion, setting: Setting, matrices: list[np.ndarray], rng: np.random.Generator
+) -> list[str]:
+    """Designs compare alike in other units: so much smaller scales, so much less information."""
+    units = np.exp(rng.uniform(-1.0, 1.0, len(setting.names)))
+    measure = criterion.bind(setting)
+    rescaled = criterion.bind(replace(setting, scales=setting.scales * units))
+    values = np.diff([measure(one)[0] for one in matrices])
+    others = np.diff([rescaled(one * units[:, None] * units)[0] for one in matrices])
+    return [
+        f"prefers by {one:.6g}, in other units by {two:.6g}"
+        for one, two in zip(values, others, strict=True)
+        if abs(one - two) > 1e-6 * max(abs(one), abs(two), 1.0)
+    ]
 
 
 def _matrix(rng: np.random.Generator, n: int) -> np.ndarray:

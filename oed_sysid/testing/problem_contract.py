@@ -433,20 +433,21 @@ def _effect(problem: Problem, effect: Effect, rng: np.random.Generator) -> list[
         for name, bounds in problem.limits.inputs.items()
         if name in problem.model.input_names and np.isfinite(bounds).all()
     }
-    starts = [e.initial for e in problem.experiments.values()]
-    initial = {k: v for k, v in (dict(starts[0]) if starts else {}).items()
-               if k in problem.model.state_names}  # fmt: skip
+    first = next(iter(problem.experiments.values()), None)
+    start = {} if first is None else first.initial
+    initial = {name: start[name] for name in problem.model.state_names if name in start}
     try:
         check_effect(
             effect, problem.model, rng=rng, initial=initial, inputs=inputs, n_times=20, n_points=1
         )
     except AssertionError as error:
-        lines = str(error).split("\n- ")[1:]
         # The problem's own references may be those of its candidates; and without an experiment
         # nobody says where a run begins that would wake an effect up.
-        if problem.references:
-            lines = [line for line in lines if line != "has no source"]
-        if not problem.experiments:
-            lines = [line for line in lines if "changes no output" not in line]
-        return [f"candidate {effect.name!r} {line}" for line in lines]
+        excused = ("has no source",) * bool(problem.references)
+        excused += ("changes no output",) * (not problem.experiments)
+        return [
+            f"candidate {effect.name!r} {line}"
+            for line in str(error).split("\n- ")[1:]
+            if not line.startswith(excused)
+        ]
     return []

@@ -16,7 +16,7 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -403,8 +403,8 @@ class Table:
     headers: tuple[str, ...]
     values: np.ndarray
     row_numbers: np.ndarray
-    stamps: Mapping[int, str] = field(default_factory=dict)
-    faults: Mapping[int, str] = field(default_factory=dict)
+    stamps: dict[int, str] = field(default_factory=dict)
+    faults: dict[int, str] = field(default_factory=dict)
 
 
 def read_table(path: Path, *, columns_of_text: bool = False) -> Table:
@@ -430,17 +430,7 @@ def read_table(path: Path, *, columns_of_text: bool = False) -> Table:
         If the file is missing, has no rows, or has a cell that is not a number;
         the message names row and column.
     """
-    numbered = lines_of(path)
-    if numbered and _is_numbers(numbered[0][1]):
-        title = remark_before(path, numbered[0][0])
-        if title is not None and _is_title(title[1], numbered[0][1]):
-            numbered = [title, *numbered]
-    if len(numbered) < 2:
-        what = "is empty" if not numbered else "holds no rows of numbers"
-        raise DataError(
-            f"{path.name} {what}. Expected a header line such as 't [s],theta [deg]' and one row "
-            "per sample."
-        )
+    numbered = _titled(path, lines_of(path))
     header_line = numbered[0][1]
     delimiter = max(_DELIMITERS, key=header_line.count)
     headers = [cell.strip() for cell in _cells(header_line, delimiter)]
@@ -458,22 +448,35 @@ def read_table(path: Path, *, columns_of_text: bool = False) -> Table:
     table = Table(
         path, tuple(headers), np.full((len(rows), len(headers)), np.nan), np.array(numbers)
     )
-    stamps: dict[int, str] = {}
-    faults: dict[int, str] = {}
-    for column, header in enumerate(headers):
-        cells = [row[column] for row in rows]
+    for column, cells in enumerate(zip(*rows, strict=True)):
+        header = headers[column]
         try:
             stamped = _stamps(path, header, cells, numbers)
             if stamped is not None:
                 table.values[:, column] = stamped
-                stamps[column] = cells[0].strip()
+                table.stamps[column] = cells[0].strip()
             else:
                 table.values[:, column] = _numbers(path, header, cells, numbers, delimiter)
         except DataError as error:
             if not columns_of_text:
                 raise
-            faults[column] = str(error)
-    return Table(path, table.headers, table.values, table.row_numbers, stamps, faults)
+            table.faults[column] = str(error)
+    return table
+
+
+def _titled(path: Path, numbered: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    """Lines with their numbers, a header first, be it a remark, and rows below it."""
+    if numbered and _is_numbers(numbered[0][1]):
+        title = remark_before(path, numbered[0][0])
+        if title is not None and _is_title(title[1], numbered[0][1]):
+            numbered = [title, *numbered]
+    if len(numbered) < 2:
+        what = "is empty" if not numbered else "holds no rows of numbers"
+        raise DataError(
+            f"{path.name} {what}. Expected a header line such as 't [s],theta [deg]' and one row "
+            "per sample."
+        )
+    return numbered
 
 
 def write_table(path: Path, headers: list[str], values: np.ndarray) -> None:
@@ -535,6 +538,11 @@ def _check_layout(path: Path, header: str, delimiter: str, lines: list[str]) -> 
         raise DataError(
             f"{path.name} looks like JSON, XML or a web page, not like a table. Export it as CSV."
         )
+    _check_delimiter(path, header, delimiter, first)
+
+
+def _check_delimiter(path: Path, header: str, delimiter: str, first: str) -> None:
+    """Refuse other marks between the cells of the header, or of the rows, than those read."""
     n_columns = header.count(delimiter)
     if n_columns and first.count(delimiter) != n_columns:
         others = [one for one in (*_DELIMITERS, "|") if first.count(one) == n_columns]
@@ -675,7 +683,7 @@ def _are_decimal_commas(cells: list[str], delimiter: str, n_columns: int) -> boo
 
 
 def _numbers(
-    path: Path, header: str, cells: list[str], numbers: list[int], delimiter: str
+    path: Path, header: str, cells: Sequence[str], numbers: list[int], delimiter: str
 ) -> np.ndarray:
     """Numbers of one column; the first cell that is none is named."""
     comma = delimiter != ","
@@ -698,7 +706,7 @@ def _numbers(
     return values
 
 
-def _stamps(path: Path, header: str, cells: list[str], numbers: list[int]) -> np.ndarray | None:
+def _stamps(path: Path, header: str, cells: Sequence[str], numbers: list[int]) -> np.ndarray | None:
     """Seconds since the first row, if the column holds times of day or ISO times."""
     first = time_stamp(cells[0])
     if first is None:

@@ -103,6 +103,11 @@ _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Div: lambda a, b: a / b,
     ast.Pow: lambda a, b: a**b,
 }
+_UNARY: dict[type[ast.unaryop], Callable[[Any, Mapping[str, Callable]], Any]] = {
+    ast.USub: lambda value, library: -value,
+    ast.UAdd: lambda value, library: value,
+    ast.Not: lambda value, library: library["not"](value),
+}
 _COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: lambda a, b: a < b,
     ast.LtE: lambda a, b: a <= b,
@@ -118,16 +123,13 @@ def walk(node: ast.expr, scope: Mapping[str, Any], library: Mapping[str, Callabl
             return float(node.value)  # type: ignore[arg-type]
         case ast.Name():
             return CONSTANTS[node.id] if node.id in CONSTANTS else scope[node.id]
-        case ast.UnaryOp(op=ast.Not()):
-            return library["not"](walk(node.operand, scope, library))
         case ast.UnaryOp():
-            value = walk(node.operand, scope, library)
-            return -value if isinstance(node.op, ast.USub) else value
+            return _UNARY[type(node.op)](walk(node.operand, scope, library), library)
+        case ast.BinOp(op=ast.Pow(), right=ast.Constant()):
+            base, power = walk(node.left, scope, library), node.right.value  # type: ignore[attr-defined]
+            # Products have simpler derivatives than a general power.
+            return base * base if power == 2 else base**power
         case ast.BinOp():
-            if isinstance(node.op, ast.Pow) and isinstance(node.right, ast.Constant):
-                base, power = walk(node.left, scope, library), node.right.value
-                # Products have simpler derivatives than a general power.
-                return base * base if power == 2 else base**power
             operator = _BINARY[type(node.op)]
             return operator(walk(node.left, scope, library), walk(node.right, scope, library))
         case ast.Compare():
@@ -250,17 +252,21 @@ def _constant(node: ast.AST, shown: str) -> float | None:
         return None
     if isinstance(node, ast.Call) and node.func.id not in FUNCTIONS:  # type: ignore[attr-defined]
         return None
-    try:
-        with np.errstate(all="ignore"):
-            value = walk(node, {}, NUMERIC)  # type: ignore[arg-type]
-        number = complex(value)
-    except (ArithmeticError, TypeError, ValueError):  # the number of arguments is checked later
-        number = complex("nan") if not isinstance(node, ast.Call) else 0j
+    number = _value(node)  # type: ignore[arg-type]
     if number.imag or not np.isfinite(number.real):
         raise ModelError(
             f"{shown} contains {ast.unparse(node):.60}, which is no finite real number."
         )
     return number.real
+
+
+def _value(node: ast.expr) -> complex:
+    """What a part without names comes to; NaN where it comes to nothing."""
+    try:
+        with np.errstate(all="ignore"):
+            return complex(walk(node, {}, NUMERIC))
+    except (ArithmeticError, TypeError, ValueError):  # the number of arguments is checked later
+        return 0j if isinstance(node, ast.Call) else complex("nan")
 
 
 class _Plain(ast.NodeTransformer):

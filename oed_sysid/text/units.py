@@ -234,19 +234,7 @@ def _product(
             if not tokens or tokens.pop(0) != ")":
                 raise _unknown("(", unit)
         else:
-            name, exponent = token, Fraction(1)
-            if token not in UNITS:
-                name = token.rstrip("0123456789")
-                exponent = Fraction(token[len(name) :] or 1)
-            following = tokens[0] if tokens else ""
-            if following in ("^", "**") or re.fullmatch(_NUMBER, following):
-                if token != name:
-                    raise _dangling(following, unit)
-                exponent = _exponent(tokens, unit)
-            if name not in UNITS or name in OFFSETS:
-                raise _unknown(name, unit)
-            if abs(exponent) > LARGEST_EXPONENT:
-                raise _too_large(unit)
+            name, exponent = _factor(token, tokens, unit)
             size, si_unit = UNITS[name]
             factor *= size ** float(direction * exponent)
             for symbol, n in _symbols(si_unit).items():
@@ -255,6 +243,24 @@ def _product(
     if waiting:
         raise _dangling(waiting, unit)
     return factor
+
+
+def _factor(token: str, tokens: list[str], unit: str) -> tuple[str, Fraction]:
+    """One unit of a product with its exponent, which may follow or be part of the token."""
+    name, exponent = token, Fraction(1)
+    if token not in UNITS:
+        name = token.rstrip("0123456789")
+        exponent = Fraction(token[len(name) :] or 1)
+    following = tokens[0] if tokens else ""
+    if following in ("^", "**") or re.fullmatch(_NUMBER, following):
+        if token != name:
+            raise _dangling(following, unit)
+        exponent = _exponent(tokens, unit)
+    if name not in UNITS or name in OFFSETS:
+        raise _unknown(name, unit)
+    if abs(exponent) > LARGEST_EXPONENT:
+        raise _too_large(unit)
+    return name, exponent
 
 
 def _exponent(tokens: list[str], unit: str) -> Fraction:

@@ -1,4 +1,7 @@
-"""Where a search stands: what it has added, the fits on the way, and how these are judged."""
+"""Where a search stands: what it has added, the fits on the way, and how these are judged.
+
+Effects that only smooth the noise of a logged input (a lag, a backlash) are no claims.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.improvement import RISE
 from oed_sysid.evidence.rank import FALSE_CLAIMS, FALSE_CLAIMS_BEFORE_TEST, Ranking, threshold
-from oed_sysid.evidence.repeats import repeated
+from oed_sysid.evidence.residual_forces import repeated
 from oed_sysid.evidence.study import Study, total_error
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.physics import Effect
@@ -164,3 +167,49 @@ def rises(
 def own_error(study: Study, found: FilteredSolution, dataset: Dataset) -> float:
     """Error over all outputs of the model on its own on records, in units of the noise."""
     return total_error(study.rms(found, dataset) / study.setting.white)
+
+
+# Candidates per round that the validation records are asked about.
+ASKED = 3
+
+
+def without_smoothers(state: Standing, ranking: Ranking) -> tuple[Ranking, dict[str, str]]:
+    """The ranking without refits that only smooth the noise of a logged input, and why."""
+    study, told = state.study, dict[str, str]()
+    asked = [r for r in ranking.refits[:ASKED] if r.gain >= ranking.needed(r)]
+    if study.smoothed is None or not asked:
+        return ranking, {}
+    before = smoothed_fit(study, state.fit)
+    for refit in ranking.refits:
+        if refit in asked and not persists(study, before, refit.fit, ranking.needed(refit)):
+            told[refit.name] = dismissal(study, refit.name)
+    return ranking.without(told), told
+
+
+def smoothed_fit(study: Study, fit: FilteredSolution) -> FilteredSolution | None:
+    """The same model on the training records with the noise of logged inputs smoothed."""
+    assert study.smoothed is not None
+    other = replace(study, train=study.smoothed)
+    return other.estimate(other.effects_of(fit), fit.values, fit, max_iterations=12)
+
+
+def persists(
+    study: Study, before: FilteredSolution | None, after: FilteredSolution, needed: float
+) -> bool:
+    """Whether a gain over a fit to smoothed records is left there.
+
+    The vehicle answers to the true input. What flattens the answer to a noisy log (a play, a lag)
+    is likelier, whether or not it is there.
+    """
+    found = smoothed_fit(study, after)
+    if before is None or found is None:
+        return True
+    return before.objective - found.objective >= needed
+
+
+def dismissal(study: Study, name: str) -> str:
+    """Why a likelier effect is no claim."""
+    return (
+        f"{name} may explain no more than the noise of the logged {', '.join(study.noisy_inputs)}: "
+        "no claim is made."
+    )
