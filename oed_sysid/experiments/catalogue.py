@@ -14,8 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 from oed_sysid.errors import ProblemError
-from oed_sysid.experiments.definition import Problem
-from oed_sysid.experiments.soundness import faults
+from oed_sysid.experiments.definition import Problem, faults
 
 FILE = "problem.py"
 _PACKAGE = Path(__file__).resolve().parent.parent

@@ -314,6 +314,36 @@ def _parts(
     # Positions and headings do not act on the motion; everything else may.
     acting = [s for s in measured if s.name not in ("x", "y", "z", "psi") or len(measured) == 1]
     scales = {s.name: float(np.std(_without_gaps(times, s.values))) or 1.0 for s in measured}
+    kinematics, parameters = _dynamics(times, measured, acting, commands, integral)
+    step = float(np.median(np.diff(times)))
+    lists = {
+        "states": [f'State("{s.name}", "{s.unit}", scale={scales[s.name]:.3g}),' for s in measured],
+        "inputs": [s.declared("Input") for s in commands],
+        "outputs": [s.declared("Output") for s in measured],
+        "kinematics": kinematics,
+        "parameters": parameters,
+        "effects": _candidates(acting, commands, integral, scales, 5 * step),
+        "limits": [
+            f'"{s.name}": ({np.min(s.values):.4g}, {np.max(s.values):.4g}),' for s in commands
+        ],
+    }
+    indents = {"effects": 4, "limits": 12}
+    text = {name: _indented(lines, indents.get(name, 8)) for name, lines in lists.items()}
+    return text | {"log": log, "step": f"{step:.4g}"}
+
+
+def _indented(lines: list[str], width: int) -> str:
+    return "\n".join(" " * width + line for line in lines)
+
+
+def _dynamics(
+    times: np.ndarray,
+    measured: list[_Signal],
+    acting: list[_Signal],
+    commands: list[_Signal],
+    integral: dict[str, str],
+) -> tuple[list[str], list[str]]:
+    """Rates of all signals, and the parameters in them."""
     kinematics, parameters = [], []
     for signal in measured:
         if signal.name in integral:
@@ -322,34 +352,26 @@ def _parts(
             rate, own = _linear_rate(times, signal, acting, commands)
             kinematics.append(rate)
             parameters += own
-    step = float(np.median(np.diff(times)))
-    effects = [
+    return kinematics, parameters
+
+
+def _candidates(
+    acting: list[_Signal],
+    commands: list[_Signal],
+    integral: dict[str, str],
+    scales: dict[str, float],
+    lag: float,
+) -> list[str]:
+    """Quadratic damping of every motion, and a lag of every command."""
+    found = [
         f'Force("{s.name}_quadratic", {{"{s.name}": "-E_{s.name}*{s.name}*abs({s.name})"}}, '
         f'(Parameter("E_{s.name}", 0.0, scale={0.1 / scales[s.name]:.3g}),),\n'
         f'        description="damping that grows with {s.name}"),'
         for s in acting
         if s.name not in integral
     ]
-    effects += [
-        f'actuator_lag("{s.name}_lag", "{s.name}", scale={5 * step:.3g}),' for s in commands
-    ]
-    lists = {
-        "states": [f'State("{s.name}", "{s.unit}", scale={scales[s.name]:.3g}),' for s in measured],
-        "inputs": [s.declared("Input") for s in commands],
-        "outputs": [s.declared("Output") for s in measured],
-        "kinematics": kinematics,
-        "parameters": parameters,
-        "effects": effects,
-        "limits": [
-            f'"{s.name}": ({np.min(s.values):.4g}, {np.max(s.values):.4g}),' for s in commands
-        ],
-    }
-    indents = {"effects": 4, "limits": 12}
-    text = {
-        name: "\n".join(" " * indents.get(name, 8) + line for line in lines)
-        for name, lines in lists.items()
-    }
-    return text | {"log": log, "step": f"{step:.4g}"}
+    lags = [f'actuator_lag("{s.name}_lag", "{s.name}", scale={lag:.3g}),' for s in commands]
+    return found + lags
 
 
 def _linear_rate(
