@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -439,6 +440,20 @@ class Benchmark:
     def verdicts(self, ours: str = OURS) -> tuple[Verdict, ...]:
         """Where one estimator is better than each of the others, and where not."""
         return verdicts(self.rows, ours)
+
+    @property
+    def answer(self) -> str:
+        """Who has the smallest errors, in how many settings."""
+        settings: dict[object, str] = {}
+        for row in self.rows:  # best first in each setting
+            if not row.refused:
+                settings.setdefault(row.setting, row.estimator)
+        wins = Counter(settings.values()).most_common(3)
+        return (
+            "Smallest errors of the parameters that the data determine: "
+            + ", ".join(f"{name} in {n} of {len(settings)} settings" for name, n in wins)
+            + "."
+        )
 
     def report(self) -> str:
         """Return the tables as Markdown."""
