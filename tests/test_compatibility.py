@@ -9,9 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.compatibility import DIVER, SHIP, Fault, is_named, log, match, motions
-from benchmarks.compatibility_logs import (
+from benchmarks.compatibility import (
+    DIVER,
+    SHIP,
     SPOILS,
+    Fault,
+    is_named,
+    log,
+    match,
+    motions,
     named_as,
     spoil,
 )

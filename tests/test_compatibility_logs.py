@@ -9,13 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.compatibility import DIVER, SHIP, Fault, log, match, motions
-from benchmarks.compatibility_logs import (
+from benchmarks.compatibility import (
+    DIVER,
     ESSO,
     HSVA,
+    SHIP,
     SPOILS,
+    Fault,
     free_running,
     hidden_effect_cases,
+    log,
+    match,
+    motions,
     named_as,
     read_filled,
     spoil,

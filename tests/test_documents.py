@@ -52,7 +52,7 @@ def test_numbers_are_kept_by_section(small: Page) -> None:
     assert list(kept) == ["law", "runs"]
     assert kept["law"]["numbers"] == {"K": -0.125, "T": 3.0}
     assert kept["runs"]["numbers"]["errors"] == [3.0, 1.0, 2.0]
-    assert law["revision"] == page.revision()
+    assert law["revision"] == page.revision(*page.CODE)
     assert small.text() == f"Gain -0.12, stable, 1.0 to 3.0 in {law['revision']}\n"
 
 

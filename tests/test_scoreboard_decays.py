@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.scoreboard import decays, roll_decay
+from benchmarks.scoreboard import roll_decay
 from oed_sysid.data.third_party import data_folder
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.simulation import simulate_inputs
@@ -67,10 +67,10 @@ def stand_in(
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A data folder with the registered test."""
-    place = tmp_path / decays.FOLDER
+    place = tmp_path / roll_decay.FOLDER
     place.mkdir()
     name = "model_test_21337.csv"
-    shutil.copy(data_folder() / decays.FOLDER / name, place / name)
+    shutil.copy(data_folder() / roll_decay.FOLDER / name, place / name)
     monkeypatch.setenv("OED_SYSID_DATA", str(tmp_path))
     return place
 
@@ -80,28 +80,28 @@ def test_the_free_decay_is_cut_out(tmp_path: Path) -> None:
     channels = roll_decay.models()[roll_decay.FULL].channels
     path = tmp_path / "model_test_99.csv"
     stand_in(path, AT_REST, degrees=9.0, duration=80.0)
-    found = decays.read_decay(path, channels)
+    found = roll_decay.read_decay(path, channels)
     assert found.begin == pytest.approx(21.3 + 1.28, abs=0.1)  # half a period later
     assert not found.towed
     assert found.record.times[-1] + found.begin == pytest.approx(79.0, abs=1.5)
     assert np.degrees(found.first) == pytest.approx(8.4, abs=0.3)
     stand_in(path, AT_SPEED, degrees=9.0, duration=110.0, speed=0.967, stops=50.0)
-    found = decays.read_decay(path, channels)
+    found = roll_decay.read_decay(path, channels)
     assert found.knots == pytest.approx(15.5, abs=0.1)
     assert found.record.times[-1] + found.begin == pytest.approx(49.5, abs=0.5)
     assert "slows down" in found.text
     stand_in(path, AT_SPEED, degrees=9.0, duration=110.0, speed=0.967)
-    found = decays.read_decay(path, channels)
+    found = roll_decay.read_decay(path, channels)
     assert 0.2 <= found.last / found.first < 0.25
     table = np.genfromtxt(path, delimiter=",", skip_header=1)
     table[:, 4] += np.radians(0.5)
     np.savetxt(path, table, delimiter=",", header=HEADER, comments="")
-    heeled = decays.read_decay(path, channels)
+    heeled = roll_decay.read_decay(path, channels)
     assert heeled.first == pytest.approx(found.first)
     assert "a heel of 0.50 deg" in heeled.text
     still = tmp_path / "model_test_21340.csv"
     stand_in(still, AT_SPEED, degrees=9.0, duration=70.0)
-    found = decays.read_decay(still, channels)
+    found = roll_decay.read_decay(still, channels)
     assert found.towed
     assert "speed as stated" in found.text
 
@@ -184,4 +184,4 @@ def test_logs_that_are_no_decay_are_refused(tmp_path: Path, change, message: str
     table = np.genfromtxt(path, delimiter=",", skip_header=1)
     np.savetxt(path, change(table), delimiter=",", header=HEADER, comments="")
     with pytest.raises(DataError, match=message):
-        decays.read_decay(path, roll_decay.models()[roll_decay.FULL].channels)
+        roll_decay.read_decay(path, roll_decay.models()[roll_decay.FULL].channels)

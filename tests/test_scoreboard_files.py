@@ -15,13 +15,11 @@ from benchmarks.scoreboard import (
     circles,
     esso_osaka,
     glider,
-    logs,
     silverbox,
-    tanks_record,
+    tanks,
     turns,
 )
-from benchmarks.scoreboard.row import Row, attempted
-from benchmarks.scoreboard.table import read_table
+from benchmarks.scoreboard.row import Row, attempted, read_table
 from oed_sysid import Dataset, MultipleShooting, load_problem
 from oed_sysid.data.third_party import data_folder
 from oed_sysid.errors import DataError
@@ -189,14 +187,14 @@ def test_silverbox_is_read_in_several_forms(
 @MEASURED
 def test_tanks_are_read_in_both_forms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The published table gives the record that validation.csv gives; faults are named."""
-    estimation = data_folder() / tanks_record.ESTIMATION
+    estimation = data_folder() / tanks.ESTIMATION
     own = np.genfromtxt(estimation, delimiter=",", skip_header=1)
     (tmp_path / "cascaded_tanks").mkdir()
-    shutil.copy(estimation, tmp_path / tanks_record.ESTIMATION)
+    shutil.copy(estimation, tmp_path / tanks.ESTIMATION)
     monkeypatch.setenv("OED_SYSID_DATA", str(tmp_path))
     channels = load_problem("cascaded_tanks").model.channels
     pump, level = own[::-1, 1], own[::-1, 2]
-    plain, published = tmp_path / tanks_record.VALIDATION, tmp_path / tanks_record.PUBLISHED
+    plain, published = tmp_path / tanks.VALIDATION, tmp_path / tanks.PUBLISHED
 
     def write(times: np.ndarray, level: np.ndarray) -> None:
         table = np.column_stack([times, pump[: len(times)], level[: len(times)]])
@@ -210,17 +208,17 @@ def test_tanks_are_read_in_both_forms(tmp_path: Path, monkeypatch: pytest.Monkey
         ),
         encoding="utf-8",
     )
-    record, name = tanks_record.read_validation(channels)
+    record, name = tanks.read_validation(channels)
     assert name == "dataBenchmark.csv"
     assert record.inputs[:, 0] == pytest.approx(pump)
     assert record.outputs[:, 0] == pytest.approx(level)
     assert record.sample_time == 4.0
     write(own[:, 0], level)
-    again, name = tanks_record.read_validation(channels)
+    again, name = tanks.read_validation(channels)
     assert name == "validation.csv"
     assert again.outputs == pytest.approx(record.outputs)
     write(own[:1000, 0], level)
-    _, name = tanks_record.read_validation(channels)
+    _, name = tanks.read_validation(channels)
     assert name.startswith("dataBenchmark.csv, because validation.csv has 1000 samples; expected")
     published.unlink()
     spoilt = level.copy()
@@ -233,7 +231,7 @@ def test_tanks_are_read_in_both_forms(tmp_path: Path, monkeypatch: pytest.Monkey
     ):
         write(times, values)
         with pytest.raises(DataError, match=message):
-            tanks_record.read_validation(channels)
+            tanks.read_validation(channels)
 
 
 # -- Esso Osaka --------------------------------------------------------------------
@@ -277,7 +275,7 @@ def test_swapped_columns_are_seen(tmp_path: Path, columns: dict[int, int], messa
     path = tmp_path / "log.csv"
     write_log(path, table[:, [columns.get(k, k) for k in range(13)]])
     with pytest.raises(DataError, match=message):
-        logs.pieces(path, load_problem("esso_osaka").variant("wind").model.channels)
+        esso_osaka.pieces(path, load_problem("esso_osaka").variant("wind").model.channels)
 
 
 @MEASURED

@@ -110,10 +110,10 @@ def test_looking_ahead_changes_no_bit(
     changed = tuple(replace(one, interpolation=interpolation) for one in AUV.inputs)
     model, test = replace(AUV, inputs=changed), replace(DIVE, feedback=feedback)
     if held:  # only while a command stands still
-        monkeypatch.setattr("oed_sysid.experiments.closed_loop._foreseen", lambda *parts: None)
+        monkeypatch.setattr("oed_sysid.experiments.simulation._foreseen", lambda *parts: None)
     ahead = simulate(model, test, noise=False)
-    monkeypatch.setattr("oed_sysid.experiments.closed_loop._foreseen", lambda *parts: None)
-    monkeypatch.setattr("oed_sysid.experiments.closed_loop._MOST_HELD", 1)
+    monkeypatch.setattr("oed_sysid.experiments.simulation._foreseen", lambda *parts: None)
+    monkeypatch.setattr("oed_sysid.experiments.simulation._MOST_HELD", 1)
     stepwise = simulate(model, test, noise=False)
     assert len(np.unique(ahead.inputs)) > 10
     np.testing.assert_array_equal(ahead.inputs, stepwise.inputs)

@@ -47,7 +47,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import as_dict, counted
 
 # A run that lowers what is missing by less than this per goal is not worth its fuel.
 WORTH = 0.01
@@ -56,16 +56,6 @@ IMMATERIAL = 0.1
 # Parameters that are named where records contradict one another, and standard errors from which on.
 NAMED, APART = 3, 2.0
 _MOST_AHEAD = 40
-_HEADS = {
-    "enough": "STOP: everything asked for is known well enough.",
-    "contradicted": "STOP: on paper everything is known, but the records contradict it.",
-    "unchecked": "STOP: on paper everything is known, but one run alone has said so, and no other "
-    "that keeps its limits could check it.",
-    "useless": "STOP: no run that keeps its limits brings what is missing nearer.",
-    "no time": "STOP: not even the next run fits into the time that is left.",
-    "go on": "GO ON.",
-    "check": "GO ON: on paper everything is known, but one run alone has said so; check it.",
-}
 _VEHICLES = 20
 
 
@@ -235,6 +225,18 @@ class Contradiction:
         )
 
 
+# Why to stop.
+REASONS = {
+    "enough": "everything asked for is known well enough",
+    "contradicted": "on paper everything is known, but the records contradict it, so that its "
+    "errors do not hold; look for what the model lacks (improve)",
+    "unchecked": "on paper everything is known, but one run alone has said so, and no other that "
+    "keeps its limits could check it",
+    "useless": "no run that keeps its limits brings what is missing nearer",
+    "no time": "not even the next run fits into the time that is left",
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Decision:
     """What to do next.
@@ -288,9 +290,51 @@ class Decision:
         """Whether to go home."""
         return self.action != "go on"
 
+    def answer(self, n_runs: int = 0, hours: float = 0.0) -> str:
+        """Return in one line whether to stop, or what to run next, its worth and its safety.
+
+        Parameters
+        ----------
+        n_runs, hours : int, float
+            Done so far.
+        """
+        done = f" after {counted(n_runs, 'run')}, {hours:.2g} h" if n_runs else ""
+        run = self.next_run
+        if run is None:
+            met, n = sum(one.is_met for one in self.goals), len(self.goals)
+            rest = "" if met == n else f" ({met} of {n} goals met)"
+            return f"STOP{done}: {REASONS[self.action]}{rest}."
+        words = f"GO ON{done}: {run.name} next ({run.cost / 3600:.2g} h)"
+        if self.contradiction is not None:
+            words = (
+                "WARNING: the records contradict one another, so that the errors do not hold; look "
+                f"for what the model lacks (improve) first; {words}"
+            )
+        if self.is_check:
+            words += " checks what one run alone has said"
+        else:
+            unmet = (one for one in self.goals if not one.is_met)
+            far = max(unmet, key=lambda one: one.now / one.goal.tolerance)
+            now, then = (far.goal.words(self.model, value) for value in (far.now, far.then))
+            words += f" brings {far.goal.name} from {now} to {then}"
+        if np.isfinite(self.hours_left):
+            words += f"; {counted(self.runs_left, 'run')}, {self.hours_left:.2g} h to go"
+        else:
+            words += "; not all goals can be planned for"
+        if self.kept is not None:
+            words += f"; limits kept on {self.kept:.0%} of {self.n_checked} possible vehicles"
+        elif run.experiment.limits.signals:
+            words += "; whether other vehicles keep the limits is not known"
+        else:
+            words += "; no limit on the motion was given"
+        return f"{words}."
+
     def report(self) -> str:
         """Return the decision in words, the verdict first."""
-        lines = [_HEADS["check" if self.is_check else self.action]]
+        head = "GO ON." if not self.stop else f"STOP: {REASONS[self.action]}."
+        if self.is_check:
+            head = "GO ON: on paper everything is known, but one run alone has said so; check it."
+        lines = [head]
         if self.contradiction is not None:
             lines.append(
                 textwrap.fill(

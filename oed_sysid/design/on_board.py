@@ -41,6 +41,7 @@ from oed_sysid.experiments.simulation import Trajectory
 from oed_sysid.information.noise import sea_words
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import Table
 from oed_sysid.runtime.files import make_folder
 from oed_sysid.text.csv_table import write_table
 
@@ -100,8 +101,8 @@ class Planned(Protocol):
     def gain(self, reference: Reference) -> tuple[float, float]:
         """How much larger a reference's errors are."""
 
-    def accuracy_table(self, *, sort: bool = False) -> list[str]:
-        """Lines about every parameter."""
+    def accuracy(self, *, sort: bool = False) -> Table:
+        """A row about every parameter."""
 
 
 def sea_trial_card(design: Planned) -> str:
@@ -280,7 +281,7 @@ def _accuracy(design: Planned) -> list[str]:
             f"  Against a {reference.name}{note}, equally long: errors {mean:.2g} times smaller on "
             f"geometric mean, {worst:.2g} times for the worst."
         )
-    lines += design.accuracy_table(sort=True)
+    lines += [f"  {line}" for line in design.accuracy(sort=True).lines()]
     errors = dict(zip(design.names, design.relative_errors, strict=True))
     usable = _USABLE if design.sea is None else TRUSTED
     for title, low, high in (

@@ -113,6 +113,7 @@ class Problem:
         if not self.title:
             object.__setattr__(self, "title", self.name.replace("_", " "))
         self._check_effects()
+        self._check_truth()
         try:
             for experiment in self.experiments.values():
                 experiment.check_model(self.model)
@@ -200,27 +201,27 @@ class Problem:
                     f"Problem {self.name!r}: the candidate {effect.name!r} does not fit the "
                     f"model. {error}"
                 ) from None
-        known = set(self._parameter_names())
-        if unknown := [name for name in self.truth or {} if name not in known]:
+
+    def _check_truth(self) -> None:
+        """Refuse true values of parameters that there are not, or beyond their bounds."""
+        models = self.models.values()
+        everything = [p for owner in models for p in owner.all_parameters]
+        everything += [p for effect in self.effects for p in effect.parameters]
+        known = dict.fromkeys(p.name for p in everything)
+        truth = self.truth or {}
+        if unknown := [name for name in truth if name not in known]:
             raise ProblemError(
                 f"Problem {self.name!r} states the truth of {unknown[0]!r}, which is a parameter "
                 f"of none of its models and candidates.{closest(unknown[0], known)}"
             )
-        everything = [p for model in self.models.values() for p in model.all_parameters]
-        everything += [p for effect in self.effects for p in effect.parameters]
         for parameter in everything:
-            true = (self.truth or {}).get(parameter.name)
+            true = truth.get(parameter.name)
             if true is not None and not parameter.lower <= true <= parameter.upper:
                 raise ProblemError(
                     f"Problem {self.name!r} states the truth of {parameter.name!r} as {true:g}, "
                     f"outside its bounds [{parameter.lower:g}, {parameter.upper:g}]: it could "
                     "never be found. Correct one of them."
                 )
-
-    def _parameter_names(self) -> tuple[str, ...]:
-        names = [name for model in self.models.values() for name in model.parameter_names]
-        names += [p.name for effect in self.effects for p in effect.parameters]
-        return tuple(dict.fromkeys(names))
 
     @property
     def channels(self) -> Channels:

@@ -16,11 +16,12 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiments.trajectory import state_names
 from oed_sysid.information.bound import information_of
+from oed_sysid.information.identifiability import Subset
 from oed_sysid.information.noise import Colour, Levels, noise_of
 from oed_sysid.information.response import Play, Run, plays, respond
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict, plain
+from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text, plain
 from oed_sysid.runtime.threads import single_threaded
 
 # An error of the estimate beyond this share of the value counts as not determined.
@@ -131,24 +132,58 @@ class SensitivityRanking:
                 )
         return tuple(words)
 
-    def report(self) -> str:
-        """Return the ranking as text."""
+    def document(self, subset: Subset | None = None, *, title: str = "") -> Report:
+        """Return the ranking; with a subset, how many parameters can be estimated together."""
         change_rank = {name: i + 1 for i, name in enumerate(self.by_output_change)}
-        lines = [
-            f"Sensitivity of {len(self.rows)} parameters in {', '.join(self.runs)}; signals "
-            f"{', '.join(self.signals)}; index for a change of {self.change:.0%}",
-            f"{'':>3} {'parameter':<20} {'rel. error':>10} {'alone':>9} {'inflation':>9}"
-            f" {'output change':>14} {'place':>5} {'peak index':>10}",
-        ]
-        for rank, row in enumerate(self.rows, start=1):
-            lines.append(
-                f"{rank:>3} {row.name:<20} {row.error:>10.2%} {row.error_alone:>9.2%}"
-                f" {row.inflation:>9.3g} {row.output_change:>14.3g} {change_rank[row.name]:>5}"
-                f" {row.peak_change:>10.3g}"
+        headers = (
+            "", "parameter", "rel. error", "alone", "inflation", "output change", "place",
+            "peak index",
+        )  # fmt: skip
+        rows = [
+            (
+                f"{rank}",
+                row.name,
+                f"{row.error:.2%}",
+                f"{row.error_alone:.2%}",
+                f"{row.inflation:.3g}",
+                f"{row.output_change:.3g}",
+                f"{change_rank[row.name]}",
+                f"{row.peak_change:.3g}",
             )
-        lines += [f"Disagreement: {text}." for text in self.disagreements]
-        lines += [f"Not determined: {text}." for text in self.information.null_directions()]
-        return "\n".join(lines)
+            for rank, row in enumerate(self.rows, start=1)
+        ]
+        drawing = Figure(
+            "plot_sensitivity", self,
+            "Standard error of each parameter as a share of its value. The distance between the "
+            "dots is what the other unknowns cost; beyond the dashed line the error exceeds the "
+            "value.",
+            size=(7.6, 1.4 + 0.3 * len(rows)),
+        )  # fmt: skip
+        best, worst = self.rows[0], self.rows[-1]
+        known = None if subset is None else subset.document()
+        runs = ", ".join(self.runs)
+        return Report(
+            title=title or "What these experiments tell",
+            subtitle=f"Parameters in {runs}",
+            headline=f"Sensitivity of {len(rows)} parameters in {runs}; signals "
+            f"{', '.join(self.signals)}; index for a change of {self.change:.0%}",
+            answer="" if subset is None else subset.words(f" from {runs}"),
+            numbers=(
+                (f"std. error, best: {best.name}", f"{best.error:.2%}"),
+                (f"std. error, worst: {worst.name}", f"{worst.error:.2%}"),
+            ),
+            sections=(
+                Section("Accuracy to expect", (), (Table(headers, rows, words=(1,)),), (drawing,)),
+                Section("What this says", self._remarks()),
+                *([] if known is None else known.sections),
+            ),
+        )
+
+    report = as_text
+
+    def _remarks(self) -> list[str]:
+        lines = [f"Disagreement: {text}." for text in self.disagreements]
+        return lines + [f"Not determined: {text}." for text in self.information.null_directions()]
 
     to_dict = as_dict(
         "runs", "signals", "change", "by_information", "by_output_change", "disagreements",

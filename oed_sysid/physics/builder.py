@@ -96,12 +96,7 @@ def rigid_body(
     """
     active = _active(dof)
     oriented = _oriented(attitude, active)
-    constants = _Constants()
-    constants.add("m", mass, "kg", "mass")
-    for letter, value in zip("xyz", _three("centre_of_gravity", centre_of_gravity), strict=True):
-        constants.add(f"{letter}_G", value, "m", "centre of gravity", optional=True)
-    for pair, value in _moments(inertia, active).items():
-        constants.add(f"I_{pair}", value, "kg m^2", "inertia about the origin", optional=True)
+    constants = _masses(mass, centre_of_gravity, inertia, active)
     rigid = frames.rigid_matrix(constants.names)
     added = frames.added_matrix(_added_mass(constants, added_mass, active))
     axes = {axis: v for axis, v in zip(AXES, VELOCITIES, strict=True) if v in active}
@@ -134,6 +129,22 @@ def rigid_body(
         rigid=rigid,
         added=added,
     )
+
+
+def _masses(
+    mass: Number,
+    centre: Sequence[Number],
+    inertia: Sequence[Number] | Mapping[str, Number] | Number,
+    active: Sequence[str],
+) -> _Constants:
+    """Mass, centre of gravity and moments of inertia under their standard names."""
+    constants = _Constants()
+    constants.add("m", mass, "kg", "mass")
+    for letter, value in zip("xyz", _three("centre_of_gravity", centre), strict=True):
+        constants.add(f"{letter}_G", value, "m", "centre of gravity", optional=True)
+    for pair, value in _moments(inertia, active).items():
+        constants.add(f"I_{pair}", value, "kg m^2", "inertia about the origin", optional=True)
+    return constants
 
 
 def _oriented(attitude: str, active: Sequence[str]) -> Attitude:

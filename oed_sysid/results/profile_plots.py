@@ -13,7 +13,6 @@ from oed_sysid.likelihood.profile import Profile
 from oed_sysid.results.style import (
     NEUTRAL,
     TRUTH,
-    TWO_SIDED_95,
     clean,
     model_style,
     new_axes,
@@ -21,6 +20,7 @@ from oed_sysid.results.style import (
     spread_legend,
     symbol_of,
 )
+from oed_sysid.runtime.display import TWO_SIDED_95
 
 
 def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
