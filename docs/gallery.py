@@ -41,8 +41,7 @@ from oed_sysid import (
 from oed_sysid.design import Levels, Search, Trial, design_experiment
 from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
 from oed_sysid.information import rank_parameters
-from oed_sysid.likelihood.multistart import Multistart
-from oed_sysid.likelihood.profile import profile
+from oed_sysid.likelihood.multistart import Multistart, profile
 from oed_sysid.prediction.speed_polar import speed_polar
 
 HERE = Path(__file__).resolve().parent
