@@ -507,22 +507,9 @@ def open_log(path: str | Path) -> Log:
     CSV file ('run.psi [deg]',) 2.0
     """
     place = Path(path).expanduser()
-    if "\0" in str(path) or not place.exists():
-        raise DataError(f"There is no file {str(path)!r}. Check the path.")
-    if place.is_dir():
-        if (place / "metadata.yaml").exists():
-            return read_bag(place)
-        raise DataError(
-            f"{str(path)!r} is a folder without metadata.yaml, so no ROS 2 bag. Give one log file, "
-            "or write metadata.yaml with  ros2 bag reindex."
-        )
-    try:
-        with place.open("rb") as stream:
-            start = stream.read(1024)
-    except OSError as error:
-        raise DataError(f"{place} cannot be read: {error.strerror or error}.") from None
-    if not start:
-        raise DataError(f"{place.name} is empty: nothing was logged, or the copy failed.")
+    if (place / "metadata.yaml").exists():
+        return read_bag(place)
+    start = _start(place)
     for form in FORMATS:
         if form.starts and start.startswith(form.starts):
             return form.reader(place)
@@ -538,3 +525,23 @@ def open_log(path: str | Path) -> Log:
         )
     read = ", ".join(form.words for form in FORMATS)
     raise DataError(f"{place.name} has no format that is known. Read are: {read}.")
+
+
+def _start(place: Path) -> bytes:
+    """First bytes of a file."""
+    shown = repr(str(place))
+    if "\0" in str(place) or not place.exists():
+        raise DataError(f"There is no file {shown}. Check the path.")
+    if place.is_dir():
+        raise DataError(
+            f"{shown} is a folder without metadata.yaml, so no ROS 2 bag. Give one log file, "
+            "or write metadata.yaml with  ros2 bag reindex."
+        )
+    try:
+        with place.open("rb") as stream:
+            start = stream.read(1024)
+    except OSError as error:
+        raise DataError(f"{place} cannot be read: {error.strerror or error}.") from None
+    if not start:
+        raise DataError(f"{place.name} is empty: nothing was logged, or the copy failed.")
+    return start
