@@ -16,7 +16,7 @@ import time
 
 import numpy as np
 
-from benchmarks.measure import machine
+from benchmarks.harness import machine
 from oed_sysid import load_problem
 from oed_sysid.design import ParameterGoal, candidate_runs, decide
 from oed_sysid.design.vehicles import draw_models

@@ -28,9 +28,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.design_systems import remus
+from benchmarks.design import remus
 from benchmarks.fit_peers import run_peer
-from benchmarks.measure import machine
+from benchmarks.harness import machine
 from oed_sysid import Experiment, Limits
 from oed_sysid.design import (
     AOptimal,

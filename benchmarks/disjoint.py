@@ -22,7 +22,6 @@ half, and simulated records whose truth is known and whose parameters vary from 
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -31,6 +30,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import stdtrit
 
+from benchmarks.harness import between, command
 from oed_sysid import Dataset, Fit, Model, MultipleShooting, Record, load_problem
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.simulation import simulate_inputs
@@ -401,30 +401,29 @@ def truth_table(repeats: int) -> list[str]:
     return lines
 
 
-def written(page: str, lines: Sequence[str]) -> str:
-    """The page with the section between the marks written anew."""
-    before, _, rest = page.partition(BEGIN)
-    return before + "\n".join([BEGIN, *lines, END]) + rest.partition(END)[2]
+def main(*, partitions: int = 10, repeats: int = 200, only: str = "", write: bool = False) -> None:
+    """Print all tables; write them into the page if asked to.
 
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print both tables; write them into the page if asked to."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--partitions", type=int, default=10)
-    parser.add_argument("--repeats", type=int, default=200)
-    parser.add_argument("--only", default="", help="cases whose name contains this")
-    parser.add_argument("--write", action="store_true")
-    given = parser.parse_args(arguments)
-    chosen = [case for case in cases() if given.only in case.name]
-    lines = table(chosen, given.partitions)
-    if not given.only:
+    Parameters
+    ----------
+    partitions : int
+        random halves
+    repeats : int
+        simulated data sets
+    only : str
+        cases whose name contains this
+    write : bool
+        write docs/extrapolation.md
+    """
+    lines = table([case for case in cases() if only in case.name], partitions)
+    if not only:
         lines += ["", *whole_table()]
-    if given.repeats:
-        lines += ["", *truth_table(given.repeats)]
-    if given.write:
+    if repeats:
+        lines += ["", *truth_table(repeats)]
+    if write:
         page = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(written(page, lines), encoding="utf-8")
+        PAGE.write_text(between(page, BEGIN, END, lines), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -23,6 +23,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from scipy.signal import lfilter
 
+from benchmarks.harness import NOISE, START
 from oed_sysid import Dataset, MultipleShooting, load_problem
 from oed_sysid.data.record import Record
 from oed_sysid.experiments.simulation import simulate_inputs
@@ -31,12 +32,10 @@ from oed_sysid.physics.model import Model
 FOLDER = Path("out/efficiency")
 # White noise gets five times the runs: a variance from 400 runs is known to 7 % only.
 RUNS, BLOCK = 400, 50
-NOISE = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
 # Memory of the noise per sample of 0.1 s; 0 is white.
 MEMORIES = (0.0, 0.5, 0.8, 0.95)
 # Duration (s), fin amplitude (rad), thrust (N) and period (s) of each record.
 TESTS = ((60.0, 0.10, 9.0, 14.0), (60.0, 0.15, 7.0, 9.0), (40.0, 0.06, 11.0, 20.0))
-START = {"u": 1.5, "z": 10.0}
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.measure import machine, verdict
+from benchmarks.harness import machine, verdict
 from benchmarks.peers.task import NAMES, NOISE, STEP
 from oed_sysid import Dataset, Fit, MultipleShooting, load_problem
 from oed_sysid.data.record import Record

@@ -21,9 +21,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.measure import machine, verdict
-from benchmarks.missing_physics.fin import SAMPLE, STEP, SUBSTEPS, Fin
-from benchmarks.missing_physics.simulator import PRIORS, Case, _Truth
+from benchmarks.harness import machine, verdict
+from benchmarks.missing_physics.simulator import PRIORS, SAMPLE, STEP, SUBSTEPS, Case, Fin, _Truth
 from oed_sysid import Experiment, NoiseModel, Problem, load_problem
 from oed_sysid.design import (
     Caution,

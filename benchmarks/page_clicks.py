@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from benchmarks.measure import machine
+from benchmarks.harness import machine
 
 TARGET = 0.5  # s
 PROBLEM, OTHER = "remus_diving_plane", "catamaran"

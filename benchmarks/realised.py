@@ -24,9 +24,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.random_forces.scenarios import MEDIUM
+from benchmarks.harness import ignorant
+from benchmarks.random_forces.scenarios import MEDIUM, REMUS
 from benchmarks.random_forces.simulator import gauss_markov
-from benchmarks.random_forces.vehicles import REMUS
 from oed_sysid import Dataset, Experiment, Model, MultipleShooting, Record, load_problem
 from oed_sysid.design import DOptimal, Knowledge, Levels, Search, Trial, design_experiment
 from oed_sysid.experiments.simulation import simulate
@@ -39,10 +39,7 @@ PLANS = ("zigzags", "designed", "calm")
 
 def believed() -> Model:
     """The vehicle without priors, at the values that the simulator has."""
-    model = load_problem("remus_diving_plane").model
-    for parameter in model.free_parameters:
-        model = model.with_parameter(replace(parameter, prior_mean=None, prior_std=None))
-    return model.with_values(REMUS.believed)
+    return ignorant(load_problem("remus_diving_plane").model).with_values(REMUS.believed)
 
 
 def sea(model: Model, factor: float) -> NoiseModel:

@@ -16,17 +16,16 @@ whose signatures are most alike, both of which show there at a size at which the
 
 from __future__ import annotations
 
-import argparse
-import json
 import zlib
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
-from pathlib import Path
 from time import process_time
 from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import RESULTS, Store, command, markdown, run_cases
 from benchmarks.missing_physics.cases import SPREAD
 from benchmarks.missing_physics.simulator import PRIORS, TRAIN, Case, simulate
 from oed_sysid import Dataset, Problem, Record, load_problem
@@ -40,7 +39,7 @@ from oed_sysid.information.bound import joint_information
 from oed_sysid.information.shifts import Shifts
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 
-RESULTS = Path(__file__).parent / "results" / "separating.jsonl"
+STORE = Store(RESULTS / "separating.jsonl", lambda row: (row["truth"], row["rival"]))
 FIRST = next(m for m in TRAIN if m.name == "train_zigzag_5_5")
 N_PAIRS, MOST_EACH = 10, 3
 # Expected 2 dlogL of the truth over its rival in the first dive, and over the nominal model.
@@ -184,55 +183,54 @@ def judged(
     }
 
 
-def finished() -> dict[tuple[str, str], dict[str, Any]]:
-    """Cases that have run."""
-    if not RESULTS.exists():
-        return {}
-    rows = [json.loads(line) for line in RESULTS.read_text(encoding="utf-8").splitlines()]
-    return {(row["truth"], row["rival"]): row for row in rows}
-
-
 def table(rows: list[dict[str, Any]]) -> str:
     """Finished cases as Markdown."""
-    lines = [
-        "| truth | rival | size, of usual | confused before | expected 2 dlogL | found "
-        "| told apart | group after |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for row in rows:
-        lines.append(
-            f"| `{row['truth']}` | `{row['rival']}` | {row['size']:.2g} "
-            f"| {'yes' if row['confused'] else 'no'} ({row['margin_before']:.1f}) "
-            f"| {row['expected']:.0f} (certain to {told_apart(row['expected']):.0%}) "
-            f"| {row['margin_after']:.0f} | {'yes' if row['separated'] else 'NO'} "
-            f"| {', '.join(row['group_after'])} |"
+    head = (
+        "truth", "rival", "size, of usual", "confused before", "expected 2 dlogL", "found",
+        "told apart", "group after",
+    )  # fmt: skip
+    cells = [
+        (
+            f"`{row['truth']}`",
+            f"`{row['rival']}`",
+            f"{row['size']:.2g}",
+            f"{'yes' if row['confused'] else 'no'} ({row['margin_before']:.1f})",
+            f"{row['expected']:.0f} (certain to {told_apart(row['expected']):.0%})",
+            f"{row['margin_after']:.0f}",
+            "yes" if row["separated"] else "NO",
+            ", ".join(row["group_after"]),
         )
+        for row in rows
+    ]
     done = sum(row["separated"] for row in rows)
-    return "\n".join([*lines, "", f"Told apart: {done} of {len(rows)} (target 18 of 20)."])
+    return "\n".join(
+        [*markdown(head, cells), "", f"Told apart: {done} of {len(rows)} (target 18 of 20)."]
+    )
 
 
-def main() -> None:
-    """Run what is missing, print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--show", action="store_true", help="print finished cases only")
-    options = parser.parse_args()
+def main(*, show: bool = False) -> None:
+    """Run what is missing, print the table.
+
+    Parameters
+    ----------
+    show : bool
+        print finished cases only
+    """
     problem = load_problem("remus_diving_plane")
-    chosen = pairs(problem)
-    RESULTS.parent.mkdir(exist_ok=True)
-    done = finished()
-    for a, b, size_a, size_b in [] if options.show else chosen:
-        for truth, rival, size in ((a, b, size_a), (b, a, size_b)):
-            if (truth, rival) in done:
-                continue
-            row = judged(problem, truth, rival, size, (a, b))
-            done[truth, rival] = row
-            with RESULTS.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
-            print(f"{truth} / {rival}: {row['margin_before']:.1f} -> {row['margin_after']:.1f} "
-                  f"({row['seconds']:.0f} s)", flush=True)  # fmt: skip
-    wanted = [key for a, b, _, _ in chosen for key in ((a, b), (b, a))]
+    wanted = {
+        (truth, rival): (problem, truth, rival, size, (a, b))
+        for a, b, size_a, size_b in pairs(problem)
+        for truth, rival, size in ((a, b, size_a), (b, a, size_b))
+    }
+    if not show:
+        run_cases(
+            STORE, list(wanted), lambda left: (partial(judged, *wanted[key]) for key in left),
+            tell=lambda row: f"{row['truth']} / {row['rival']}: {row['margin_before']:.1f} -> "
+            f"{row['margin_after']:.1f}",
+        )  # fmt: skip
+    done = STORE.done()
     print(table([done[key] for key in wanted if key in done]))
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -38,19 +38,17 @@ no code of the package). A vehicle counts as kept if all runs together never lef
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import RESULTS, Store, ignorant, machine, markdown
 from benchmarks.limits import inside
-from benchmarks.measure import machine
 from benchmarks.random_forces.scenarios import MEDIUM
 from oed_sysid import Experiment, Limits, Model, NoiseModel, load_problem
 from oed_sysid.design import (
@@ -67,7 +65,7 @@ from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import information_of, sea_noise
 from oed_sysid.likelihood.realisation import at_sea
 
-RESULTS = Path(__file__).parent / "results" / "ship_hours.jsonl"
+STORE = Store(RESULTS / "ship_hours.jsonl")
 SPREAD, TURNAROUND, N_RUNS = 0.3, 600.0, 4
 SHRUNK = (1.0, 0.8, 0.6, 0.45, 0.3)  # angles of cautious standard trials
 CRITERIA = {"D": DOptimal(), "A": AOptimal()}
@@ -88,13 +86,6 @@ class Task:
     sea: NoiseModel
     standard: tuple[Experiment, ...]
     durations: tuple[float, ...] | None = None
-
-
-def ignorant(model: Model) -> Model:
-    """The model without priors."""
-    for parameter in model.free_parameters:
-        model = model.with_parameter(replace(parameter, prior_mean=None, prior_std=None))
-    return model
 
 
 def zigzag(
@@ -283,12 +274,11 @@ def judged(
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """What is finished as Markdown."""
-    lines = [
-        "| vehicle | criterion | runs planned | judged | share of the standard trials' ship time: "
-        "median (10 to 90 % of the vehicles) | target | of the cautious ones | limits kept: "
-        "planned | standard | cautious |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
+    share = "share of the standard trials' ship time: median (10 to 90 % of the vehicles)"
+    kept = ("limits kept: planned", "standard", "cautious")
+    about = ("vehicle", "criterion", "runs planned", "judged")
+    head = (*about, share, "target", "of the cautious ones", *kept)
+    lines = []
     for name in TASKS:
         mine = [row for row in rows if row["task"] == name]
         for criterion, most in TARGETS.items():
@@ -309,28 +299,14 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
                 for key in (f"kept {criterion}", "kept standard", "kept cautious")
                 for flags in [[row[key] for row in mine if key in row]]
             ]
-            lines.append(
-                f"| {name} | {criterion} | {', '.join(plan['runs'])} | {len(ready)} | {spans[0]} "
-                f"| {most:g} | {spans[1]} | {' | '.join(counts)} |"
-            )
+            runs = ", ".join(plan["runs"])
+            mean, careful = spans
+            lines.append((name, criterion, runs, len(ready), mean, f"{most:g}", careful, *counts))
+    lines = markdown(head, lines)
     failed = sum("failed" in row for row in rows)
     if failed:
         lines += ["", f"{failed} vehicles could not be judged: a standard trial diverges."]
     return "\n".join(lines)
-
-
-def finished() -> list[dict[str, Any]]:
-    """Plans and vehicles that are there."""
-    if not RESULTS.exists():
-        return []
-    return [json.loads(line) for line in RESULTS.read_text(encoding="utf-8").splitlines()]
-
-
-def keep(rows: Sequence[dict[str, Any]]) -> None:
-    """Add rows to the file."""
-    RESULTS.parent.mkdir(exist_ok=True)
-    with RESULTS.open("a", encoding="utf-8") as file:
-        file.writelines(json.dumps(row) + "\n" for row in rows)
 
 
 def main() -> None:
@@ -343,12 +319,12 @@ def main() -> None:
     for name in [] if options.show else options.tasks:
         print(machine())
         task = TASKS[name]()
-        mine = [row for row in finished() if row["task"] == name]
+        mine = [row for row in STORE.rows() if row["task"] == name]
         plans = {row["plan"]: row for row in mine if "plan" in row}
         for criterion in CRITERIA:
             if criterion not in plans:
                 plans[criterion] = planned(task, criterion)
-                keep([plans[criterion]])
+                STORE.add(plans[criterion])
                 print(f"{name}, {criterion}: {', '.join(plans[criterion]['runs'])} "
                       f"({plans[criterion]['seconds']:.0f} s)", flush=True)  # fmt: skip
         careful = cautious(task)
@@ -359,9 +335,9 @@ def main() -> None:
         missing = [number for number in range(options.vehicles) if number not in there]
         for begin in range(0, len(missing), BATCH):
             began = time.process_time()
-            keep(judged(task, plans, careful, missing[begin : begin + BATCH]))
+            STORE.add(*judged(task, plans, careful, missing[begin : begin + BATCH]))
             print(f"{name}: {begin + BATCH} more ({time.process_time() - began:.0f} s)", flush=True)
-    print(table(finished()))
+    print(table(STORE.rows()))
 
 
 if __name__ == "__main__":

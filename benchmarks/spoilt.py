@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 import time
 
-from benchmarks.compatibility_logs import SPOILS, data_folder, hidden_effect_cases, named_as, spoil
+from benchmarks.compatibility import SPOILS, data_folder, hidden_effect_cases, named_as, spoil
 from oed_sysid.data.dataset import read_csv
 from oed_sysid.evidence.check import check
 from oed_sysid.evidence.improve import improve

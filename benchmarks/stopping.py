@@ -17,15 +17,13 @@ Every trial is kept in benchmarks/results/stopping.jsonl, and not repeated; `--s
 
 from __future__ import annotations
 
-import argparse
-import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import RESULTS, Store, command, markdown
 from oed_sysid import Dataset, Limits, Model, MultipleShooting, Problem, improve, load_problem
 from oed_sysid.design import (
     Budget,
@@ -43,7 +41,10 @@ from oed_sysid.information import sea_noise
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.realisation import simulate_at_sea
 
-RESULTS = Path(__file__).parent / "results" / "stopping.jsonl"
+STORE = Store(
+    RESULTS / "stopping.jsonl",
+    lambda row: (row["hidden"], row["arm"], row["rule"], row["seed"]),
+)
 HOURS, GOAL, SPREAD = 3.0, 0.06, 0.12
 RULES, ARMS = ("errors", "checked", "searched"), ("planned", "standard")
 NOTHING = "nothing"
@@ -140,11 +141,11 @@ def stops(rule: str) -> Callable[[Decision], bool]:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Rows of a table in Markdown."""
-    lines = [
-        "| hidden | rule | dives | trials | dives done, median (range) | called known | 95 % "
-        "intervals hold there | worst error there, median | contradicted |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    head = (
+        "hidden", "rule", "dives", "trials", "dives done, median (range)", "called known",
+        "95 % intervals hold there", "worst error there, median", "contradicted",
+    )  # fmt: skip
+    lines = []
     keys = dict.fromkeys((row["hidden"], row["rule"], row["arm"]) for row in rows)
     for key in keys:
         own = [row for row in rows if (row["hidden"], row["rule"], row["arm"]) == key]
@@ -159,46 +160,50 @@ def table(rows: list[dict[str, Any]]) -> str:
         held = f"{np.mean(inside):.0%} of {len(inside)}" if inside else "-"
         worst = f"{np.median([row['worst'] for row in known]):.0%}" if known else "-"
         doubted = "-" if key[1] == "errors" else str(sum(row["doubted"] for row in own))
-        lines.append(
-            f"| `{key[0]}` | {key[1]} | {key[2]} | {len(own)} | {np.median(dives):g} "
-            f"({min(dives)} to {max(dives)}) | {len(known)} | {held} | {worst} | {doubted} |"
-        )
-    return "\n".join(lines)
+        span = f"{np.median(dives):g} ({min(dives)} to {max(dives)})"
+        known_ = (len(known), held, worst, doubted)
+        lines.append((f"`{key[0]}`", key[1], key[2], len(own), span, *known_))
+    return "\n".join(markdown(head, lines))
 
 
-def main() -> None:
-    """Run what is missing and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument(
-        "--hidden", nargs="*", default=[NOTHING, "pitch_quadratic_damping=-40"], metavar="NAME"
-    )
-    parser.add_argument("--arms", nargs="*", default=list(ARMS), choices=ARMS)
-    parser.add_argument("--rules", nargs="*", default=list(RULES), choices=RULES)
-    parser.add_argument("--show", action="store_true")
-    options = parser.parse_args()
-    lines = RESULTS.read_text(encoding="utf-8").splitlines() if RESULTS.exists() else []
-    rows = [json.loads(line) for line in lines]
-    done = {(row["hidden"], row["arm"], row["rule"], row["seed"]) for row in rows}
-    trial = None if options.show else Trial.of_auv()
+def main(
+    *,
+    seeds: int = 20,
+    hidden: Sequence[str] = (NOTHING, "pitch_quadratic_damping=-40"),
+    arms: Sequence[str] = ARMS,
+    rules: Sequence[str] = RULES,
+    show: bool = False,
+) -> None:
+    """Run what is missing and print the table.
+
+    Parameters
+    ----------
+    seeds : int
+        trials of each kind
+    hidden : sequence of str
+        effects that the model lacks, as NAME or NAME=SIZE
+    arms : sequence of str
+        planned, standard
+    rules : sequence of str
+        errors, checked, searched
+    show : bool
+        print finished trials only
+    """
     wanted = [
-        (hidden, arm, rule, seed)
-        for hidden in options.hidden for rule in options.rules for arm in options.arms
-        for seed in range(options.seeds)
+        (one, arm, rule, seed)
+        for one in hidden for rule in rules for arm in arms for seed in range(seeds)
     ]  # fmt: skip
-    for one in wanted:
-        if trial is None or one in done:
-            continue
-        try:
-            row = trial.run(*one)
-        except OedSysidError as error:
-            print(f"{one}: {error}", flush=True)
-            continue
-        rows.append(row)
-        with RESULTS.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
-    print(table(rows))
+    if not show:
+        trial = Trial.of_auv()
+        for one in wanted:
+            if one in STORE.done():
+                continue
+            try:
+                STORE.add(trial.run(*one))
+            except OedSysidError as error:
+                print(f"{one}: {error}", flush=True)
+    print(table(STORE.rows()))
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

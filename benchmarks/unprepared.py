@@ -11,19 +11,17 @@ Finished cases are kept in the store.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.harness import RESULTS, Store, command, markdown
 from benchmarks.other_vehicles.cases import draws
-from benchmarks.other_vehicles.judge import judge
-from benchmarks.other_vehicles.run import load
+from benchmarks.other_vehicles.run import judged
 from benchmarks.other_vehicles.truth import VEHICLES
 
-STORE = Path(__file__).resolve().parent / "results" / "unprepared.jsonl"
+STORE = RESULTS / "unprepared.jsonl"
 RIGHT = 1.05
 
 
@@ -35,11 +33,11 @@ def ratio(entry: dict[str, Any]) -> float:
 
 def table(entries: Sequence[dict[str, Any]]) -> str:
     """Rates by vehicle as Markdown."""
-    lines = [
-        "| vehicle | hidden and detectable | right | claims, mean | right where not detectable | "
-        "nothing hidden | claims there | aborted | processor s, median |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    head = (
+        "vehicle", "hidden and detectable", "right", "claims, mean", "right where not detectable",
+        "nothing hidden", "claims there", "aborted", "processor s, median",
+    )  # fmt: skip
+    rows = []
     for vehicle in (*VEHICLES, "all"):
         own = [e for e in entries if vehicle in ("all", e["vehicle"])]
         shown = [e for e in own if e["effects"] and e["detectable"]]
@@ -60,33 +58,33 @@ def table(entries: Sequence[dict[str, Any]]) -> str:
             sum("error" in e for e in own),
             f"{seconds:.0f}",
         )
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    return "\n".join(lines)
+        rows.append(cells)
+    return "\n".join(markdown(head, rows))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run cases that are not in the store, and print the table of all that are."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("vehicles", nargs="*", default=list(VEHICLES))
-    parser.add_argument("--cases", type=int, default=12, help="cases of every vehicle")
-    parser.add_argument("--minutes", type=float, default=1e9, help="begin no case after that")
-    parser.add_argument("--store", type=Path, default=STORE)
-    given = parser.parse_args(arguments)
-    end = time.time() + 60.0 * given.minutes
-    done = {entry["key"] for entry in load(given.store)}
-    given.store.parent.mkdir(parents=True, exist_ok=True)
-    for draw in draws(given.vehicles, given.cases):
-        if draw.key in done or time.time() > end:
-            continue
-        entry = judge(draw, prepared=False)
-        with given.store.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(entry) + "\n")
-        added = ", ".join(step["added"] for step in entry.get("steps", ())) or "nothing"
-        hidden = ", ".join(entry["effects"]) or "nothing"
-        print(f"{entry['key']}: {hidden} -> {added}, {ratio(entry):.3f}", flush=True)
-    kept = [entry for entry in load(given.store) if entry["vehicle"] in given.vehicles]
-    print(table(kept))
+def main(
+    vehicles: Sequence[str] = tuple(VEHICLES),
+    *,
+    cases: int = 12,
+    minutes: float = 1e9,
+    store: Path = STORE,
+) -> None:
+    """Run cases that are not in the store, and print the table of all that are.
+
+    Parameters
+    ----------
+    vehicles : sequence of str
+        coaster, catamaran, auv, motor
+    cases : int
+        cases of every vehicle
+    minutes : float
+        wait for no case after that
+    store : Path
+        store of finished cases
+    """
+    judged(draws(vehicles, cases), store, 1, time.time() + 60.0 * minutes, prepared=False)
+    print(table([entry for entry in Store(store).rows() if entry["vehicle"] in vehicles]))
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

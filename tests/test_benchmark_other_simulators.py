@@ -17,13 +17,14 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.other_vehicles.judge import nominal  # noqa: E402
 from benchmarks.other_vehicles.truth import VEHICLES, auv, catamaran, coaster  # noqa: E402
-from benchmarks.other_vehicles.truth.commands import constant, multisine  # noqa: E402
 from benchmarks.other_vehicles.truth.detect import gains  # noqa: E402
 from benchmarks.other_vehicles.truth.simulator import (  # noqa: E402
     Manoeuvre,
     Plant,
     Vehicle,
+    constant,
     gauss_markov,
+    multisine,
     simulate,
 )
 from oed_sysid.experiments.simulation import simulate_inputs  # noqa: E402

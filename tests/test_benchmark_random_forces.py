@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.random_forces import cache  # noqa: E402
+from benchmarks.random_forces import reference as cache  # noqa: E402
 from benchmarks.random_forces.measures import measure, missed, table  # noqa: E402
 from benchmarks.random_forces.reference import (  # noqa: E402
     Structure,
@@ -24,7 +24,15 @@ from benchmarks.random_forces.reference import (  # noqa: E402
     reference,
     structure,
 )
-from benchmarks.random_forces.scenarios import MEDIUM, SCENARIOS, Manoeuvre, Scenario  # noqa: E402
+from benchmarks.random_forces.scenarios import (  # noqa: E402
+    MEDIUM,
+    REMUS,
+    SCENARIOS,
+    YAW,
+    Manoeuvre,
+    Scenario,
+    pitch_pole,
+)
 from benchmarks.random_forces.simulator import Set, simulate  # noqa: E402
 from benchmarks.random_forces.trial import (  # noqa: E402
     Outcome,
@@ -35,7 +43,6 @@ from benchmarks.random_forces.trial import (  # noqa: E402
     forces,
     outcome,
 )
-from benchmarks.random_forces.vehicles import REMUS, YAW, pitch_pole  # noqa: E402
 from oed_sysid import MultipleShooting, load_problem  # noqa: E402
 
 needs_compiler = pytest.mark.skipif(

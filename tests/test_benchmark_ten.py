@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.other_vehicles import ten
 from benchmarks.other_vehicles.cases import draws, single_effect
-from benchmarks.six_degrees import prepared
+from benchmarks.speed import six_degrees_task
 
 
 @pytest.mark.slow
@@ -27,6 +27,6 @@ def test_ten_different_effects_are_detectable() -> None:
 
 def test_problem_of_the_times_has_its_size() -> None:
     """Twelve states, twenty-five free parameters and 36,030 samples."""
-    model, train, _ = prepared()
+    model, train, _ = six_degrees_task()
     assert (len(model.state_names), len(model.free_names)) == (12, 25)
     assert sum(record.outputs.size for record in train) == 36030

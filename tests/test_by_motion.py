@@ -14,9 +14,8 @@ from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics import amplitude
-from oed_sysid.results.comparison_page import comparison_page
+from oed_sysid.results import page as page_of
 from oed_sysid.results.fit_plots import plot_output
-from oed_sysid.results.improvement_page import improvement_page
 from tests.test_captive import TRUTH, ship
 
 NOISE, CROSSFLOW = 0.3, -60.0
@@ -103,7 +102,7 @@ def test_improve_learns_from_tests_drawn_by_lot_and_confirms_on_the_others() -> 
     assert abs(row["value"] - CROSSFLOW) < 4 * row["std_error"]
     assert found.location.by_motion
     assert max(found.location.gains.values()) == 0.0
-    page = improvement_page(found, compare([found.base, found.model], SORTED.dataset))
+    page = page_of(found, compare([found.base, found.model], SORTED.dataset))
     assert page.sections
 
 
@@ -141,7 +140,7 @@ def test_comparison_counts_tests_whole_and_looks_at_no_time() -> None:
         assert force.worst[3] == pytest.approx(abs(worst) / NOISE, rel=1e-6)
         sizes.append([force.worst[3], *sorted(abs(one.score) for one in force.correlations)])
     assert sizes[0] == pytest.approx(sizes[1], rel=1e-6)
-    assert comparison_page(compare([SORTED.model], SORTED.dataset)).sections
+    assert page_of(compare([SORTED.model], SORTED.dataset)).sections
 
 
 def test_plot_of_tests_joins_nothing() -> None:

@@ -52,7 +52,7 @@ def test_improve_finds_what_was_hidden(improved: tuple[dict, str]) -> None:
 def test_improve_report_says_the_same(improved: tuple[dict, str]) -> None:
     """The page names the effect and both errors, and refers to nothing outside."""
     stored, page = improved
-    assert f"It lacks {HIDDEN}" in page
+    assert f"lacks {HIDDEN}" in page
     assert f"{stored['base_error']['test']:.3g} × noise" in page
     assert f"{stored['final_error']['test']:.3g} × noise" in page
     assert "http://" not in page
@@ -153,4 +153,4 @@ def test_diagnose_locates_and_ranks_without_adding(ship: Path, tmp_path: Path, c
     assert main(["diagnose", str(ship), *given[: given.index("--validate")], *files]) == DONE
     assert json.loads(stored.read_text())["best"] == HIDDEN
     assert HIDDEN in capsys.readouterr().out
-    assert "as far as these records can tell" in page.read_text(encoding="utf-8")
+    assert f"lacks {HIDDEN}" in page.read_text(encoding="utf-8")

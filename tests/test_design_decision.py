@@ -9,7 +9,6 @@ import pytest
 from test_design import LIMITS, ship
 
 from oed_sysid import Dataset, Experiment, Limits, MultipleShooting
-from oed_sysid.cli.answers import of_decision
 from oed_sysid.design import (
     Candidate,
     ParameterGoal,
@@ -79,7 +78,7 @@ def test_it_stops_when_enough_is_known_and_forecasts_the_rest(fit, candidates) -
     again = simulate(ship(), check.next_run.experiment, rng=np.random.default_rng(2))
     both = WHITE.fit(ship(), Dataset((*fit.dataset, replace(again, name="check"))))
     enough = decide(both, candidates, met, rng=rng)
-    assert of_decision(enough, 2, 0.18) == (
+    assert enough.answer(2, 0.18) == (
         "STOP after 2 runs, 0.18 h: everything asked for is known well enough."
     )
     assert enough.stop
@@ -99,7 +98,7 @@ def test_it_stops_when_enough_is_known_and_forecasts_the_rest(fit, candidates) -
     assert late.action == "no time"
     n = len(fit.names)
     met = sum(one.is_met for one in late.goals)
-    assert of_decision(late, 2, 0.2).endswith(f"that is left ({met} of {n} goals met).")
+    assert late.answer(2, 0.2).endswith(f"that is left ({met} of {n} goals met).")
 
 
 def test_a_run_that_all_but_meets_a_goal_is_no_reason_to_go_home(fit, candidates) -> None:
@@ -141,11 +140,11 @@ def test_runs_that_contradict_one_another_are_not_enough(candidates) -> None:
     assert found.contradiction.chance < 0.01
     assert found.to_dict()["contradiction"]["freedom"] == 2
     assert found.report().startswith("STOP: on paper")
-    assert "the records contradict it" in of_decision(found, 2, 0.2)
+    assert "the records contradict it" in found.answer(2, 0.2)
     tighter = decide(lacking, candidates, goals_of(linear, {"all": 1e-4}), rng=rng)
     assert tighter.action == "go on"
     assert tighter.contradiction is not None
-    assert of_decision(tighter, 2, 0.2).startswith("WARNING")
+    assert tighter.answer(2, 0.2).startswith("WARNING")
     right = MultipleShooting().fit(ship(), Dataset(tuple(records)))
     assert decide(right, candidates, goals_of(ship(), {"all": 0.05}), rng=rng).action == "enough"
 
@@ -185,7 +184,7 @@ def test_runs_that_may_leave_their_limits_are_refused(fit, candidates) -> None:
     assert found.n_checked == 21
     assert found.kept is not None
     assert found.kept >= 0.95
-    words = of_decision(found, 1, 0.1)
+    words = found.answer(1, 0.1)
     assert words.startswith(f"GO ON after 1 run, 0.1 h: {found.next_run.name} next (0.094 h)")
     assert f"limits kept on {found.kept:.0%} of 21 possible vehicles" in words
     assert f"kept on {found.kept:.0%} of 21 vehicles" in found.report()

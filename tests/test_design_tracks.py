@@ -21,7 +21,6 @@ from oed_sysid import (
     Parameter,
     State,
 )
-from oed_sysid.cli.answers import of_design
 from oed_sysid.design import (
     Caution,
     Design,
@@ -36,7 +35,7 @@ from oed_sysid.design.vehicles import Scenarios, in_waves
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.manoeuvres import Doublet, Piecewise
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
-from oed_sysid.results import card_page, design_page, figure_card
+from oed_sysid.results import figure_card
 from oed_sysid.results.card_plots import DANGER
 
 SEA = NoiseModel(
@@ -176,18 +175,20 @@ def test_the_card_is_one_page_with_danger_in_red(design: Design) -> None:
         assert (figure.texts[0].get_color() == DANGER) is alarming
     assert "STOP THE RUN" in risky.sea_trial_card()
     left = 1 - risky.assurance.probability
-    for page in (card_page(risky), design_page(risky)):
+    for page in (risky.card(), risky.document()):
         first = page.html().partition('<p class="danger">')[2]
         assert first.startswith(f"DANGER: on {left:.0%} of the vehicles")
-        assert page.verdict[0] == risky.assurance.danger
-    assert '<p class="danger">' not in card_page(replace(design, assurance=None)).html()
+        assert page.first[0] == risky.assurance.danger
+    assert '<p class="danger">' not in replace(design, assurance=None).card().html()
 
 
 def test_the_first_line_warns_as_soon_as_less_is_kept_than_asked(design: Design) -> None:
     """Kept on 93 % is dangerous where 95 % were asked for, and not where nothing was."""
     kept = replace(design.assurance, n_kept=56, n_checked=60, left={"psi": 4}, limited=True)
-    assert of_design(replace(design, assurance=replace(kept, wanted=0.95))).startswith("DANGER")
-    words = of_design(replace(design, assurance=replace(kept, wanted=None)))
+    assert (
+        replace(design, assurance=replace(kept, wanted=0.95)).document().answer.startswith("DANGER")
+    )
+    words = replace(design, assurance=replace(kept, wanted=None)).document().answer
     assert not words.startswith("DANGER")
     assert "limits kept on 93% of possible vehicles" in words
 

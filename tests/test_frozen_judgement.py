@@ -11,7 +11,7 @@ from golden_files import FILTERED, check
 from turning_ship import CANDIDATES, SHIP, dataset
 
 import oed_sysid
-from benchmarks.compatibility_logs import spoil
+from benchmarks.compatibility import spoil
 from oed_sysid import Dataset, DOptimal, Limits, design_experiment, diagnose, improve
 from oed_sysid.design import Levels, Search, Trial
 

@@ -9,7 +9,6 @@ import pytest
 from test_design import LIMITS, ship
 
 from oed_sysid import Experiment, Limits, NoiseModel, design
-from oed_sysid.cli.answers import of_programme
 from oed_sysid.design import (
     AOptimal,
     Budget,
@@ -205,19 +204,19 @@ def test_programme_beats_standard_trials(programme: Programme) -> None:
 
 def test_the_first_line_of_a_programme_is_the_answer(programme: Programme) -> None:
     """Runs, hours, what they buy and whether they are safe; danger stands before all of it."""
-    words = of_programme(programme)
+    words = programme.document().answer
     n, worst = len(programme.runs), int(np.argmax(programme.relative_errors))
     name, half_width = programme.names[worst], 1.96 * programme.relative_errors[worst]
     assert words.startswith(f"{n} runs, {programme.hours:.3g} h: ")
     assert f"{name}, which stays unidentified" in words
     joint = programme.information
     known = Information.from_matrix(joint.names, 100.0 * joint.matrix, programme.sizes)
-    sharp = of_programme(replace(programme, information=known))
+    sharp = replace(programme, information=known).document().answer
     assert f"{name}, ± {100 * half_width / 10.0:.2g} % (95 %)" in sharp
     assert f"the limits on {programme.kept:.0%} of possible vehicles" in words
     name = programme.runs[0].name
     risky = {**programme.assurances, name: replace(programme.assurances[name], n_kept=75)}
-    words = of_programme(replace(programme, assurances=risky))
+    words = replace(programme, assurances=risky).document().answer
     assert words.startswith(f"DANGER: {name!r} leaves its limits on 25% of possible vehicles; {n}")
     few = {
         name: replace(one, kept=np.roll(np.arange(100) > 3, 4 * index))

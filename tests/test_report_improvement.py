@@ -135,17 +135,12 @@ def test_report_tells_the_story(story) -> None:
     found, comparison, train = story
     page = report.improvement_page(found, comparison, train=train, title="My ship")
     titles = [section.title for section in page.sections]
-    assert titles[:4] == [
-        "What is missing",
-        "What to believe, and what to do next at sea",
-        "Where the nominal model fails",
-        "Candidates",
-    ]
-    assert all(
-        any(line.strip(" -") in p for p in page.sections[1].paragraphs) for line in found.advice
-    )
-    assert [row[1] for row in page.sections[0].tables[-1].rows][:2] == ["training", "validation"]
-    assert any(HIDDEN in sentence for sentence in page.verdict)
+    parts = dict(zip(titles, page.sections, strict=True))
+    told = parts["What to believe, and what to do next at sea"].paragraphs
+    assert all(any(line.strip(" -") in p for p in told) for line in found.advice)
+    assert [row[1] for row in parts["Errors"].tables[0].rows][:2] == ["training", "validation"]
+    assert {"What is missing", "Where the nominal model fails", "Candidates"} < set(titles)
+    assert HIDDEN in page.answer
     assert page.verdict[-1].startswith("Verdict")
     html = page.html()
     assert "<h1>My ship</h1>" in html
@@ -157,5 +152,5 @@ def test_comparison_report_says_where_models_fail(story) -> None:
     """The verdict of every model is on the page, with a table each."""
     comparison = story[1]
     page = report.comparison_page(comparison)
-    assert page.verdict == tuple(comparison.verdict.splitlines())
-    assert len(page.sections[0].tables) == 2
+    assert set(comparison.verdict.splitlines()) <= set(page.verdict)
+    assert [len(one.tables) for one in page.sections[:2]] == [1, 1]

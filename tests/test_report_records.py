@@ -35,8 +35,8 @@ def test_ranking_page_states_the_worst_parameter() -> None:
     subset = identifiable_subset(information_of(problem.model, runs, priors=None), {})
     page = ranking_page(ranking, subset)
     worst = ranking.rows[-1]
-    assert (f"std. error, worst: {worst.name}", f"{100 * worst.error:.3g} %") in page.numbers
-    assert f"{100 * worst.error:.3g} %" in page.summary_html()
-    assert worst.name in page.sections[1].html()
-    assert page.sections[1].html().strip() in page.html()
+    assert (f"std. error, worst: {worst.name}", f"{worst.error:.2%}") in page.numbers
+    assert f"{worst.error:.2%}" in page.summary_html()
+    assert worst.name in page.sections[0].html()
+    assert page.drawn().sections[0].html().strip() in page.html()
     assert ".verdict" in style_sheet()

@@ -13,7 +13,6 @@ import datetime
 import json
 import math
 import re
-import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,10 +22,12 @@ from typing import Any
 import jinja2
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-RESULTS = ROOT / "benchmarks" / "results"
+from benchmarks.harness import RESULTS, ROOT, revision
+
 TEMPLATES = Path(__file__).resolve().parent / "templates"
 Numbers = Mapping[str, Any]
+# What numbers depend on beside the package and its problems.
+CODE = ("examples", "benchmarks/documents")
 # Marks on a page between which another command writes.
 BLOCK = re.compile(r"<!-- ([\w ]+): begin -->\n<!-- \1: end -->")
 
@@ -130,7 +131,7 @@ class Page:
         began = time.perf_counter()
         numbers = self.sections[section]()
         found = {
-            "revision": revision(),
+            "revision": revision(*CODE),
             "day": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
             "seconds": round(time.perf_counter() - began, 1),
             "numbers": json.loads(json.dumps(numbers, default=_plain)),
@@ -182,18 +183,6 @@ class Page:
             kept = page.partition(begin)[2].partition(end)[0]
             text = text.replace(begin + end, begin + kept + end)
         return text
-
-
-def revision() -> str:
-    """Revision of the code, with a plus where files of it are changed."""
-
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
-        return done.stdout.strip()
-
-    code = ("oed_sysid", "problems", "examples", "benchmarks/documents")
-    changed = git("status", "--porcelain", "--", *code)
-    return git("rev-parse", "--short", "HEAD") + ("+" if changed else "")
 
 
 def _plain(value: object) -> object:

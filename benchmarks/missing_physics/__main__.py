@@ -1,5 +1,6 @@
 """Hidden effects: how often the improvement finds them (:mod:`benchmarks.missing_physics.run`)."""
 
+from benchmarks.harness import command
 from benchmarks.missing_physics.run import main
 
-main()
+command(main)

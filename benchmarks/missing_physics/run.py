@@ -7,22 +7,20 @@ Finished cases are kept as lines of JSON and never computed again.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, delayed
-
+from benchmarks.harness import RESULTS as FOLDER
+from benchmarks.harness import Row, Store, run_cases
 from benchmarks.missing_physics.cases import Draw, draws, simulate_draws
 from benchmarks.missing_physics.judge import judge
 from benchmarks.missing_physics.measures import as_markdown, measures
 from oed_sysid.runtime.files import write_text
 
-RESULTS = Path(__file__).resolve().parent.parent / "results" / "missing_physics.jsonl"
+RESULTS = FOLDER / "missing_physics.jsonl"
 PLAN = (
     "single/white:320 none/white:200 pair/white:60 unknown/white:40 "
     "none/colour5:20 none/colour9:20 none/force_mid:20 none/force_high:20 none/gust_mid:20 "
@@ -69,108 +67,81 @@ def run(
     ----------
     plan : str
         See :func:`benchmarks.missing_physics.cases.draws`.
-    results : Path
-        Lines of JSON, one per finished case.
-    n_jobs : int
-        Processes.
-    deadline : float, optional
-        Time of day (seconds since the epoch) after which no result is waited for.
-    tell : callable
-        Told about the progress.
+    results, n_jobs, deadline, tell
+        See :func:`benchmarks.harness.run_cases`.
 
     Returns
     -------
     dict
         Measures, see :func:`benchmarks.missing_physics.measures.measures`.
     """
-    results.parent.mkdir(parents=True, exist_ok=True)
-    mend(results)
-    done = {entry["key"] for entry in load(results)}
-    wanted = draws(plan)
-    left = [draw for draw in wanted if draw.key not in done]
-    tell(f"{len(wanted)} cases, {len(wanted) - len(left)} of them done")
-    began = time.perf_counter()
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    for finished, entry in enumerate(_entries(left, n_jobs), start=1):
-        with results.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(entry) + "\n")
-        pace = (time.perf_counter() - began) / finished
-        tell(
-            f"{finished}/{len(left)} {entry['key']} {_summary(entry)} "
-            f"({pace:.1f} s per case, {pace * (len(left) - finished) / 60:.0f} min left)"
+    wanted = {draw.key: draw for draw in draws(plan)}
+
+    def jobs(left: Sequence[Hashable]) -> Iterator[Callable[[], Row]]:
+        """Simulated a batch at a time."""
+        chosen: list[Draw] = [wanted[str(key)] for key in left]
+        for first in range(0, len(chosen), BATCH):
+            batch = chosen[first : first + BATCH]
+            for draw, (case, records) in zip(batch, simulate_draws(batch), strict=True):
+                yield partial(judge, draw, case, records)
+
+    return measures(
+        run_cases(
+            Store(results), list(wanted), jobs,
+            n_jobs=n_jobs, deadline=deadline, tell=_summary, say=tell,
         )
-        if deadline is not None and time.time() > deadline:
-            tell("out of time: the rest is left for the next run")
-            break
-    keys = {draw.key for draw in wanted}
-    return measures([entry for entry in load(results) if entry["key"] in keys])
+    )  # fmt: skip
 
 
-def _entries(left: Sequence[Draw], n_jobs: int) -> Iterator[dict[str, Any]]:
-    """Judge cases in parallel, simulated a batch at a time, as they finish."""
-    with Parallel(n_jobs=n_jobs, return_as="generator_unordered") as workers:
-        for first in range(0, len(left), BATCH):
-            batch = left[first : first + BATCH]
-            jobs = (
-                delayed(judge)(draw, case, records)
-                for draw, (case, records) in zip(batch, simulate_draws(batch), strict=True)
-            )
-            yield from workers(jobs)
-
-
-def mend(results: Path) -> None:
-    """Cut off the part of a line that a killed run may have left."""
-    text = results.read_text(encoding="utf-8") if results.exists() else ""
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        write_text(results, whole)
-
-
-def load(results: Path) -> list[dict[str, Any]]:
-    """Finished cases."""
-    if not results.exists():
-        return []
-    return [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
-
-
-def _summary(entry: dict[str, Any]) -> str:
+def _summary(entry: Row) -> str:
     if "error" in entry:
-        return f"FAILED {entry['error']}"
+        return f"{entry['key']} FAILED {entry['error']}"
     added = " + ".join(step["added"] for step in entry["steps"]) or "nothing"
     hidden = " + ".join(entry["effects"]) or "nothing"
     sight = "" if entry["detectable"] else " (invisible)"
-    return f"{hidden}{sight} -> {added}"
+    return f"{entry['key']} {hidden}{sight} -> {added}"
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Command line of the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("plan", nargs="?", default=PLAN)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--results", type=Path, default=RESULTS)
-    parser.add_argument("--until", help="local time of day, as 12:55")
-    parser.add_argument("--measure", action="store_true", help="run nothing: measure what is there")
-    parser.add_argument("--table", type=Path, help="write the measures there as Markdown")
-    options = parser.parse_args(arguments)
+def main(
+    plan: str = PLAN,
+    *,
+    jobs: int = 2,
+    results: Path = RESULTS,
+    until: str = "",
+    measure: bool = False,
+    table: Path | None = None,
+) -> None:
+    """Run what is missing and print the measures.
+
+    Parameters
+    ----------
+    plan : str
+        kinds of cases and how many, as "single/white:40 none/white:20"
+    jobs : int
+        processes
+    results : Path
+        store of finished cases
+    until : str
+        local time of day after which no result is waited for, as 12:55
+    measure : bool
+        run nothing: measure what is there
+    table : Path
+        write the measures there as Markdown
+    """
     deadline = None
-    if options.until:
+    if until:
         now = time.localtime()
-        hour, minute = map(int, options.until.split(":"))
+        hour, minute = map(int, until.split(":"))
         deadline = time.mktime((*now[:3], hour, minute, 0, *now[6:]))
-    if options.measure:
-        found = measures(load(options.results))
+    if measure:
+        found = measures(Store(results).rows())
     else:
-        found = run(
-            options.plan,
-            results=options.results,
-            n_jobs=options.jobs,
-            deadline=deadline,
-            tell=lambda text: print(text, flush=True),
-        )
+        found = run(plan, results=results, n_jobs=jobs, deadline=deadline,
+                    tell=lambda text: print(text, flush=True))  # fmt: skip
     text = as_markdown(found)
     print(text)
-    if options.table:
-        write_text(options.table, page(text, options.table))
+    if table:
+        write_text(table, page(text, table))
 
 
 def page(table: str, path: Path) -> str:

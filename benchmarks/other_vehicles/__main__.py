@@ -1,5 +1,6 @@
-"""Other vehicles: how often the improvement finds hidden effects (:mod:`.run`)."""
+"""Vehicles that nobody tuned for (:mod:`benchmarks.other_vehicles.run`)."""
 
+from benchmarks.harness import command
 from benchmarks.other_vehicles.run import main
 
-main()
+command(main)

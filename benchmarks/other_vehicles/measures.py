@@ -1,38 +1,38 @@
-"""How often the improvement was right, from finished cases."""
+"""How often the improvement was right on vehicles that nothing was tuned for."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-Entry = Mapping[str, Any]
-LARGEST_GROUP = 3
+from benchmarks.rates import (
+    LARGEST_GROUP,
+    Entry,
+    Rate,
+    claims,
+    number,
+    of_kind,
+    plain,
+    rate_table,
+    section,
+    share,
+)
+
+PERCENT = (50, 90)
 RISE = 1.02  # validation error after a claim over that before, from which the two contradict
-
-
-@dataclass(frozen=True)
-class Rate:
-    """A share of cases with its 95 % Wilson interval (NaN for a number that is no share)."""
-
-    name: str
-    value: float
-    count: int
-    low: float
-    high: float
-    target: str
 
 
 def measures(entries: Sequence[Entry]) -> dict[str, Any]:
     """All measures of a run, as plain data.
 
-    Keys: ``n_cases``, ``rates`` (rows of :class:`Rate`), ``by_effect``, ``failures``.
+    Keys: ``n_cases``, ``rates`` (rows of :class:`benchmarks.rates.Rate`), ``by_effect``,
+    ``failures``.
     """
     return {
         "n_cases": len(entries),
-        "rates": [asdict(rate) for rate in _rates(entries) if rate.count],
+        "rates": plain(_rates(entries)),
         "by_effect": _by_effect(entries),
         "failures": [_failure(entry) for entry in entries if faults(entry)],
     }
@@ -41,11 +41,6 @@ def measures(entries: Sequence[Entry]) -> dict[str, Any]:
 def aborted(entry: Entry) -> bool:
     """Whether the improvement ended without a result."""
     return "error" in entry
-
-
-def claims(entry: Entry) -> bool:
-    """Whether anything is claimed."""
-    return bool(entry.get("steps"))
 
 
 def names_of(entry: Entry, name: str) -> set[str]:
@@ -107,72 +102,45 @@ def ratio(entry: Entry) -> float:
     return found / true if np.isfinite(true) and true > 0 else float("nan")
 
 
+def _detectable(entries: Sequence[Entry], hidden: str = "single", *conditions: str) -> list[Entry]:
+    return [e for e in of_kind(entries, hidden, *conditions) if e["detectable"]]
+
+
 def _rates(entries: Sequence[Entry]) -> list[Rate]:
     rates = []
     for vehicle in (None, *dict.fromkeys(entry["vehicle"] for entry in entries)):
         own = [e for e in entries if vehicle in (None, e["vehicle"])]
-        head = f"{vehicle or 'all'}: "
-        seen = [e for e in own if e["hidden"] == "single" and e["detectable"]]
+        head, seen, none = f"{vehicle or 'all'}: ", _detectable(own), of_kind(own, "none")
         rates += [
-            _share(head + "right effect first", right_first, seen, ""),
-            _share(head + "right effect first or in its group", right_group, seen, ""),
-            _share(head + "right effect accepted", accepted, seen, ">= 0.95"),
-            _share(head + "no abort", lambda e: not aborted(e), own, "1"),
-            _share(
-                head + "nothing hidden: false claims",
-                claims,
-                [e for e in own if e["hidden"] == "none"],
-                "<= 0.02",
-            ),
+            share(head + "right effect first", right_first, seen),
+            share(head + "right effect first or in its group", right_group, seen),
+            share(head + "right effect accepted", accepted, seen, ">= 0.95"),
+            share(head + "no abort", lambda e: not aborted(e), own, "1"),
+            share(head + "nothing hidden: false claims", claims, none, "<= 0.02"),
         ]
     for condition in ("white", "waves", "input_noise"):
-        own = [e for e in entries if e["condition"] == condition]
-        none = [e for e in own if e["hidden"] == "none"]
-        seen = [e for e in own if e["hidden"] == "single" and e["detectable"]]
-        rates.append(_share(f"{condition}, nothing hidden: false claims", claims, none, "<= 0.02"))
-        rates.append(_share(f"{condition}: right effect accepted", accepted, seen, ">= 0.95"))
+        none, seen = of_kind(entries, "none", condition), _detectable(entries, "single", condition)
+        rates.append(share(f"{condition}, nothing hidden: false claims", claims, none, "<= 0.02"))
+        rates.append(share(f"{condition}: right effect accepted", accepted, seen, ">= 0.95"))
     for declared, words in ((True, "noise declared"), (False, "noise not declared")):
-        seen = [
-            e
-            for e in entries
-            if e["hidden"] == "single" and e["detectable"] and e["declared"] is declared
-        ]
-        rates.append(_share(f"{words}: right effect accepted", accepted, seen, ">= 0.95"))
-    pairs = [e for e in entries if e["hidden"] == "pair" and e["detectable"]]
-    hidden = [e for e in entries if e["hidden"] != "none"]
-    rates += [
-        _share("two hidden: both found", accepted, pairs, ""),
-        _share("two hidden: one of them first", right_group, pairs, ""),
-        _share("claims more than is hidden", more_claimed, hidden, ""),
-        _share("claim beside a validation error that rises", contradicts, entries, "0"),
-        _share("hidden effects that are detectable", lambda e: e["detectable"], hidden, ""),
+        seen = [e for e in _detectable(entries) if e["declared"] is declared]
+        rates.append(share(f"{words}: right effect accepted", accepted, seen, ">= 0.95"))
+    pairs, hidden = _detectable(entries, "pair"), [e for e in entries if e["hidden"] != "none"]
+    ratios = [r for r in map(ratio, entries) if not np.isnan(r)]
+    seconds = [e["processor_seconds"] for e in entries]
+    return [
+        *rates,
+        share("two hidden: both found", accepted, pairs),
+        share("two hidden: one of them first", right_group, pairs),
+        share("claims more than is hidden", more_claimed, hidden),
+        share("claim beside a validation error that rises", contradicts, entries, "0"),
+        share("hidden effects that are detectable", lambda e: e["detectable"], hidden),
+        *(
+            number(f"validation error, found over true structure: {p} %", ratios, p)
+            for p in PERCENT
+        ),
+        *(number(f"processor seconds of a case: {p} %", seconds, p) for p in PERCENT),
     ]
-    ratios = np.array([r for r in map(ratio, entries) if not np.isnan(r)])
-    seconds = np.array([e["processor_seconds"] for e in entries])
-    for percent in (50, 90):
-        words = f"validation error, found over true structure: {percent} %"
-        rates.append(_number(words, ratios, percent))
-    for percent in (50, 90):
-        rates.append(_number(f"processor seconds of a case: {percent} %", seconds, percent))
-    return rates
-
-
-def _share(name: str, is_so: Callable[[Entry], Any], entries: Sequence[Entry], target: str) -> Rate:
-    n = len(entries)
-    if n == 0:
-        return Rate(name, np.nan, 0, np.nan, np.nan, target)
-    share = sum(bool(is_so(entry)) for entry in entries) / n
-    z = 1.96
-    centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
-    half = z * np.sqrt(share * (1 - share) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
-    return Rate(
-        name, share, n, max(float(centre - half), 0.0), min(float(centre + half), 1.0), target
-    )
-
-
-def _number(name: str, values: np.ndarray, percent: float) -> Rate:
-    value = float(np.percentile(values, percent)) if len(values) else np.nan
-    return Rate(name, value, len(values), np.nan, np.nan, "")
 
 
 def _by_effect(entries: Sequence[Entry]) -> list[dict[str, Any]]:
@@ -240,46 +208,29 @@ def _failure(entry: Entry) -> dict[str, Any]:
 
 def as_markdown(found: Mapping[str, Any]) -> str:
     """The measures as Markdown tables."""
-    lines = [
-        f"{found['n_cases']} cases.",
-        "",
-        "| measure | value | 95 % interval | cases | target |",
-        "|---|---|---|---|---|",
+    columns = ("vehicle", "effect", "cases", "detectable", "right_first", "right_group")
+    effects = [
+        (*(row[one] for one in columns), ", ".join(row["mistaken_for"]))
+        for row in found["by_effect"]
     ]
-    for rate in found["rates"]:
-        interval = "" if np.isnan(rate["low"]) else f"{rate['low']:.3f} to {rate['high']:.3f}"
-        lines.append(
-            f"| {rate['name']} | {rate['value']:.3f} | {interval} | {rate['count']} "
-            f"| {rate['target']} |"
+    failures = [
+        (
+            row["case"],
+            ", ".join(row["hidden"]) or "nothing",
+            ", ".join(row["added"]) or "nothing",
+            *(", ".join(row[one]) for one in ("group", "refused", "order")),
+            f"{row['ratio']:.3f}",
+            "; ".join(row["faults"]),
         )
-    if found["by_effect"]:
-        lines += [
-            "",
-            "One hidden effect; of the detectable cases:",
-            "",
-            "| vehicle | hidden effect | cases | detectable | first | or in its group "
-            "| otherwise |",
-            "|---|---|---|---|---|---|---|",
-        ]
-        lines += [
-            f"| {row['vehicle']} | {row['effect']} | {row['cases']} | {row['detectable']} "
-            f"| {row['right_first']} | {row['right_group']} | {', '.join(row['mistaken_for'])} |"
-            for row in found["by_effect"]
-        ]
-    if found["failures"]:
-        lines += [
-            "",
-            "What went wrong (expected gains in twice the log-likelihood):",
-            "",
-            "| case | hidden (gain) | claimed | first group | refused | ranked first "
-            "| error over true | fault |",
-            "|---|---|---|---|---|---|---|---|",
-        ]
-        lines += [
-            f"| {row['case']} | {', '.join(row['hidden']) or 'nothing'} "
-            f"| {', '.join(row['added']) or 'nothing'} | {', '.join(row['group'])} "
-            f"| {', '.join(row['refused'])} | {', '.join(row['order'])} | {row['ratio']:.3f} "
-            f"| {'; '.join(row['faults'])} |"
-            for row in found["failures"]
-        ]
-    return "\n".join(lines)
+        for row in found["failures"]
+    ]
+    heads = (
+        ("vehicle", "hidden effect", "cases", "detectable", "first", "or in its group",
+         "otherwise"),
+        ("case", "hidden (gain)", "claimed", "first group", "refused", "ranked first",
+         "error over true", "fault"),
+    )  # fmt: skip
+    lines = rate_table(found)
+    lines += section("One hidden effect; of the detectable cases:", heads[0], effects)
+    words = "What went wrong (expected gains in twice the log-likelihood):"
+    return "\n".join([*lines, *section(words, heads[1], failures)])

@@ -7,22 +7,19 @@ Finished cases are kept as lines of JSON in the store and never computed again.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, delayed
-
-from benchmarks.other_vehicles.cases import draws
+from benchmarks.harness import RESULTS, Row, Store, run_cases
+from benchmarks.other_vehicles.cases import Draw, draws
 from benchmarks.other_vehicles.judge import judge
 from benchmarks.other_vehicles.measures import as_markdown, measures
 from benchmarks.other_vehicles.truth import VEHICLES
 
-STORE = Path(__file__).resolve().parent.parent / "results" / "other_vehicles.jsonl"
+STORE = RESULTS / "other_vehicles.jsonl"
 CASES = 60
 PAGE = """# How often missing physics is found on vehicles that nothing was tuned for
 
@@ -75,101 +72,93 @@ def run(
         Cases of every vehicle.
     only : sequence of int
         Numbers of cases, where not all are wanted.
-    store : Path
-        Lines of JSON, one per finished case.
-    n_jobs : int
-        Processes.
+    store, n_jobs, deadline, tell
+        See :func:`benchmarks.harness.run_cases`.
     limit : float
         Longest processor time that one improvement may take, s.
-    deadline : float, optional
-        Time (seconds since the epoch) after which no new result is waited for.
-    tell : callable
-        Told about the progress.
 
     Returns
     -------
     dict
         Measures, see :func:`benchmarks.other_vehicles.measures.measures`.
     """
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    store.parent.mkdir(parents=True, exist_ok=True)
     wanted = draws(vehicles, max((cases, *(number + 1 for number in only))))
     if only:
         wanted = [draw for draw in wanted if draw.number in only]
-    done = {entry["key"] for entry in load(store)}
-    left = [draw for draw in wanted if draw.key not in done]
-    tell(f"{len(wanted)} cases, {len(wanted) - len(left)} of them done")
-    if store.exists() and not store.read_text(encoding="utf-8").endswith("\n"):
-        with store.open("a", encoding="utf-8") as file:  # after a line that was cut short
-            file.write("\n")
-    with Parallel(n_jobs=n_jobs, return_as="generator_unordered") as workers:
-        entries = workers(delayed(judge)(draw, limit=limit) for draw in left)
-        for finished, entry in enumerate(entries, start=1):
-            with store.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(entry) + "\n")
-            tell(f"{finished}/{len(left)} {entry['key']} {summary(entry)}")
-            if deadline is not None and time.time() > deadline:
-                tell("out of time: the rest is left for the next run")
-                break
-    keys = {draw.key for draw in wanted}
-    return measures([entry for entry in load(store) if entry["key"] in keys])
+    return measures(judged(wanted, store, n_jobs, deadline, tell, limit=limit))
 
 
-def load(store: Path) -> list[dict[str, Any]]:
-    """Finished cases; a line that was cut short by a kill is left out."""
-    if not store.exists():
-        return []
-    found = []
-    for line in store.read_text(encoding="utf-8").splitlines():
-        try:
-            found.append(json.loads(line))
-        except json.JSONDecodeError:
-            continue
-    return found
+def judged(
+    wanted: Sequence[Draw],
+    store: Path,
+    n_jobs: int = 1,
+    deadline: float | None = None,
+    tell: Callable[[str], None] = print,
+    **settings: Any,
+) -> list[Row]:
+    """The wanted cases that are finished, after those that were missing have run."""
+    by_key = {draw.key: draw for draw in wanted}
+    return run_cases(
+        Store(store), list(by_key),
+        lambda left: (partial(judge, by_key[str(key)], **settings) for key in left),
+        n_jobs=n_jobs, deadline=deadline, tell=summary, say=tell,
+    )  # fmt: skip
 
 
-def summary(entry: dict[str, Any]) -> str:
+def summary(entry: Row) -> str:
     """One case in one line."""
     hidden = " + ".join(entry["effects"]) or "nothing"
     sight = "" if entry["detectable"] else " (invisible)"
     if "error" in entry:
-        return f"{hidden}{sight} -> FAILED {entry['error'][:120]}"
+        return f"{entry['key']} {hidden}{sight} -> FAILED {entry['error'][:120]}"
     added = " + ".join(step["added"] for step in entry["steps"]) or "nothing"
-    return f"{hidden}{sight} -> {added} ({entry['processor_seconds']:.1f} s)"
+    return f"{entry['key']} {hidden}{sight} -> {added} ({entry['processor_seconds']:.1f} s)"
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Command line of the benchmark."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.other_vehicles", description=__doc__.splitlines()[0]
-    )
-    parser.add_argument("vehicles", nargs="*", default=[], help=", ".join(VEHICLES))
-    parser.add_argument("--cases", type=int, default=CASES, help="cases of every vehicle")
-    parser.add_argument("--only", type=int, nargs="*", default=[], help="numbers of cases")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--store", type=Path, default=STORE)
-    parser.add_argument(
-        "--limit", type=float, default=600.0, help="processor seconds for one improvement"
-    )
-    parser.add_argument("--minutes", type=float, help="start no wait beyond this")
-    parser.add_argument("--measure", action="store_true", help="run nothing: measure what is there")
-    parser.add_argument("--table", type=Path, help="write the measures there as Markdown")
-    options = parser.parse_args(arguments)
-    vehicles = options.vehicles or list(VEHICLES)
-    if options.measure:
-        found = measures([e for e in load(options.store) if e["vehicle"] in vehicles])
+def main(
+    vehicles: Sequence[str] = tuple(VEHICLES),
+    *,
+    cases: int = CASES,
+    only: Sequence[int] = (),
+    jobs: int = 1,
+    store: Path = STORE,
+    limit: float = 600.0,
+    minutes: float = 0.0,
+    measure: bool = False,
+    table: Path | None = None,
+) -> None:
+    """Run what is missing and print the measures.
+
+    Parameters
+    ----------
+    vehicles : sequence of str
+        coaster, catamaran, auv, motor
+    cases : int
+        cases of every vehicle
+    only : sequence of int
+        numbers of cases
+    jobs : int
+        processes
+    store : Path
+        store of finished cases
+    limit : float
+        processor seconds for one improvement
+    minutes : float
+        start no wait beyond this
+    measure : bool
+        run nothing: measure what is there
+    table : Path
+        write the measures there as Markdown
+    """
+    if measure:
+        found = measures([e for e in Store(store).rows() if e["vehicle"] in vehicles])
     else:
         found = run(
-            vehicles,
-            cases=options.cases,
-            only=options.only,
-            store=options.store,
-            n_jobs=options.jobs,
-            limit=options.limit,
-            deadline=time.time() + 60 * options.minutes if options.minutes else None,
+            vehicles, cases=cases, only=only, store=store, n_jobs=jobs, limit=limit,
+            deadline=time.time() + 60 * minutes if minutes else None,
             tell=lambda text: print(text, flush=True),
-        )
+        )  # fmt: skip
     text = as_markdown(found)
     print(text)
-    if options.table:
-        options.table.write_text(f"{PAGE}{text}\n", encoding="utf-8")
+    if table:
+        table.write_text(f"{PAGE}{text}\n", encoding="utf-8")

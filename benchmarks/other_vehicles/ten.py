@@ -11,14 +11,16 @@ nothing is hidden. Finished cases are kept in the benchmark's store and never co
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+from benchmarks.harness import Store, command
 from benchmarks.other_vehicles.cases import draw_case, draws, single_effect
 from benchmarks.other_vehicles.judge import CONFIRMABLE, DETECTABLE
-from benchmarks.other_vehicles.measures import accepted, claims
-from benchmarks.other_vehicles.run import STORE, load, run
+from benchmarks.other_vehicles.measures import accepted
+from benchmarks.other_vehicles.run import STORE, run
+from benchmarks.rates import claims
 
 VEHICLE = "auv"
 COUNT, EMPTY = 10, 2
@@ -59,32 +61,29 @@ def chosen(*, tell: Callable[[str], None] = lambda text: None) -> tuple[list[int
     return hiding, empty
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Command line of the ten cases."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.other_vehicles.ten", description=__doc__.splitlines()[0]
-    )
-    parser.add_argument("--store", type=Path, default=STORE)
-    parser.add_argument("--limit", type=float, default=900.0, help="processor seconds for one case")
-    parser.add_argument("--list", action="store_true", help="only say which cases these are")
-    options = parser.parse_args(arguments)
-    hiding, empty = chosen(tell=lambda text: print(text, flush=True))
-    if options.list:
+def main(*, store: Path = STORE, limit: float = 900.0, list: bool = False) -> None:
+    """Run what is missing of the ten cases.
+
+    Parameters
+    ----------
+    store : Path
+        store of finished cases
+    limit : float
+        processor seconds for one case
+    list : bool
+        only say which cases these are
+    """
+    tell = partial(print, flush=True)
+    hiding, empty = chosen(tell=tell)
+    if list:
         return
-    run(
-        [VEHICLE],
-        only=[*hiding, *empty],
-        store=options.store,
-        limit=options.limit,
-        tell=lambda text: print(text, flush=True),
-    )
-    keys = {draw.key: draw.number for draw in draws([VEHICLE], MOST)}
-    entries = {keys[one["key"]]: one for one in load(options.store) if one["key"] in keys}
-    found = sum(number in entries and accepted(entries[number]) for number in hiding)
-    false = sum(number in entries and claims(entries[number]) for number in empty)
-    done = sum(number in entries for number in hiding)
-    print(f"found {found} of {done} run (target 9 of {COUNT}); false claims {false} of {EMPTY}")
+    run([VEHICLE], only=[*hiding, *empty], store=store, limit=limit, tell=tell)
+    done, keys = Store(store).done(), {draw.number: draw.key for draw in draws([VEHICLE], MOST)}
+    ready = [done[keys[number]] for number in hiding if keys[number] in done]
+    false = sum(keys[number] in done and claims(done[keys[number]]) for number in empty)
+    print(f"found {sum(map(accepted, ready))} of {len(ready)} run (target 9 of {COUNT}); "
+          f"false claims {false} of {EMPTY}")  # fmt: skip
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

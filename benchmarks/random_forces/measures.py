@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.random_forces.scenarios import SCENARIOS, Scenario
+from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES, Scenario
 from benchmarks.random_forces.trial import Outcome
-from benchmarks.random_forces.vehicles import VEHICLES
 
 QUANTILE = 1.959964
 # An error of more than this many standard errors counts as this many in z.
@@ -43,7 +42,7 @@ def measure(
     scenario : Scenario
     outcomes : sequence of Outcome
     known : mapping
-        The reference by number of data set (:mod:`~benchmarks.random_forces.cache`).
+        The reference by number of data set (:mod:`~benchmarks.random_forces.reference`).
 
     Returns
     -------

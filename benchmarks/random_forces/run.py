@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.random_forces import cache
+from benchmarks.random_forces import reference as cache
 from benchmarks.random_forces.measures import measure, table
 from benchmarks.random_forces.scenarios import SCENARIOS, Scenario
 from benchmarks.random_forces.simulator import Set, simulate

@@ -23,8 +23,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.signal import lfilter
 
-from benchmarks.random_forces.scenarios import Manoeuvre, Scenario
-from benchmarks.random_forces.vehicles import VEHICLES, Vehicle, unstable
+from benchmarks.random_forces.scenarios import VEHICLES, Manoeuvre, Scenario, Vehicle, unstable
 
 SPREAD = 0.09  # of true parameters about the believed ones
 FIRST_DEPTH = 10.0

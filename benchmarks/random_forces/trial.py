@@ -5,15 +5,15 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from benchmarks.random_forces.scenarios import Scenario
+from benchmarks.harness import ignorant
+from benchmarks.random_forces.scenarios import VEHICLES, Scenario
 from benchmarks.random_forces.simulator import Run, Set, believed
-from benchmarks.random_forces.vehicles import VEHICLES
 from oed_sysid import (
     Dataset,
     Force,
@@ -83,10 +83,7 @@ class Outcome:
 def _model(vehicle: str) -> Model:
     """The nominal model without priors."""
     if vehicle == "remus":
-        model = load_problem("remus_diving_plane").model
-        for parameter in model.free_parameters:
-            model = model.with_parameter(replace(parameter, prior_mean=None, prior_std=None))
-        return model
+        return ignorant(load_problem("remus_diving_plane").model)
     yaw = VEHICLES["yaw"]
     hull = Force(
         "hull",

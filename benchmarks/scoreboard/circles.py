@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.scoreboard.row import Row, missing, place, refused
-from benchmarks.scoreboard.table import Table, plain, read_table
+from benchmarks.scoreboard.row import Row, Table, missing, place, plain, read_table, refused
 from oed_sysid import load_problem
 from oed_sysid.errors import DataError
 from oed_sysid.prediction.structures import StructureAverage, average_structures, peak_input

@@ -13,8 +13,15 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-from benchmarks.scoreboard.row import Row, attempted, missing, place, refused
-from benchmarks.scoreboard.table import first_readable, read_table
+from benchmarks.scoreboard.row import (
+    Row,
+    attempted,
+    first_readable,
+    missing,
+    place,
+    read_table,
+    refused,
+)
 from oed_sysid import Dataset, Model, MultipleShooting, Record, improve, load_problem
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.simulation import simulate_inputs

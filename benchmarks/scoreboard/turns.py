@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.scoreboard.logs import further, pieces
+from benchmarks.scoreboard.esso_osaka import further, pieces
 from benchmarks.scoreboard.row import Row, attempted, refused
 from oed_sysid import Channels, Dataset, Fit, Model, MultipleShooting, Record, load_problem
 from oed_sysid.errors import DataError, OedSysidError, SimulationError

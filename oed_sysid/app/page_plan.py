@@ -82,8 +82,7 @@ def _design(study: Study) -> None:
         page = outcome.page
         if danger := plans.risk(outcome.result):
             message(danger)
-            said = tuple(words for words in page.verdict if not danger.startswith(words))
-            page = replace(page, verdict=said)
+            page = replace(page, warnings=())
         show_page(page)
         for column, offer in zip(
             st.columns([1, 1, 1, 3]),

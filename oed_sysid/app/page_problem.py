@@ -20,8 +20,7 @@ from oed_sysid.errors import OedSysidError, ProblemError
 from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
 from oed_sysid.experiments.starter import TEMPLATES
 from oed_sysid.physics.channels import Input, Output
-from oed_sysid.results import Section, Table
-from oed_sysid.results.style import TWO_SIDED_95
+from oed_sysid.runtime.display import TWO_SIDED_95, Section, Table
 from oed_sysid.text.units import parse_header
 
 

@@ -30,7 +30,7 @@ def show(study: Study) -> None:
         left, right = st.columns([5, 1], vertical_alignment="center")
         with left:
             st.markdown(about.title)
-            for words in outcome.page.verdict[:1]:
+            for words in outcome.page.first[:1]:
                 st.caption(words)
         with right:
             html_download(outcome.page, about.file, wide=True)

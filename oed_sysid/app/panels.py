@@ -15,7 +15,8 @@ from oed_sysid.app.jobs import Job
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study, digest
 from oed_sysid.app.work import Request
-from oed_sysid.results import Page, Section, style_sheet
+from oed_sysid.results import style_sheet
+from oed_sysid.runtime.display import Report, Section
 
 _POLL = 0.5  # s between looks at a running job
 
@@ -97,13 +98,13 @@ def _progress(job: Job) -> None:
 
 
 def show(
-    page: Page, pictures: Mapping[str, Callable[[], None]] | None = None, *, lead: int = 0
+    page: Report, pictures: Mapping[str, Callable[[], None]] | None = None, *, lead: int = 0
 ) -> None:
     """Show what a report says: outcome and numbers, then one tab per section.
 
     Parameters
     ----------
-    page : Page
+    page : Report
         The report.
     pictures : mapping of str to callable, optional
         Titles of further tabs, and what draws them.
@@ -122,9 +123,9 @@ def show(
             draw()
 
 
-def _beneath(page: Page, section: Section) -> None:
+def _beneath(page: Report, section: Section) -> None:
     """Show a section; what stands above the tabs need not be said again."""
-    words = tuple(text for text in section.paragraphs if text not in page.verdict)
+    words = tuple(text for text in section.paragraphs if text not in page.first)
     part(replace(section, paragraphs=words))
 
 
@@ -149,9 +150,9 @@ def download(
     )  # fmt: skip
 
 
-def html_download(page: Page, file: str, *, wide: bool = False) -> None:
+def html_download(page: Report, file: str, *, wide: bool = False) -> None:
     """Offer a page as the HTML file that the command line writes."""
-    download("Report (HTML)", partial(Page.html, page), f"{file}.html", "text/html", wide=wide)
+    download("Report (HTML)", page.html, f"{file}.html", "text/html", wide=wide)
 
 
 def message(text: str) -> None:

@@ -75,7 +75,6 @@ class DesignWish:
 def rank(study: Study, experiments: tuple[str, ...], tell: Tell) -> Outcome:
     """Rank parameters by what experiments, or without any the training records, tell."""
     from oed_sysid.information import identifiable_subset, information_of, rank_parameters
-    from oed_sysid.results import ranking_page
 
     problem = study.problem
     runs = [problem.experiment(name) for name in experiments] or study.training()
@@ -85,7 +84,7 @@ def rank(study: Study, experiments: tuple[str, ...], tell: Tell) -> Outcome:
         information_of(problem.model, runs, priors=None), problem.model.values
     )
     tell(DRAWING)
-    return Outcome((ranking, subset), ranking_page(ranking, subset, title=problem.title))
+    return Outcome((ranking, subset), ranking.document(subset, title=problem.title).drawn())
 
 
 def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
@@ -98,7 +97,6 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
         assess_limits,
         design_experiment,
     )
-    from oed_sysid.results import design_page
 
     problem = study.problem
     pattern = problem.experiment(wish.like)
@@ -130,7 +128,7 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
         )  # fmt: skip
         result = replace(result, assurance=stated)
     tell(DRAWING)
-    return Outcome(result, design_page(result, title=problem.title))
+    return Outcome(result, result.document(title=problem.title).drawn())
 
 
 @dataclass(frozen=True)
@@ -161,7 +159,6 @@ class ProgrammeWish:
 def programme(study: Study, wish: ProgrammeWish, tell: Tell) -> Outcome:
     """Plan several runs together: which, how often and in which order."""
     from oed_sysid.design import Budget, Knowledge, design_programme
-    from oed_sysid.results import programme_page
 
     problem = study.problem
     found = design_programme(
@@ -175,7 +172,7 @@ def programme(study: Study, wish: ProgrammeWish, tell: Tell) -> Outcome:
         progress=tell,
     )
     tell(DRAWING)
-    return Outcome(found, programme_page(found, title=problem.title))
+    return Outcome(found, found.document(title=problem.title).drawn())
 
 
 def spread_of(problem: Problem) -> float | None:

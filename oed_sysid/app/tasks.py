@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from oed_sysid.evidence.compare import Comparison
     from oed_sysid.likelihood.fit import Fit
     from oed_sysid.physics.model import Model
-    from oed_sysid.results import Page
+    from oed_sysid.runtime.display import Report
 
 NOMINAL = "nominal"
 DRAWING = "drawing"
@@ -31,7 +31,7 @@ class Outcome:
     ----------
     result : object
         The result.
-    page : Page
+    page : Report
         The report on it.
     fits : mapping of str to Fit
         Fitted models that may be kept and exported, by what they are called.
@@ -40,7 +40,7 @@ class Outcome:
     """
 
     result: Any
-    page: Page
+    page: Report
     fits: Mapping[str, Fit] = field(default_factory=dict)
     comparison: Comparison | None = None
 
@@ -48,13 +48,12 @@ class Outcome:
 def check(study: Study, tell: Tell) -> Outcome:
     """Say whether the records agree with themselves."""
     from oed_sysid.evidence.check import check as look
-    from oed_sysid.results import check_page
 
     records = study.records()
     tell("checking the records")
     found = look(records, study.problem)
     tell(DRAWING)
-    return Outcome(found, check_page(found, records, title=study.problem.title))
+    return Outcome(found, found.document(records, title=study.problem.title).drawn())
 
 
 def corrected(study: Study, found: LogCheck) -> bytes:
@@ -68,18 +67,15 @@ def corrected(study: Study, found: LogCheck) -> bytes:
 
 def fit(study: Study, tell: Tell) -> Outcome:
     """Estimate the parameters of the nominal model."""
-    from oed_sysid.results import fit_page
-
     log = quick_check(study.training(), study.problem.model)
     result = fitted(study, study.problem.model, tell)
     tell(DRAWING)
-    return Outcome(result, fit_page(result, log=log), {NOMINAL: result})
+    return Outcome(result, result.document(log=log).drawn(), {NOMINAL: result})
 
 
 def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outcome:
     """Fit the nominal model, and with each group of effects added; judge on validation records."""
     from oed_sysid.evidence.compare import compare as compare_models
-    from oed_sysid.results import comparison_page
 
     validation = study.validation()
     models = {NOMINAL: study.problem.model}
@@ -92,20 +88,19 @@ def compare(study: Study, groups: Iterable[tuple[str, ...]], tell: Tell) -> Outc
     records = together(study.training(), validation)
     log = quick_check(records, study.problem.model).without("duplicate")
     tell(DRAWING)
-    page = comparison_page(result, title=study.problem.title, log=log)
+    page = result.document(title=study.problem.title, log=log).drawn()
     return Outcome(result, page, fits, result)
 
 
 def diagnose(study: Study, tell: Tell) -> Outcome:
     """Say where the nominal model fails and what may be missing."""
     from oed_sysid.evidence.compare import diagnose as look
-    from oed_sysid.results import diagnosis_page
 
     problem, train = study.problem, study.training()
     tell("looking where the model fails, and scoring all candidates")
     result = look(problem.model, train, candidates=problem.effects, known_noise=study.known_noise)
     tell(DRAWING)
-    return Outcome(result, diagnosis_page(result, train, title=problem.title))
+    return Outcome(result, result.document(train, title=problem.title).drawn())
 
 
 def improve(study: Study, max_effects: int, tell: Tell) -> Outcome:
@@ -113,7 +108,6 @@ def improve(study: Study, max_effects: int, tell: Tell) -> Outcome:
     from oed_sysid.evidence.compare import compare as compare_models
     from oed_sysid.evidence.improve import improve as search
     from oed_sysid.evidence.preparation import prepared
-    from oed_sysid.results import improvement_page
 
     problem, train = study.problem, study.training()
     result = search(
@@ -131,7 +125,7 @@ def improve(study: Study, max_effects: int, tell: Tell) -> Outcome:
     judged = ready.validation or ready.train
     comparison = compare_models(fits, judged, sigma=result.yardstick.sigma)
     tell(DRAWING)
-    page = improvement_page(result, comparison, train=ready.train, title=problem.title)
+    page = result.document(comparison, train=ready.train, title=problem.title).drawn()
     return Outcome(result, page, fits, comparison)
 
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from oed_sysid.cli.answers import of_benchmark, of_rates
 from oed_sysid.cli.arguments import Command
 from oed_sysid.cli.options import JsonFile, PictureFile, folder_place
 from oed_sysid.cli.terminal import answer, draw, note, progress, store, write
@@ -108,7 +107,7 @@ def estimators(
             progress=tell,
         )
     text = result.report()
-    answer(of_benchmark(result), text)
+    answer(result.answer, text)
     write(text, out / "benchmark.md")
     write(result.to_csv(), out / "benchmark.csv")
     if any(row.noise > 0 and not row.refused for row in result.rows):
@@ -157,7 +156,8 @@ def missing_physics(
     settings = {} if out is None else {"results": out / "missing_physics.jsonl"}
     found = module.run(plan or module.PLAN, n_jobs=jobs, tell=note, **settings)
     text = tables.as_markdown(found)
-    answer(of_rates(found["n_cases"], found["rates"]), text)
+    rates = (f"{one['name']} {one['value']:.3g} of {one['count']}" for one in found["rates"][:2])
+    answer(f"{found['n_cases']} cases: {'; '.join(rates)}.", text)
     if out is not None:
         write(text + "\n", out / "missing_physics.md")
     store(found, json_file)

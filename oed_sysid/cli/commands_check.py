@@ -19,7 +19,7 @@ from oed_sysid.cli.options import (
     folder_place,
 )
 from oed_sysid.cli.reading import read_records
-from oed_sysid.cli.terminal import answer, draw, note, progress, store
+from oed_sysid.cli.terminal import deliver, drawn, note, progress
 from oed_sysid.errors import DataError
 from oed_sysid.runtime.files import make_folder
 
@@ -60,16 +60,12 @@ def check(
         records = together(records, read_records(validate, chosen))
     with progress("Checking"):
         result = look(records, chosen)
-    answer(result.verdict, result.report())
-    store(result.to_dict(), json_file)
-    if html_file is not None:
-        from oed_sysid.results import check_page
-
-        note(f"Written: {check_page(result, records, title=chosen.title).write(html_file)}")
-    if picture is not None:
-        from oed_sysid.results import figure_check
-
-        draw(partial(figure_check, result), picture)
+    deliver(
+        result.document(),
+        result.to_dict(),
+        page=partial(result.document, records, title=chosen.title),
+        picture=partial(drawn, "figure_check", result),
+    )
     if fix is not None:
         copies, done = corrected_copies(records, chosen, result)
         targets = [fix / f"{record.name.replace('/', '_')}.csv" for record in copies]

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from oed_sysid.cli.answers import of_comparison, of_fit
 from oed_sysid.cli.options import (
     Disturbances,
     Files,
@@ -30,14 +29,14 @@ from oed_sysid.cli.reading import read_records, read_records_of
 from oed_sysid.cli.terminal import (
     INTERRUPTED,
     answer,
+    deliver,
     draw,
+    drawn,
     invocation,
     journal,
     note,
     progress,
-    say,
     say_log,
-    store,
 )
 from oed_sysid.errors import DataError
 
@@ -100,21 +99,22 @@ def fit(
                 show.say("Predicting")
                 comparison = compare_models({chosen.model.name: result}, validation)
         say_log(log)
-        answer(of_fit(result, comparison), result.report())
-        content = {**result.to_dict(), "log": log.to_dict()}
+        text, content = result.report(), {**result.to_dict(), "log": log.to_dict()}
         if comparison is not None:
-            say(f"\n{comparison.report()}")
+            text += f"\n\n{comparison.report()}"
             content["validation"] = comparison.to_dict()
-        store(content, json_file, records=[dataset, validation])
+        deliver(
+            result.document(comparison),
+            content,
+            text=text,
+            page=partial(result.document, comparison, log=log),
+            picture=partial(_figure, result, comparison),
+            records=[dataset, validation],
+        )
         if save is not None:
             command, settings = invocation()
             result.save(save, command=command, settings=settings)
             note(f"Written: {save}")
-        if html_file is not None:
-            from oed_sysid.results import fit_page
-
-            note(f"Written: {fit_page(result, comparison, log=log).write(html_file)}")
-        draw(partial(_figure, result, comparison), picture)
         _end([result], suspect=log.contradictory)
 
 
@@ -165,25 +165,20 @@ def compare(
             show.say("Predicting")
             result = compare_models(fits, validation)
         say_log(log)
-        answer(of_comparison(result), result.report())
+        labels = [part.label for part in result.models]
+        predictions = [part.prediction for part in result.models]
+        deliver(
+            result.document(),
+            {**result.to_dict(), "log": log.to_dict()},
+            page=partial(result.document, title=chosen.title, log=log),
+            picture=partial(drawn, "figure_predictions", predictions, labels=labels),
+            records=[training, validation],
+        )
         for name, fit in fits.items():
             if not fit.status.ok:
                 note(f"The fit of {name} ended as {fit.status}")
             for concern in fit.grave:
                 note(f"Do not use the fit of {name}: {concern.text}")
-        content = {**result.to_dict(), "log": log.to_dict()}
-        store(content, json_file, records=[training, validation])
-        if html_file is not None:
-            from oed_sysid.results import comparison_page
-
-            page = comparison_page(result, title=chosen.title, log=log)
-            note(f"Written: {page.write(html_file)}")
-        if picture is not None:
-            from oed_sysid.results import figure_predictions
-
-            labels = [part.label for part in result.models]
-            predictions = [part.prediction for part in result.models]
-            draw(partial(figure_predictions, predictions, labels=labels), picture)
         _end(list(fits.values()), suspect=log.contradictory)
 
 
@@ -257,9 +252,9 @@ def report(
     [bold]Example[/bold]: oed-sysid report fit.json --validate dive_3.csv --out fit.html
     """
     from oed_sysid.evidence.compare import compare as compare_models
+    from oed_sysid.likelihood.archive import is_numbers_of_fit, read_json, read_result
     from oed_sysid.likelihood.fit import Fit
-    from oed_sysid.likelihood.saved import is_numbers_of_fit, read_json, read_result
-    from oed_sysid.results import fit_page, numbers_page
+    from oed_sysid.results import numbers_page
 
     content = read_json(saved)
     if is_numbers_of_fit(content):
@@ -281,18 +276,18 @@ def report(
     comparison = None
     if validate:
         comparison = compare_models({kept.model.name: kept}, read_records_of(validate, kept))
-    answer(of_fit(kept, comparison), "" if comparison is None else comparison.verdict)
-    note(f"Written: {fit_page(kept, comparison).write(out)}")
+    document = kept.document(comparison)
+    answer(document.answer, "" if comparison is None else comparison.verdict)
+    note(f"Written: {document.write(out)}")
     draw(partial(_figure, kept, comparison), picture)
 
 
 def _figure(fit: Fit, comparison: Comparison | None) -> Any:
     """Predictions of the validation records, or the fit where there are none."""
-    from oed_sysid.results import figure_fit, figure_predictions
-
     if comparison is None:
-        return figure_fit(fit)
-    return figure_predictions([comparison.best.prediction], labels=[comparison.best.label])
+        return drawn("figure_fit", fit)
+    best = comparison.best
+    return drawn("figure_predictions", [best.prediction], labels=[best.label])
 
 
 def _models(problem: Problem, added: list[str]) -> tuple[dict[str, Model], dict[str, Fit]]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 import time
 from functools import partial
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from oed_sysid.cli.answers import of_diagnosis, of_improvement
 from oed_sysid.cli.options import (
     Disturbances,
     Files,
@@ -28,15 +27,17 @@ from oed_sysid.cli.options import (
 from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.terminal import (
     Shown,
-    answer,
-    draw,
+    deliver,
+    drawn,
     invocation,
     journal,
     note,
     progress,
     say_log,
-    store,
 )
+
+if TYPE_CHECKING:
+    from oed_sysid.runtime.display import Report
 
 
 def diagnose(
@@ -69,16 +70,13 @@ def diagnose(
             disturbances=disturbances_of(disturbances),
         )
     say_log(log)
-    answer(of_diagnosis(result), result.report())
-    store(result.to_dict(), json_file, records=[records])
-    if picture is not None:
-        from oed_sysid.results import figure_diagnosis
-
-        draw(partial(figure_diagnosis, result.location, result.ranking), picture)
-    if html_file is not None:
-        from oed_sysid.results import diagnosis_page
-
-        note(f"Written: {diagnosis_page(result, records, title=chosen.title).write(html_file)}")
+    deliver(
+        result.document(),
+        result.to_dict(),
+        page=partial(result.document, records, title=chosen.title),
+        picture=partial(drawn, "figure_diagnosis", result.location, result.ranking),
+        records=[records],
+    )
 
 
 def improve(
@@ -133,25 +131,25 @@ def improve(
                 progress=partial(_tell, show, _Rounds(max_effects)),
                 journal=keep,
             )
-        answer(of_improvement(result), result.report())
-        store(result.to_dict(), json_file, records=[training, validation])
+
+        def page() -> Report:
+            fits = {"nominal": result.base_fit} | ({"improved": result.fit} if result.steps else {})
+            ready = prepared(training, validation)
+            judged = ready.validation or ready.train
+            comparison = compare(fits, judged, sigma=result.yardstick.sigma)
+            return result.document(comparison, train=ready.train, title=chosen.title)
+
+        deliver(
+            result.document(),
+            result.to_dict(),
+            page=page,
+            picture=partial(drawn, "plot_error_fall", result),
+            records=[training, validation],
+        )
         if save is not None:
             command, settings = invocation()
             result.fit.save(save, command=command, settings=settings)
             note(f"Written: {save}")
-        if html_file is not None:
-            from oed_sysid.results import improvement_page
-
-            fits = {"nominal": result.base_fit} | ({"improved": result.fit} if result.steps else {})
-            ready = prepared(training, validation)
-            judged, levels = ready.validation or ready.train, result.yardstick.sigma
-            comparison = compare(fits, judged, sigma=levels)
-            page = improvement_page(result, comparison, train=ready.train, title=chosen.title)
-            note(f"Written: {page.write(html_file)}")
-        if picture is not None:
-            from oed_sysid.results import plot_error_fall
-
-            draw(partial(plot_error_fall, result), picture)
         if result.remains.kind == "log suspect":
             raise typer.Exit(1)
 

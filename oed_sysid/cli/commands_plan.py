@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from oed_sysid.cli.answers import of_design, of_ranking
 from oed_sysid.cli.options import (
     Criterion,
     Effort,
@@ -30,12 +29,11 @@ from oed_sysid.cli.options import (
 )
 from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.terminal import (
-    answer,
-    draw,
+    deliver,
+    drawn,
     journal,
     note,
     progress,
-    store,
     write,
 )
 from oed_sysid.errors import DesignError, FileError, ProblemError
@@ -91,17 +89,11 @@ def rank(
         subset = identifiable_subset(
             information_of(chosen.model, runs, priors=None), chosen.model.values
         )
-    answer(of_ranking(ranking, subset), f"{ranking.report()}\n\n{subset.report()}")
-    store({"ranking": ranking.to_dict(), "subset": subset.to_dict()}, json_file)
-    if picture is not None:
-        from oed_sysid.results import plot_sensitivity
-
-        draw(partial(plot_sensitivity, ranking), picture)
-    if html_file is not None:
-        from oed_sysid.results import ranking_page
-
-        page = ranking_page(ranking, subset, title=chosen.title)
-        note(f"Written: {page.write(html_file)}")
+    deliver(
+        ranking.document(subset, title=chosen.title),
+        {"ranking": ranking.to_dict(), "subset": subset.to_dict()},
+        picture=partial(drawn, "plot_sensitivity", ranking),
+    )
 
 
 def _card_place(value: Any) -> Any:
@@ -308,7 +300,12 @@ def design(
                     prior=found.prior,
                 )  # fmt: skip
                 found = replace(found, spread=keep.once("accuracy", other))
-        answer(of_design(found), found.report() if card is not None else found.sea_trial_card())
+        deliver(
+            found.document(title=chosen.title),
+            found.to_dict(),
+            text=None if card is not None else found.sea_trial_card(),
+            picture=partial(drawn, "figure_design", found),
+        )
         if out is not None:
             found.write_csv(out)
             note(f"Written: {out}")
@@ -325,15 +322,6 @@ def design(
             note(f"Written: {write_overrides(overrides, found.model, *played, servos=servos)}")
         if bag is not None:
             note(f"Written: {write_bag(bag, found.model, *played)}")
-        store(found.to_dict(), json_file)
-        if html_file is not None:
-            from oed_sysid.results import design_page
-
-            note(f"Written: {design_page(found, title=chosen.title).write(html_file)}")
-        if picture is not None:
-            from oed_sysid.results import figure_design
-
-            draw(partial(figure_design, found), picture)
 
 
 def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None:
@@ -346,10 +334,10 @@ def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None
 
 def _card(design: Design, tracks: PredictedTracks | None, path: Path, title: str) -> None:
     """Write the card as a page or as one sheet of A4."""
-    from oed_sysid.results import card_page, figure_card, save_figure
+    from oed_sysid.results import figure_card, save_figure
 
     if path.suffix.lower() == ".html":
-        card_page(design, tracks, title=title).write(path)
+        design.card(tracks, title=title).write(path)
     else:
         save_figure(figure_card(design, tracks), path)
     note(f"Written: {path}")

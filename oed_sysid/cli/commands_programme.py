@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from oed_sysid.cli.answers import of_decision, of_programme
 from oed_sysid.cli.options import (
     HtmlFile,
     JsonFile,
@@ -19,7 +19,7 @@ from oed_sysid.cli.options import (
     Variant,
     folder_place,
 )
-from oed_sysid.cli.terminal import answer, note, progress, store
+from oed_sysid.cli.terminal import answer, deliver, drawn, note, progress, store
 from oed_sysid.errors import DesignError
 
 if TYPE_CHECKING:
@@ -157,21 +157,15 @@ def programme(
             ),
             progress=show.say,
         )
-    answer(of_programme(found), found.report())
+    deliver(
+        found.document(title=chosen.title),
+        found.to_dict(),
+        picture=partial(drawn, "figure_programme", found),
+    )
     note(f"Planned in {found.seconds:.0f} s.")
     if out is not None:
         for path in found.write(out):
             note(f"Written: {path}")
-    store(found.to_dict(), json_file)
-    if html_file is not None:
-        from oed_sysid.results import programme_page
-
-        note(f"Written: {programme_page(found, title=chosen.title).write(html_file)}")
-    if picture is not None:
-        from oed_sysid.results import figure_programme, save_figure
-
-        save_figure(figure_programme(found), picture, dpi=150, bbox_inches="tight")
-        note(f"Written: {picture}")
 
 
 def campaign(
@@ -279,7 +273,7 @@ def campaign(
         concerns = "; ".join(str(one) for one in journal.fit.concerns)
         estimate = f"{journal.fit.status}{' ' + concerns if concerns else ''}"
         report += f"\n  estimate from {len(journal.records)} records: {estimate}"
-    answer(of_decision(decision, len(journal.records), journal.hours_used), report)
+    answer(decision.answer(len(journal.records), journal.hours_used), report)
     note(f"Decided in {decision.seconds:.2f} s.")
     path = journal.write_next(decision)
     if path is not None:

@@ -221,7 +221,7 @@ def _write(
     """Write the report, and its main pictures once more as PNG files."""
     from oed_sysid import results as report
 
-    page = report.improvement_page(found, comparison, train=train, title=title)
+    page = found.document(comparison, train=train, title=title)
     written = page.write(out / "report.html")
     single: dict[str, tuple[Callable[..., Any], Any]] = {
         "located": (report.plot_located, found.location),

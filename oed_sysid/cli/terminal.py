@@ -20,12 +20,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from oed_sysid.cli.arguments import QUIET
+from oed_sysid.runtime.display import plain
 from oed_sysid.runtime.files import write_text
 
 if TYPE_CHECKING:
     from oed_sysid.data.dataset import Dataset
     from oed_sysid.evidence.check import LogCheck
     from oed_sysid.likelihood.gauss_newton import Progress
+    from oed_sysid.runtime.display import Report
     from oed_sysid.runtime.journal import Journal
 
 # Exit code of a command that Ctrl-C ended.
@@ -59,6 +61,55 @@ def answer(text: str, report: str = "") -> None:
     print(alarming(text))
     if report and not quiet():
         print(f"\n{report}")
+
+
+def asked(name: str) -> Any:
+    """Where the user wants a file of the command that is being worked on; None if nowhere."""
+    context = _context()
+    return None if context is None else context.params.get(name)
+
+
+def deliver(
+    report: Report,
+    facts: Mapping[str, Any],
+    *,
+    text: str | None = None,
+    page: Callable[[], Report] | None = None,
+    picture: Callable[[], Any] | None = None,
+    records: Iterable[Dataset | None] = (),
+) -> None:
+    """Print a result, and write what the user asked for: numbers, a page, a picture.
+
+    Parameters
+    ----------
+    report : Report
+        Its answer is printed first.
+    facts : mapping
+        For ``--json``.
+    text : str, optional
+        What is printed below the answer; by default the text of the report.
+    page : callable, optional
+        Returns the report for ``--html``, if that is another.
+    picture : callable, optional
+        Returns a figure or axes for ``--picture``.
+    records : iterable of Dataset or None
+        What the result depends on.
+    """
+    answer(report.answer, report.text() if text is None else text)
+    store(facts, asked("json_file"), records=records)
+    place = asked("html_file")
+    if place is not None:
+        shown = report if page is None else page()
+        note(f"Written: {shown.write(place)}")
+    if picture is not None:
+        draw(picture, asked("picture"))
+
+
+def drawn(name: str, *arguments: Any, **options: Any) -> Any:
+    """Return a figure of :mod:`oed_sysid.results` by its name, which is imported only then."""
+    from oed_sysid import results as report
+
+    return getattr(report, name)(*arguments, **options)
 
 
 def alarming(text: str) -> str:
@@ -309,12 +360,12 @@ def store(
     """
     if path is None:
         return
-    from oed_sysid.likelihood.saved import made_by
+    from oed_sysid.likelihood.archive import made_by
 
     command, settings = invocation()
     present = [dataset for dataset in records if dataset is not None]
     made = made_by(present, command=command, settings=settings)
-    text = json.dumps(_plain({**result, "oed_sysid": made}), indent=2, allow_nan=False)
+    text = json.dumps(plain({**result, "oed_sysid": made}), indent=2, allow_nan=False)
     write(text + "\n", path)
 
 
@@ -323,7 +374,7 @@ def invocation() -> tuple[str, dict[str, Any]]:
     context = _context()
     if context is None:
         return "", {}
-    settings = {name: _plain(value) for name, value in context.params.items()}
+    settings = {name: plain(value) for name, value in context.params.items()}
     given = context.find_root().obj or ()
     return shlex.join(["oed-sysid", *given]), settings
 
@@ -362,18 +413,3 @@ def write(text: str, path: Path) -> None:
     """Write a text file and say so."""
     write_text(path, text)
     note(f"Written: {path}")
-
-
-def _plain(value: Any) -> Any:
-    """Turn tuples, NumPy values and paths into what JSON has."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    return str(value)

@@ -19,7 +19,8 @@ Errors are those of a model that is right, and a model that lacks a term does no
 run: coefficients stand for it, random forces take the rest. So two more things are asked before
 everything is called known. Another run must have had the chance to contradict the first; where none
 has, the one that tells most is the next. And what was known before and every record must agree
-(:mod:`oed_sysid.likelihood.agreement`), apart from differences of a tenth of the goals. Where they
+(:mod:`oed_sysid.likelihood.between_records`), apart from differences of a tenth of the goals. Where
+they
 do not, no stated error holds, and no number of further runs mends it.
 """
 
@@ -47,7 +48,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import as_dict, counted
 
 # A run that lowers what is missing by less than this per goal is not worth its fuel.
 WORTH = 0.01
@@ -56,16 +57,6 @@ IMMATERIAL = 0.1
 # Parameters that are named where records contradict one another, and standard errors from which on.
 NAMED, APART = 3, 2.0
 _MOST_AHEAD = 40
-_HEADS = {
-    "enough": "STOP: everything asked for is known well enough.",
-    "contradicted": "STOP: on paper everything is known, but the records contradict it.",
-    "unchecked": "STOP: on paper everything is known, but one run alone has said so, and no other "
-    "that keeps its limits could check it.",
-    "useless": "STOP: no run that keeps its limits brings what is missing nearer.",
-    "no time": "STOP: not even the next run fits into the time that is left.",
-    "go on": "GO ON.",
-    "check": "GO ON: on paper everything is known, but one run alone has said so; check it.",
-}
 _VEHICLES = 20
 
 
@@ -235,6 +226,18 @@ class Contradiction:
         )
 
 
+# Why to stop.
+REASONS = {
+    "enough": "everything asked for is known well enough",
+    "contradicted": "on paper everything is known, but the records contradict it, so that its "
+    "errors do not hold; look for what the model lacks (improve)",
+    "unchecked": "on paper everything is known, but one run alone has said so, and no other that "
+    "keeps its limits could check it",
+    "useless": "no run that keeps its limits brings what is missing nearer",
+    "no time": "not even the next run fits into the time that is left",
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Decision:
     """What to do next.
@@ -288,9 +291,51 @@ class Decision:
         """Whether to go home."""
         return self.action != "go on"
 
+    def answer(self, n_runs: int = 0, hours: float = 0.0) -> str:
+        """Return in one line whether to stop, or what to run next, its worth and its safety.
+
+        Parameters
+        ----------
+        n_runs, hours : int, float
+            Done so far.
+        """
+        done = f" after {counted(n_runs, 'run')}, {hours:.2g} h" if n_runs else ""
+        run = self.next_run
+        if run is None:
+            met, n = sum(one.is_met for one in self.goals), len(self.goals)
+            rest = "" if met == n else f" ({met} of {n} goals met)"
+            return f"STOP{done}: {REASONS[self.action]}{rest}."
+        words = f"GO ON{done}: {run.name} next ({run.cost / 3600:.2g} h)"
+        if self.contradiction is not None:
+            words = (
+                "WARNING: the records contradict one another, so that the errors do not hold; look "
+                f"for what the model lacks (improve) first; {words}"
+            )
+        if self.is_check:
+            words += " checks what one run alone has said"
+        else:
+            unmet = (one for one in self.goals if not one.is_met)
+            far = max(unmet, key=lambda one: one.now / one.goal.tolerance)
+            now, then = (far.goal.words(self.model, value) for value in (far.now, far.then))
+            words += f" brings {far.goal.name} from {now} to {then}"
+        if np.isfinite(self.hours_left):
+            words += f"; {counted(self.runs_left, 'run')}, {self.hours_left:.2g} h to go"
+        else:
+            words += "; not all goals can be planned for"
+        if self.kept is not None:
+            words += f"; limits kept on {self.kept:.0%} of {self.n_checked} possible vehicles"
+        elif run.experiment.limits.signals:
+            words += "; whether other vehicles keep the limits is not known"
+        else:
+            words += "; no limit on the motion was given"
+        return f"{words}."
+
     def report(self) -> str:
         """Return the decision in words, the verdict first."""
-        lines = [_HEADS["check" if self.is_check else self.action]]
+        head = "GO ON." if not self.stop else f"STOP: {REASONS[self.action]}."
+        if self.is_check:
+            head = "GO ON: on paper everything is known, but one run alone has said so; check it."
+        lines = [head]
         if self.contradiction is not None:
             lines.append(
                 textwrap.fill(
@@ -395,23 +440,16 @@ def decide(
     checked: tuple[float | None, int] = (None, 0)
     chosen = None
     if needs_check or not outlook.is_met:
-        vehicles = _possible(expected, rng)
+        vehicles = (expected.model, *_possible(expected, rng))
         while chosen is None and (best := outlook.best(check=needs_check)) is not None:
-            run = outlook.runs[best]
-            bounds = LimitBounds.of(expected.model, limits or run.experiment.limits)
-            kept = kept_on(run.experiment, (expected.model, *vehicles), bounds, certainty)
+            kept = _kept(outlook.runs[best], vehicles, limits, certainty)
             if kept is None:
-                refused.append(run.name)
+                refused.append(outlook.runs[best].name)
                 outlook = outlook.without(best)
-                continue
-            chosen = best
-            if bounds.names and vehicles:
-                checked = kept, 1 + len(vehicles)
-    steps = [] if chosen is None else [chosen] if needs_check else outlook.path()
-    then = outlook.now if chosen is None else outlook.deviations(outlook.told[chosen])
-    next_run = None if chosen is None else outlook.runs[chosen]
-    late = next_run is not None and hours is not None and next_run.cost > 3600.0 * hours
-    action = _action(outlook.is_met, needs_check, contradiction is not None, next_run, late)
+            else:
+                chosen, checked = best, kept
+    next_run, then, steps = outlook.after(chosen, check=needs_check)
+    action = _action(outlook.is_met, needs_check, contradiction is not None, next_run, hours)
     return Decision(
         model=expected.model,
         action=action,
@@ -431,15 +469,33 @@ def decide(
     )
 
 
+def _kept(
+    run: Candidate, vehicles: Sequence[Model], limits: Limits | None, certainty: float
+) -> tuple[float | None, int] | None:
+    """Share of the vehicles on which a run keeps its limits, and their number; None: too few.
+
+    No share is stated where there are no limits, or no vehicle but the nominal one.
+    """
+    bounds = LimitBounds.of(vehicles[0], limits or run.experiment.limits)
+    kept = kept_on(run.experiment, vehicles, bounds, certainty)
+    if kept is None:
+        return None
+    return (kept, len(vehicles)) if bounds.names and len(vehicles) > 1 else (None, 0)
+
+
 def _action(
-    is_met: bool, needs_check: bool, contradicted: bool, next_run: Candidate | None, late: bool
+    is_met: bool,
+    needs_check: bool,
+    contradicted: bool,
+    next_run: Candidate | None,
+    hours: float | None,
 ) -> str:
     """What to do; see :class:`Decision`."""
     if is_met and not needs_check:
         return "contradicted" if contradicted else "enough"
     if next_run is None:
         return "unchecked" if needs_check else "useless"
-    return "no time" if late else "go on"
+    return "no time" if hours is not None and next_run.cost > 3600.0 * hours else "go on"
 
 
 def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
@@ -546,6 +602,15 @@ class _Outlook:
         meets = (then > self.wanted).sum(axis=-1) < (now > self.wanted).sum()
         order = np.argsort(-brought / self.costs, kind="stable")
         return next((int(i) for i in order if brought[i] > WORTH or meets[i]), None)
+
+    def after(
+        self, chosen: int | None, *, check: bool
+    ) -> tuple[Candidate | None, np.ndarray, list[int]]:
+        """The next run, the deviations after it, and the runs until the goals are met."""
+        if chosen is None:
+            return None, self.now, []
+        steps = [chosen] if check else self.path()
+        return self.runs[chosen], self.deviations(self.told[chosen]), steps
 
     def path(self) -> list[int]:
         """Runs, one after the other, until the goals are met, or nothing helps."""

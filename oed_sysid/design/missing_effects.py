@@ -238,7 +238,7 @@ _CERTAIN = 300.0
 # Share of an effect that parameters cannot imitate, below which no run of this kind shows it.
 _ABSORBED = 1e-6
 # Probability with which the smallest size that shows is stated.
-_SURE = 0.9
+SURE = 0.9
 
 
 @dataclass(frozen=True)
@@ -348,7 +348,7 @@ class Detect:
             gain = self.needed(group.freedom)
             values = [noncentrality(gram, group)[0] for gram in grams]
             powers = [float(np.exp(log_power(v, group.freedom, gain)[0])) for v in values]
-            least = np.sqrt(_for_power(_SURE, group.freedom, gain) / max(values[1], 1e-300))
+            least = np.sqrt(_for_power(SURE, group.freedom, gain) / max(values[1], 1e-300))
             gains, chances = (values[0], values[1]), (powers[0], powers[1])
             found.append(
                 Detection(group.name, dict(group.sizes), *gains, *chances, least=float(least))
@@ -405,10 +405,10 @@ def chance_table(chances: Sequence[Detection], *, most: int = 12) -> list[str]:
         least = f"{one.least:.2g} of usual" if one.least < 1e3 else "-"
         lines.append(f"  {one.name:<32} {one.before:>13.0%} {one.after:>7.0%} {least:>14}")
     hidden = [one.name for one in chances if one.after < 0.5]
-    shown = sum(one.after >= _SURE for one in chances)
+    shown = sum(one.after >= SURE for one in chances)
     lines.append(
         f"  {shown} of {len(chances)} effects would show at their usual size with 90 % or more, "
-        f"{sum(one.before >= _SURE for one in chances)} before."
+        f"{sum(one.before >= SURE for one in chances)} before."
     )
     if hidden:
         lines.append(f"  Would stay hidden: {', '.join(hidden)}.")

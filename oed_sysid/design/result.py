@@ -1,35 +1,105 @@
-"""A designed experiment: what to run, what it will tell, what it respects.
+r"""What is designed: a run or a programme of runs, what it will tell, what it respects.
 
-A designed programme: which runs in which order, what they will tell, how near the optimum.
+Accuracy is the bound :math:`s_i = \sqrt{[F^{-1}]_{ii}}` of the information after the runs, prior
+knowledge included, as a share :math:`s_i / |\theta_i|` of the values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import wrap
 
 import numpy as np
 
-from oed_sysid.design.assurance import AccuracyRange, Assurance, stated
+from oed_sysid.data.dataset import Record
+from oed_sysid.design.assurance import TRUSTED, AccuracyRange, Assurance, PredictedTracks, stated
 from oed_sysid.design.library import Candidate, Reference
 from oed_sysid.design.limits import percent
-from oed_sysid.design.missing_effects import Detection, missing_physics
+from oed_sysid.design.missing_effects import SURE, Detection, missing_physics, told_apart
 from oed_sysid.design.on_board import sea_trial_card
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import Trajectory, simulate
 from oed_sysid.information.noise import sea_words
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict, as_html
+from oed_sysid.runtime.display import (
+    TWO_SIDED_95,
+    Figure,
+    Report,
+    Section,
+    Table,
+    as_dict,
+    as_html,
+    as_text,
+    counted,
+    share,
+)
 from oed_sysid.runtime.files import make_folder
 from oed_sysid.text.csv_table import write_table
 
 
+class _Accuracy:
+    """What a designed run and a designed programme say of accuracy alike."""
+
+    model: Model
+    information: Information
+    prior: Information | None
+    sea: NoiseModel | None
+    spread: AccuracyRange | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters."""
+        return self.information.names
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Absolute values (or scales of zeros) that make errors relative, ``(n,)``."""
+        return np.array([self.model.parameter(name).reference for name in self.names])
+
+    @property
+    def relative_errors(self) -> np.ndarray:
+        """Expected standard errors as shares of the values, ``(n,)``."""
+        return self.information.std_errors / self.sizes
+
+    @property
+    def prior_errors(self) -> np.ndarray:
+        """The same before the experiment; infinite where nothing is known."""
+        if self.prior is None:
+            return np.full(len(self.names), np.inf)
+        return self.prior.std_errors / self.sizes
+
+    def _table(self, title: str, others: Mapping[str, np.ndarray]) -> Table:
+        """Expected relative errors: before, after, on other vehicles, of other runs."""
+        columns: dict[str, Sequence[str]] = {}
+        if np.isfinite(self.prior_errors).any():
+            columns["before"] = [percent(error) for error in self.prior_errors]
+        columns[title] = [stated(error, self.sea) for error in self.relative_errors]
+        if self.spread is not None:
+            columns["other vehicles"] = [self.spread.words(name) for name in self.names]
+        for name, errors in others.items():
+            columns[name] = [stated(error, self.sea) for error in errors]
+        values = [f"{self.model.values[name]:.4g}" for name in self.names]
+        rows = list(zip(self.names, values, *columns.values(), strict=True))
+        return Table(("parameter", "value", *columns), rows)
+
+
+def write_commands(path: Path, model: Model, run: Trajectory | Record, *, predicted: bool) -> Path:
+    """Write the commands of a run, and its outputs where wanted, with units in the header."""
+    columns = {"t [s]": run.times}
+    channels: list[Input | Output] = [*model.inputs, *(model.outputs if predicted else ())]
+    for channel, values in zip(channels, np.hstack([run.inputs, run.outputs]).T, strict=False):
+        columns[f"{channel.name} [{channel.unit or '-'}]"] = values
+    write_table(path, list(columns), np.column_stack(list(columns.values())))
+    return path
+
+
 @dataclass(frozen=True, eq=False)
-class Design:
+class Design(_Accuracy):
     """Result of :func:`~oed_sysid.design.design_experiment`.
 
     Attributes
@@ -99,30 +169,6 @@ class Design:
             f"+/- {1.96 * self.relative_errors[worst]:.2%} (95 %)>"
         )
 
-    # -- accuracy ------------------------------------------------------------------
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Parameters."""
-        return self.information.names
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """Absolute values (or scales of zeros) that make errors relative, ``(n,)``."""
-        return np.array([self.model.parameter(name).reference for name in self.names])
-
-    @property
-    def relative_errors(self) -> np.ndarray:
-        """Expected standard errors as shares of the values, shape ``(n,)``."""
-        return self.information.std_errors / self.sizes
-
-    @property
-    def prior_errors(self) -> np.ndarray:
-        """The same before the experiment; infinite where nothing is known."""
-        if self.prior is None:
-            return np.full(len(self.names), np.inf)
-        return self.prior.std_errors / self.sizes
-
     def gain(self, reference: Reference) -> tuple[float, float]:
         """How much larger a reference's errors are.
 
@@ -140,56 +186,126 @@ class Design:
         mean = float(np.exp(np.mean(np.log(theirs / ours))))
         return mean, float(theirs.max() / ours.max())
 
-    # -- words ---------------------------------------------------------------------
+    def document(self, *, title: str = "") -> Report:
+        """Return what the design will tell, commands, motion and the sea-trial card."""
+        errors, safe = self.relative_errors, self.assurance
+        best, worst = int(np.nanargmin(errors)), int(np.nanargmax(errors))
+        drawing = Figure(
+            "figure_design", self,
+            "Left: commands and the motion that the model predicts, with their limits. Right: "
+            "expected relative standard errors before, after the design, and after zigzags.",
+        )  # fmt: skip
+        starts = ", ".join(f"{value:.4g}" for value in self.start_values)
+        length, every = self.experiment.duration, self.experiment.sample_time
+        told = "\n".join(missing_physics(self.misfits, self.chances))
+        return Report(
+            title=title or self.model.name,
+            subtitle=f"Experiment {self.experiment.name!r}, criterion {self.criterion}",
+            headline=f"Design of {self.experiment.name!r} for {self.model.name}",
+            answer=self._answer(),
+            warnings=[safe.danger] if safe is not None and safe.danger else [],
+            head=(
+                ("criterion", f"{self.criterion}: {self.value:.4g} (starts: {starts})"),
+                ("family", self.parametrisation),
+                ("run", f"{length:g} s, a sample every {every:g} s"),
+                ("limits met", "; ".join(self.active) or "none is reached"),
+                *([("certainty", safe.report())] if safe else []),
+                ("effort", f"{self.n_evaluations} trajectories, {self.seconds:.1f} s"),
+                *([("random forces", sea_words(self.sea))] if self.sea is not None else []),
+            ),
+            numbers=(
+                ("length", f"{length:g} s"),
+                (f"std. error, best: {self.names[best]}", f"{100 * errors[best]:.2g} %"),
+                (f"std. error, worst: {self.names[worst]}", f"{100 * errors[worst]:.2g} %"),
+            ),
+            sections=(
+                Section(
+                    "What to run, and what it will tell", self._remarks(), (self.accuracy(),),
+                    (drawing,), indent=2,
+                ),
+                Section("Missing physics", listing=told),
+                Section("Sea-trial card", listing=self.sea_trial_card(), only="page"),
+            ),
+        )  # fmt: skip
 
-    def report(self) -> str:
-        """Return the design as text."""
-        lines = [
-            f"Design of {self.experiment.name!r} for {self.model.name}",
-            f"  criterion    {self.criterion}: {self.value:.4g} "
-            f"(starts: {', '.join(f'{v:.4g}' for v in self.start_values)})",
-            f"  family       {self.parametrisation}",
-            f"  run          {self.experiment.duration:g} s, a sample every "
-            f"{self.experiment.sample_time:g} s",
-            f"  limits met   {'; '.join(self.active) or 'none is reached'}",
-            *([f"  certainty    {self.assurance.report()}"] if self.assurance else []),
-            f"  effort       {self.n_evaluations} trajectories, {self.seconds:.1f} s",
-            "",
-            *([f"  random forces {sea_words(self.sea)}", ""] if self.sea is not None else []),
-            *self.accuracy_table(),
-        ]
+    report = as_text
+
+    def _answer(self) -> str:
+        """What the run will tell, and whether it keeps its limits."""
+        errors, found = TWO_SIDED_95 * self.relative_errors, self.assurance
+        worst = int(errors.argmax())
+        words = "" if found is None or found.is_safe else "DANGER: "
+        words += (
+            f"{self.experiment.name}: after {self.experiment.duration:g} s the least certain of "
+            f"{counted(len(errors), 'parameter')} is {self.names[worst]}, ± {share(errors[worst])} "
+            "(95 %)"
+        )
+        if self.references:
+            reference = self.references[0]
+            gain = self.gain(reference)[0]
+            words += (
+                f"; {reference.name} would leave {gain:.3g} × larger errors"
+                if np.isfinite(gain)
+                else f"; {reference.name} alone would not determine all of them"
+            )
+        if found is not None and found.limited:
+            words += f"; limits kept on {found.probability:.0%} of possible vehicles"
+        return f"{words}."
+
+    def _remarks(self) -> list[str]:
+        lines = []
         for reference in self.references:
             mean, worst = self.gain(reference)
             note = f" ({reference.note})" if reference.note else ""
             lines.append(
-                f"  Errors of {reference.name}{note} are {mean:.3g} times larger on geometric "
+                f"Errors of {reference.name}{note} are {mean:.3g} times larger on geometric "
                 f"mean, {worst:.3g} times for the worst parameter."
             )
-        lines += missing_physics(self.misfits, self.chances)
-        lines += [f"  Not determined: {text}." for text in self.information.null_directions()]
-        return "\n".join(lines)
+        return lines + [f"Not determined: {text}." for text in self.information.null_directions()]
 
-    def accuracy_table(self, *, sort: bool = False) -> list[str]:
-        """Lines with the expected relative standard errors; sorted, the best first."""
-        known = bool(np.isfinite(self.prior_errors).any())
-        head = f"  {'parameter':<20} {'value':>11}" + (f" {'before':>9}" if known else "")
-        head += f" {'this run':>9}"
-        if self.spread is not None:
-            head += f" {'other vehicles':>15}"
-        lines = [head + "".join(f" {reference.name:>14}" for reference in self.references)]
-        columns = [r.information.std_errors / self.sizes for r in self.references]
-        for i in np.argsort(self.relative_errors) if sort else range(len(self.names)):
-            row = f"  {self.names[i]:<20} {self.model.values[self.names[i]]:>11.4g}"
-            if known:
-                row += f" {percent(self.prior_errors[i]):>9}"
-            row += f" {self._percent(self.relative_errors[i]):>9}"
-            if self.spread is not None:
-                row += f" {self.spread.words(self.names[i]):>15}"
-            lines.append(row + "".join(f" {self._percent(column[i]):>14}" for column in columns))
-        return lines
+    def accuracy(self, *, sort: bool = False) -> Table:
+        """Expected relative standard errors; sorted, the best first."""
+        others = {one.name: one.information.std_errors / self.sizes for one in self.references}
+        table = self._table("this run", others)
+        if not sort:
+            return table
+        return replace(table, rows=[table.rows[i] for i in np.argsort(self.relative_errors)])
 
-    def _percent(self, error: float) -> str:
-        return stated(error, self.sea)
+    def card(self, tracks: PredictedTracks | None = None, *, title: str = "") -> Report:
+        """Return the sea-trial card as a page: danger first, then what to run and where it goes.
+
+        Parameters
+        ----------
+        tracks : PredictedTracks, optional
+            From :func:`~oed_sysid.design.predicted_tracks`.
+        title : str
+        """
+        safe = self.assurance
+        verdict = []
+        if safe is not None and safe.rules:
+            verdict.append(
+                f"Abort rules fire on {safe.any_fires:.1%} of {safe.n_checked} simulated vehicles."
+            )
+        drawings = [Figure("plot_orders", self, "Orders over time.", size=(7.2, 2.6))]
+        if tracks is not None:
+            caption = "Where the run goes: " + "; ".join(tracks.words()) + "."
+            drawings.append(Figure("plot_tracks", tracks, caption, size=(5.4, 4.6)))
+            verdict.append("Sea room: " + "; ".join(tracks.words()[:2]) + ".")
+        return Report(
+            title=title or self.model.name,
+            subtitle=f"Sea-trial card of {self.experiment.name!r}",
+            warnings=[safe.danger] if safe is not None and safe.danger else [],
+            verdict=verdict or [f"Criterion {self.criterion}."],
+            numbers=(
+                ("length", f"{self.experiment.duration:g} s"),
+                ("limits kept", "-" if safe is None else f"{safe.probability:.1%}"),
+                ("stopped", "-" if safe is None else f"{safe.any_fires:.1%}"),
+            ),
+            sections=(
+                Section("Card", listing=self.sea_trial_card()),
+                Section("Orders and track", figures=drawings),
+            ),
+        )
 
     def sea_trial_card(self) -> str:
         """Return one page for the people who run the trial."""
@@ -233,13 +349,7 @@ class Design:
             Also write the outputs that the model predicts, to watch against;
             the file can then be read as a record.
         """
-        columns = {"t [s]": self.trajectory.times}
-        for channel, values in zip(self.model.inputs, self.trajectory.inputs.T, strict=True):
-            columns[f"{channel.name} [{channel.unit or '-'}]"] = values
-        if predicted:
-            for output, values in zip(self.model.outputs, self.trajectory.outputs.T, strict=True):
-                columns[f"{output.name} [{output.unit or '-'}]"] = values
-        write_table(Path(path), list(columns), np.column_stack(list(columns.values())))
+        write_commands(Path(path), self.model, self.trajectory, predicted=predicted)
 
 
 _WIDTH = 92
@@ -280,7 +390,7 @@ class Standard:
 
 
 @dataclass(frozen=True, eq=False)
-class Programme:
+class Programme(_Accuracy):
     """Result of :func:`~oed_sysid.design.design_programme`.
 
     Attributes
@@ -372,21 +482,6 @@ class Programme:
         return self.bound - self.relaxed
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Parameters."""
-        return self.information.names
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """Values that make errors relative, ``(n,)``."""
-        return np.array([self.model.parameter(name).reference for name in self.names])
-
-    @property
-    def relative_errors(self) -> np.ndarray:
-        """Expected standard errors as shares of the values, ``(n,)``."""
-        return self.information.std_errors / self.sizes
-
-    @property
     def limited(self) -> bool:
         """Whether there is any limit on the motion."""
         return any(one.limited for one in self.assurances.values())
@@ -421,52 +516,141 @@ class Programme:
             "leaves its limits."
         )
 
-    def report(self) -> str:
-        """Return the programme as text; danger in the first line."""
-        lines = []
+    def document(self, *, title: str = "") -> Report:
+        """Return the programme: danger first, then runs, accuracy and certificate."""
+        errors = self.relative_errors
+        worst = int(errors.argmax())
+        drawing = Figure(
+            "figure_programme", self,
+            "Every run: its command and the motion that the model predicts; dotted: what all but "
+            "the most extreme of the possible vehicles stay within; dashed: limits. Right: "
+            "expected relative standard errors.",
+        )  # fmt: skip
+        told = "\n".join(missing_physics(self.misfits, self.chances))
+        return Report(
+            title=title or self.model.name,
+            subtitle=f"Programme, criterion {self.criterion}",
+            headline=f"Programme for {self.model.name}: {len(self.runs)} runs, {self.hours:.3g} h "
+            f"with {self.turnaround / 60:.3g} min between runs",
+            answer=self._answer(),
+            warnings=self._dangers(),
+            head=(
+                ("random forces", "none" if self.sea is None else sea_words(self.sea)),
+                ("measured", ", ".join(self.outputs)),
+            ),
+            numbers=(
+                ("runs", str(len(self.runs))),
+                ("time", f"{self.hours:.3g} h"),
+                (f"std. error, worst: {self.names[worst]}", f"{100 * errors[worst]:.2g} %"),
+            ),
+            sections=(
+                self._plan(drawing),
+                Section("Accuracy to expect", (), (self.accuracy(),), indent=2),
+                Section("What this is worth", self._worth(), indent=2),
+                Section("Missing physics", listing=told),
+                Section("Compared", self._options(), indent=2),
+            ),
+        )
+
+    report = as_text
+
+    def _dangers(self) -> list[str]:
         if self.danger_together:
-            lines += wrap(f"{self.danger_together} Stand by to stop.", _WIDTH)
-        if self.unsafe:
-            worst = min(self.unsafe, key=lambda name: self.assurances[name].probability)
-            lines += wrap(
-                f"DANGER: {worst!r} leaves its limits on "
-                f"{1 - self.assurances[worst].probability:.0%} of the vehicles that are possible. "
-                "Stand by to stop, or begin with a gentle run and plan from its fit.", _WIDTH
-            )  # fmt: skip
-        lines.append(
-            f"Programme for {self.model.name}: {len(self.runs)} runs, {self.hours:.3g} h with "
-            f"{self.turnaround / 60:.3g} min between runs"
-        )
-        lines.append(
-            f"  random forces {'none' if self.sea is None else sea_words(self.sea)}; measured "
-            f"{', '.join(self.outputs)}"
-        )
-        lines += ["", f"  {'':>3} {'run':<44} {'length':>7} {'limits kept':>12}"]
+            return [f"{self.danger_together} Stand by to stop."]
+        if not self.unsafe:
+            return []
+        worst = min(self.unsafe, key=lambda name: self.assurances[name].probability)
+        left = 1 - self.assurances[worst].probability
+        return [
+            f"DANGER: {worst!r} leaves its limits on {left:.0%} of the vehicles that are possible. "
+            "Stand by to stop, or begin with a gentle run and plan from its fit."
+        ]
+
+    def _plan(self, drawing: Figure) -> Section:
+        rows = []
         for number, run in enumerate(self.runs, start=1):
             kept = self.assurances.get(run.name)
-            share = "-" if kept is None or not kept.limited else f"{kept.probability:.0%}"
+            probability = "-" if kept is None or not kept.limited else f"{kept.probability:.0%}"
             length = f"{float(run.experiment.duration or 0.0):g} s"
-            lines.append(f"  {number:>3} {run.name:<44} {length:>7} {share:>12}")
+            rows.append((str(number), run.name, length, probability))
+        marked = tuple(i for i, run in enumerate(self.runs) if run.name in self.unsafe)
+        table = Table(("", "run", "length", "limits kept"), rows, words=(1,), marked=marked)
+        words = []
         if self.limited:
             checked = max(one.n_checked for one in self.assurances.values())
-            lines.append(f"      all together keep them on {self.kept:.0%} of {checked} vehicles")
-        lines += ["", *self.accuracy_table(), ""]
-        lines += wrap(
-            f"  Of what the best programme of these {len(self.candidates)} runs could tell, this "
+            words.append(f"all together keep them on {self.kept:.0%} of {checked} vehicles")
+        return Section("What to run", words, (table,), (drawing,), indent=2)
+
+    def _worth(self) -> list[str]:
+        return wrap(
+            f"Of what the best programme of these {len(self.candidates)} runs could tell, this "
             f"one tells {self.share:.1%} (criterion {self.criterion}; the weights are within "
             f"{max(self.gap, 0.0):.1g} of their optimum). Refined commands made it "
             f"{self.refined_factor:.3g} times as telling; greedy selection would reach "
             f"{self.greedy_share:.1%} of the selection before. The bound holds for these runs, "
             "these forces and a model of this structure; other commands may do better.",
-            _WIDTH, subsequent_indent="  ",
-        )  # fmt: skip
-        lines += missing_physics(self.misfits, self.chances)
-        if self.standard is not None:
-            lines += wrap(f"  {self._compared()}", _WIDTH, subsequent_indent="  ")
+            _WIDTH,
+        )
+
+    def _options(self) -> list[str]:
+        lines = [] if self.standard is None else wrap(self._compared(), _WIDTH)
         for words, (_, factor) in self.sensor_options.items():
-            lines.append(f"  With optional sensors {words}: information times {factor:.3g}.")
-        lines += [f"  Not determined: {text}." for text in self.information.null_directions()]
-        return "\n".join(lines)
+            lines.append(f"With optional sensors {words}: information times {factor:.3g}.")
+        return lines + [f"Not determined: {text}." for text in self.information.null_directions()]
+
+    def _answer(self) -> str:
+        """How many runs and hours, what they tell, and whether they keep their limits."""
+        kept = {n: one.probability for n, one in self.assurances.items() if one.limited}
+        words = f"{counted(len(self.runs), 'run')}, {self.hours:.3g} h"
+        if self.unsafe:
+            worst = min(self.unsafe, key=lambda name: kept[name])
+            words = (
+                f"DANGER: {worst!r} leaves its limits on {1 - kept[worst]:.0%} of possible "
+                f"vehicles; {words}"
+            )
+        elif self.is_unsafe_together:
+            words = (
+                f"DANGER: on {1 - self.kept:.0%} of possible vehicles one run or another leaves "
+                f"its limits; {words}"
+            )
+        words += f": {self._told()}"
+        if self.standard is not None:
+            ratio = self.standard.ratio
+            words += (
+                f"; standard trials would need {ratio:.2g} × the ship time"
+                if np.isfinite(ratio)
+                else "; standard trials would never tell as much"
+            )
+        if not kept:
+            words += "; no limit on the motion was given"
+        elif not self.unsafe:
+            together = "all runs keep" if len(kept) > 1 else "the run keeps"
+            words += f"; {together} the limits on {self.kept:.0%} of possible vehicles"
+        return f"{words}."
+
+    def _told(self) -> str:
+        """What the programme was asked for, and how much of it is reached."""
+        if self.misfits:
+            (first, second), least = min(self.misfits.items(), key=lambda one: one[1])
+            return (
+                f"{first} and {second} are told apart with a probability of {told_apart(least):.0%}"
+            )
+        if self.chances:
+            before = sum(one.before >= SURE for one in self.chances)
+            after = sum(one.after >= SURE for one in self.chances)
+            n = len(self.chances)
+            return f"{after} of {n} effects would show, should they be missing (before: {before})"
+        errors = self.relative_errors
+        worst = int(errors.argmax())
+        words = f"the least certain of {counted(len(errors), 'parameter')} is {self.names[worst]}, "
+        if self.sea is not None and not errors[worst] <= TRUSTED:
+            return words + "which stays unidentified"
+        words += f"± {share(TWO_SIDED_95 * errors[worst])} (95 %)"
+        if self.prior is not None:
+            before = self.prior.std_errors[worst] / self.sizes[worst]
+            known = f", ± {share(TWO_SIDED_95 * before)} before"
+            words += known if np.isfinite(before) else ""
+        return words
 
     def _compared(self) -> str:
         assert self.standard is not None
@@ -478,24 +662,13 @@ class Programme:
             f"criterion, {self.standard.ratio:.3g} times the ship time."
         )
 
-    def accuracy_table(self) -> list[str]:
-        """Lines with the expected relative errors."""
-        head = f"  {'parameter':<20} {'value':>11}"
-        before = None if self.prior is None else self.prior.std_errors / self.sizes
-        head += "" if before is None else f" {'before':>9}"
-        head += f" {'after':>9}"
-        head += "" if self.spread is None else f" {'other vehicles':>18}"
-        head += "" if self.standard is None else f" {'standard trials':>16}"
-        lines = [head]
-        for i, name in enumerate(self.names):
-            row = f"  {name:<20} {self.model.values[name]:>11.4g}"
-            row += "" if before is None else f" {percent(before[i]):>9}"
-            row += f" {stated(self.relative_errors[i], self.sea):>9}"
-            row += "" if self.spread is None else f" {self.spread.words(name):>18}"
-            if self.standard is not None:
-                row += f" {stated(self.standard.errors[name], self.sea):>16}"
-            lines.append(row)
-        return lines
+    def accuracy(self) -> Table:
+        """Expected relative standard errors of every parameter."""
+        others = {}
+        if self.standard is not None:
+            errors = [self.standard.errors[name] for name in self.names]
+            others["standard trials"] = np.array(errors)
+        return self._table("after", others)
 
     to_dict = as_dict(
         "hours", "runs", "criterion", "value", "relaxed", "bound", "gap", "greedy_share",
@@ -545,11 +718,7 @@ class Programme:
         written = []
         for number, run in enumerate(self.runs, start=1):
             record = simulate(self.model, run.experiment, noise=False)
-            columns = {"t [s]": record.times}
-            for channel, values in zip(self.model.inputs, record.inputs.T, strict=True):
-                columns[f"{channel.name} [{channel.unit or '-'}]"] = values
             word = "".join(c if c.isalnum() else "_" for c in run.name)
             path = place / f"{number:02d}_{word}.csv"
-            write_table(path, list(columns), np.column_stack(list(columns.values())))
-            written.append(path)
+            written.append(write_commands(path, self.model, record, predicted=False))
         return tuple(written)

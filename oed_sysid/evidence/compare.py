@@ -18,16 +18,17 @@ from oed_sysid.evidence.forecasts import Forecasts, forecasts
 from oed_sysid.evidence.locate import Located, likeliest, locate
 from oed_sysid.evidence.misfit import OutputMisfit, Signal, output_misfit, regimes
 from oed_sysid.evidence.rank import Ranking, rank
+from oed_sysid.evidence.result import LogCheck
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
-from oed_sysid.likelihood.fit import Fit, align
+from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.prediction import WAYS, Initial, Prediction, predict
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict, as_html
+from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_html, as_text
 from oed_sysid.runtime.threads import single_threaded
 from oed_sysid.text.units import shown_unit
 
@@ -67,6 +68,19 @@ class ModelMisfit:
         "label", "relative", "is_noise", "verdict", "outputs",
         initial_states="prediction.initial_states", forecast="forecasts",
     )  # fmt: skip
+
+    def section(self) -> Section:
+        """Return the misfit by output, and of forecasts, as a part of a document."""
+        ahead, words = self.forecasts, []
+        if ahead.n_forecasts:
+            words.append(
+                f"{ahead.horizon:g} s ahead: {ahead.overall:.3f} x what a right model would "
+                f"leave ({ahead.n_forecasts} forecasts)"
+            )
+        if ahead.failed:
+            words.append(f"{ahead.failed} of the forecasts diverged.")
+        title = f"{self.label}: {self.relative:.3f} x noise over all outputs"
+        return Section(title, words, (_table(self),), heading=True, indent=2)
 
     @property
     def relative(self) -> float:
@@ -146,28 +160,59 @@ class Comparison:
             lines.append(f"Closest: {best.label}, {best.relative:.3g} x noise against {others}.")
         return "\n".join(lines)
 
-    def report(self) -> str:
-        """Return the comparison as text."""
-        lines = [
-            f"comparison on {', '.join(self.dataset.names)}",
-            "  independent tests: motion and inputs are given, their order says nothing"
+    def document(self, *, title: str = "Models and records", log: LogCheck | None = None) -> Report:
+        """Return what the comparison says: misfit by output, and predictions."""
+        names = self.dataset.names
+        way = (
+            "independent tests: motion and inputs are given, their order says nothing"
             if self.dataset.only_tests
-            else f"  initial states: {WAYS[self.models[0].prediction.way]}",
-        ]
-        for part in self.models:
-            lines += ["", f"{part.label}: {part.relative:.3f} x noise over all outputs", ""]
-            lines += [f"  {line}" for line in align(_table(part))]
-            ahead = part.forecasts
-            if ahead.n_forecasts:
-                lines += [
-                    "",
-                    f"  {ahead.horizon:g} s ahead: {ahead.overall:.3f} x what a right model would "
-                    f"leave ({ahead.n_forecasts} forecasts)",
-                ]
-            if ahead.failed:
-                lines.append(f"  {ahead.failed} of the forecasts left the numbers.")
-        lines += ["", self.verdict, *(f"Note: {note}" for note in self.notes)]
-        return "\n".join(lines)
+            else f"initial states: {WAYS[self.models[0].prediction.way]}"
+        )
+        bars = Figure(
+            "plot_comparison", self,
+            "Root mean square error of each output in units of its noise; whiskers show the best "
+            "and the worst record. At the line the error is as large as noise alone.",
+            size=(8.4, 3.8),
+        )  # fmt: skip
+        drawings = [
+            Figure(
+                "figure_predictions", [part.prediction for part in self.models],
+                f"{name}: dots are measured; bands hold 95 % of new measurements if the model is "
+                "right. Right: errors in units of the noise, whose 95 % band is grey.",
+                (name,), {"labels": [part.label for part in self.models]},
+            )
+            for name in names[:MOST_DRAWN]
+        ]  # fmt: skip
+        rest = len(self.dataset) - len(drawings)
+        words = (f"{rest} further records are not drawn.",) if rest else ()
+        return Report(
+            title=title,
+            subtitle=f"Compared on {', '.join(names)}",
+            headline=f"comparison on {', '.join(names)}\n  {way}",
+            answer=self._answer(),
+            warnings=() if log is None else log.warning().splitlines(),
+            numbers=[(part.label, f"{part.relative:.3g} × noise") for part in self.models],
+            sections=(
+                *(part.section() for part in self.models),
+                Section("Where the models differ from the records", figures=(bars,), only="page"),
+                Section("Predictions", words, figures=drawings, only="page"),
+            ),
+            verdict=(*self.verdict.splitlines(), *(f"Note: {note}" for note in self.notes)),
+        )
+
+    report = as_text
+
+    def _answer(self) -> str:
+        """Which model predicts best, and whether what is left is noise."""
+        best = self.best
+        left = "noise is left" if best.is_noise else "more than noise is left"
+        if len(self.models) == 1:
+            return f"{best.label} predicts to {best.relative:.3g} × noise: {left}."
+        others = (f"{m.relative:.3g} ({m.label})" for m in self.models if m is not best)
+        return (
+            f"{best.label} predicts best, to {best.relative:.3g} × noise: {left}; the others to "
+            f"{', '.join(others)}."
+        )
 
     to_dict = as_dict(
         "models", "verdict", "notes",
@@ -379,10 +424,19 @@ def _labels(models: Sequence[Model]) -> tuple[str, ...]:
     return tuple(labels)
 
 
-def _table(part: ModelMisfit) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = [
-        ("output", "rmse", "unit", "x noise", "in band", "eff. samples", "of", "ahead", "worst")
-    ]
+def _table(part: ModelMisfit) -> Table:
+    headers = (
+        "output",
+        "rmse",
+        "unit",
+        "x noise",
+        "in band",
+        "eff. samples",
+        "of",
+        "ahead",
+        "worst",
+    )
+    rows = []
     for output, ahead in zip(part.outputs, part.forecasts.relative, strict=True):
         if not (output.n_samples or output.in_time):  # captive tests measure forces alone
             continue
@@ -400,7 +454,7 @@ def _table(part: ModelMisfit) -> list[tuple[str, ...]]:
                 f"{output.worst[3]:.2g} in {output.where}" if output.where else "",
             )
         )
-    return rows
+    return Table(headers, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -440,19 +494,36 @@ class Diagnosis:
         names = [refit.name for refit in self.ranking.group()]
         return tuple(dict.fromkeys((*names, *self.ranking.alike(names[0]))))
 
-    def report(self) -> str:
-        """Return the diagnosis as text."""
+    @property
+    def verdict(self) -> str:
+        """Which effect is missing, as far as these records can tell."""
         group = self.group
         if not group:
-            verdict = "No candidate explains more than chance does."
-        elif len(group) == 1:
-            verdict = f"Missing, as far as these records can tell: {group[0]}."
-        else:
-            verdict = f"Missing, and these records cannot tell which: {', '.join(group)}."
-        note = "Nothing has been added, and no validation record been asked: that is `improve`."
-        return "\n".join(
-            [self.model.name, self.location.report(), "", self.ranking.report(), "", verdict, note]
+            return f"{self.model.name}: no candidate explains more than chance does."
+        others = f"; these records cannot tell it from {', '.join(group[1:])}" if group[1:] else ""
+        return f"{self.model.name} lacks {group[0]}{others}."
+
+    def document(self, train: Dataset | None = None, *, title: str = "") -> Report:
+        """Return the diagnosis; with its records, residual forces against their signals."""
+        return Report(
+            title=title or self.model.name,
+            subtitle="Where the model fails and what may be missing; nothing was added",
+            headline=self.model.name,
+            answer=self.verdict,
+            sections=(
+                *self.location.document(train).sections,
+                *self.ranking.document().sections,
+                Section(
+                    "Equations of the nominal model", listing=self.model.equations(), only="page"
+                ),
+            ),
+            verdict=(
+                self.verdict,
+                "Nothing has been added, and no validation record been asked: that is `improve`.",
+            ),
         )
+
+    report = as_text
 
     to_dict = as_dict(
         "group",

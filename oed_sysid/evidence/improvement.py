@@ -10,17 +10,27 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.check import LogCheck
+from oed_sysid.evidence.compare import Comparison
 from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.remainder import Remains
-from oed_sysid.likelihood.fit import TWO_SIDED_95, Fit, align
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.runtime.display import as_dict, as_html
+from oed_sysid.runtime.display import (
+    TWO_SIDED_95,
+    Figure,
+    Report,
+    Section,
+    Table,
+    as_dict,
+    as_html,
+    as_text,
+)
 
 # Log-likelihood gain, less the cost of freedom, from which a candidate is mentioned as a hint.
 HINT = 4.0
@@ -61,9 +71,10 @@ class Yardstick:
         """Yardstick of the training records."""
         return cls(dataset.channels.outputs, sigma, signal_spread(dataset))
 
-    def table(self, before: Errors, after: Errors | None) -> list[str]:
-        """Errors of the nominal and the improved model as lines of text."""
-        return [*align(self.rows(before, after)), *self.notes()]
+    def table(self, before: Errors, after: Errors | None) -> Table:
+        """Errors of the nominal and the improved model, in units and per cent of the signal."""
+        header, *rows = self.rows(before, after)
+        return Table(header, rows, words=(1,))
 
     def rows(self, before: Errors, after: Errors | None) -> list[tuple[str, ...]]:
         """Errors in units and per cent of the signal, the header first."""
@@ -335,45 +346,95 @@ class Improvement:
         ranking=lambda self: self.ranking.scored(), proposed_terms="proposed", noise="fit.noise",
     )  # fmt: skip
 
-    def report(self) -> str:
-        """Return the improvement as a story with numbers."""
-        return "\n".join(
-            [
-                *self._opening(),
-                "",
-                self.location.report(),
-                "",
-                self.ranking.report(hidden=self.last is None),
-                "",
-                *self._story(),
-                "",
-                *self.yardstick.table(self.base_rms, self.steps[-1].rms if self.steps else None),
-                "",
-                *self.advice,
-                "",
-                *self._closing(),
-            ]
+    @property
+    def _judged(self) -> tuple[str, str]:
+        """Which errors count: on validation records where there are any; and their name."""
+        tested = np.isfinite(self.final_error["test"])
+        return ("test", "validation") if tested else ("train", "training")
+
+    def document(
+        self, comparison: Comparison | None = None, *, train: Dataset | None = None, title: str = ""
+    ) -> Report:
+        """Return what is missing, step by step.
+
+        Parameters
+        ----------
+        comparison : Comparison, optional
+            Of the nominal and the improved model, best on validation records.
+        train : Dataset, optional
+            The training records, to draw residual forces against their signals.
+        title : str
+            Heading; by default the name of the model.
+        """
+        before, after = self.base_error, self.final_error
+        which, records = self._judged
+        tested = f", on the validation records {before['test']:.2f}"
+        errors = self.yardstick.table(self.base_rms, self.steps[-1].rms if self.steps else None)
+        fall = Figure(
+            "plot_error_fall", self,
+            "Prediction error over whole records, in units of the noise. A right model has one.",
+        )  # fmt: skip
+        return Report(
+            title=title or self.base.name,
+            subtitle="What the model lacks, and what it predicts with it",
+            headline=f"{self.base.name}\n  nominal model: error on the training records "
+            f"{before['train']:.2f} x noise" + ("" if np.isnan(before["test"]) else tested),
+            answer=self._answer(),
+            warnings=() if self.log is None else self.log.warning().splitlines(),
+            numbers=(
+                (f"error on {records} records, nominal", f"{before[which]:.3g} × noise"),
+                ("improved", f"{after[which]:.3g} × noise"),
+                ("effects added", str(len(self.steps))),
+                ("candidates", str(len(self.ranking.scores))),
+            ),
+            sections=(
+                *self.location.document(train).sections,
+                *self.ranking.document(hidden=self.last is None).sections,
+                self._story(),
+                Section("Effects added", self._meanings(), only="page"),
+                Section("Errors", self.yardstick.notes(), (errors,), (fall,)),
+                Section("What to believe, and what to do next at sea", self.advice),
+                *([] if comparison is None else comparison.document().sections),
+                self._estimates(),
+                Section(
+                    "Equations of the improved model", listing=self.model.equations(), only="page"
+                ),
+            ),
+            verdict=self._closing(),
         )
 
-    def _opening(self) -> list[str]:
-        error = self.base_error
-        warning = "" if self.log is None else self.log.warning()
-        return [
-            *([warning, ""] if warning else []),
-            f"{self.base.name}",
-            f"  nominal model: error on the training records {error['train']:.2f} x noise"
-            + (
-                ""
-                if np.isnan(error["test"])
-                else f", on the validation records {error['test']:.2f}"
-            ),
-        ]
+    report = as_text
 
-    def _story(self) -> list[str]:
+    def _answer(self) -> str:
+        """What is missing, and what it is worth on the validation records."""
+        which, records = self._judged
+        before, after = self.base_error[which], self.final_error[which]
+        if self.remains.kind == "log suspect":
+            return f"Log suspect: nothing about {self.base.name} can be claimed from it."
+        if self.verdict == "unexplained":
+            return (
+                f"{self.base.name} misses more than noise, and no candidate is confirmed: error on "
+                f"the {records} records {before:.3g} × noise."
+            )
         if not self.steps:
-            lines = ["Nothing is missing that these records could show."]
-            if self.verdict == "unexplained":
-                lines = [UNCONFIRMED]
+            return (
+                f"Nothing is missing from {self.base.name} that these records could show: error on "
+                f"the {records} records {before:.3g} × noise."
+            )
+        names = " and ".join(step.added for step in self.steps)
+        goes = "falls" if after < before else "does not fall: it goes"
+        return (
+            f"{self.base.name} lacks {names}: with it the error on the {records} records {goes} "
+            f"from {before:.3g} to {after:.3g} × noise; {self.remains.kind}."
+        )
+
+    def _story(self) -> Section:
+        """The steps, or why there is none."""
+        if not self.steps:
+            unexplained = self.verdict == "unexplained"
+            lines = [
+                UNCONFIRMED if unexplained else "Nothing is missing that these records could show."
+            ]
             best = self.ranking.refits[0] if self.ranking.refits else None
             if best is not None and best.evidence > HINT and best.name not in self.rejected:
                 lines.append(
@@ -387,18 +448,13 @@ class Improvement:
                     + ", ".join(dict.fromkeys(self.rejected))
                     + ": what looked like it on the training records did not repeat."
                 )
-            return lines
-        rows = [
-            (
-                "effect added",
-                "gain",
-                "needed",
-                "validation gain",
-                "training error",
-                "validation error",
-            )
-        ]
-        rows.append(("(nominal)", "", "", "", *self._pair(self.base_error)))
+            return Section("What is missing", lines)
+        headers = (
+            "effect added", "gain", "needed", "validation gain", "training error",
+            "validation error",
+        )  # fmt: skip
+        rows = [("(nominal)", "", "", "", *self._pair(self.base_error))]
+        lines = []
         for step in self.steps:
             rows.append(
                 (
@@ -409,13 +465,31 @@ class Improvement:
                     *self._pair({"train": step.train_error, "test": step.test_error}),
                 )
             )
-        lines = align(rows)
-        for step in self.steps:
             if len(step.group) > 1:
                 lines.append(
                     f"These records cannot tell {step.added} from {', '.join(step.group[1:])}."
                 )
-        return lines
+        return Section("What is missing", lines, (Table(headers, rows),))
+
+    def _meanings(self) -> list[str]:
+        """What the effects added are, in words."""
+        words = {step.added: self.model.effect(step.added).description for step in self.steps}
+        return [f"{name}: {meaning}." for name, meaning in words.items() if meaning]
+
+    def _estimates(self) -> Section:
+        """Estimates after the last step, beside those without the effects; on a page."""
+        nominal = self.base.values
+        rows = []
+        for one in self.parameters:
+            name, value, error = one["name"], one["value"], one["std_error"]
+            relative = f"{100 * error / abs(value):.2g} %" if value else ""
+            without = f"{nominal[name]:.5g}" if name in nominal else ""
+            rows.append((name, f"{value:.5g}", f"{error:.2g}", relative, without, one["unit"]))
+        headers = ("parameter", "value", "std. error", "relative", "without the effects", "unit")
+        added = {parameter.name for step in self.steps for parameter in step.effect.parameters}
+        marked = tuple(i for i, row in enumerate(rows) if row[0] in added)
+        table = Table(headers, rows, marked=marked)
+        return Section("Estimates", tables=(table,), only="page")
 
     @staticmethod
     def _pair(error: Mapping[str, float]) -> tuple[str, str]:
@@ -435,10 +509,7 @@ class Improvement:
                 lines.append("These records cannot tell it from " + ", ".join(others[:8]) + ".")
             if term["replaces"]:
                 lines.append("It takes the place of " + ", ".join(term["replaces"]) + ".")
-        return lines + self._verdict()
-
-    def _verdict(self) -> list[str]:
-        return [*(f"Note: {note}" for note in self.notes), f"Verdict: {self.conclusion}"]
+        return [*lines, *(f"Note: {note}" for note in self.notes), f"Verdict: {self.conclusion}"]
 
 
 def parameter_table(fit: Fit) -> tuple[Mapping[str, Any], ...]:

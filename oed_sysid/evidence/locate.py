@@ -31,13 +31,12 @@ from oed_sysid.evidence.residual_forces import (
 )
 from oed_sysid.likelihood.disturbances import Place, disturbance, places
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
-from oed_sysid.likelihood.fit import align
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict
 
 # Shortest and longest correlation time of the disturbances, s: passing and lasting.
 CORRELATION_TIMES = (1.0, 20.0)
@@ -158,28 +157,68 @@ class Located:
             text += f" (next: {later[0]}, log-likelihood gain {lag:.0f} lower)" if lag > 0 else ""
         return text + "."
 
-    def report(self) -> str:
-        """Return the finding as text."""
-        rows = [("where the model fails", "log-likelihood gain", "behind the best", "size", "unit")]
+    def document(self, train: Dataset | None = None) -> Report:
+        """Return the finding; with the training records, residual forces against their signals."""
+        headers = (
+            "where the model fails",
+            "log-likelihood gain",
+            "behind the best",
+            "size",
+            "unit",
+        )
         top = max(self.gains.values())
+        rows = []
         for place in self.places[:LISTED]:
             gain = self.gains[place.name]
             if gain > CLEAR:
                 size = f"{self.levels[place.name]:.2g}"
                 rows.append((place.name, _count(gain), _count(top - gain), size, place.unit))
-        lines = [*align(rows), ""] if len(rows) > 1 else []
-        lines.append(self.verdict)
+        tables = [Table(headers, rows)] if rows else []
+        words = [self.verdict]
         if self.best is not None:
-            lines += [
-                "The smoothed residual force is the part of the missing force that the free",
-                "parameters could not absorb, not the missing force itself: compare it with the",
-                "signature of a candidate, which has been through the same projection.",
+            words += [
+                "The smoothed residual force is the part of the missing force that the free "
+                "parameters could not absorb, not the missing force itself: compare it with the "
+                "signature of a candidate, which has been through the same projection."
             ]
+        parts = [
+            Section(
+                "Where the nominal model fails", ["", *words] if rows else words, tables,
+                [] if self.by_motion else self._figures(train),
+            )
+        ]  # fmt: skip
         if self.agreement:
-            pairs = [("candidate", "agreement with the residual forces")]
-            pairs += [(name, f"{value:.2f}") for name, value in self.agreement.items()]
-            lines += ["", *align(pairs)]
-        return "\n".join(lines)
+            pairs = [(name, f"{value:.2f}") for name, value in self.agreement.items()]
+            table = Table(("candidate", "agreement with the residual forces"), pairs)
+            parts.append(Section("Agreement", tables=(table,)))
+        return Report(self.verdict, sections=parts)
+
+    def report(self) -> str:
+        """Return the finding as text."""
+        return "\n\n".join("\n".join(part.lines()) for part in self.document().sections)
+
+    def _figures(self, train: Dataset | None) -> list[Figure]:
+        drawings = [
+            Figure(
+                "plot_located", self,
+                "How far a disturbance at each place of the signal chain is behind the best one in "
+                "explaining what is left. Within the grey band the records cannot tell them apart; "
+                "the last row is no disturbance at all.",
+                size=(7.6, 1.3 + 0.3 * min(len(self.gains), 14)),
+            )
+        ]  # fmt: skip
+        if self.best is not None and train is not None and self.force_names:
+            equation = max(self.force_names, key=lambda n: self.gains.get(f"force {n}", 0.0))
+            drawings.append(
+                Figure(
+                    "figure_force", self,
+                    f"Residual force of the {equation} equation: over time with its 95 % band, and "
+                    "against measured signals and commands (points: means with 95 % intervals). A "
+                    "curve that repeats itself is a law that the model lacks.",
+                    (equation, train),
+                )
+            )  # fmt: skip
+        return drawings
 
     to_dict = as_dict(
         "best", "group", "verdict", "gains", "levels", "discrepancies", "signatures", "agreement",

@@ -24,12 +24,11 @@ from oed_sysid.evidence.rank import GROUP_WIDTH, threshold
 from oed_sysid.evidence.residual_forces import derivatives, let_in
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.fit import align
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.smoother import Path
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import align, as_dict
 from oed_sysid.text import expressions
 
 # Terms refitted, at most this alike among each other.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,10 +11,10 @@ from scipy.special import chdtri
 
 from oed_sysid.evidence.score import Score, scores, two_sided
 from oed_sysid.evidence.study import Study
-from oed_sysid.likelihood.fit import align
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.physics import Effect
 from oed_sysid.physics.variants import BY_RECORD
+from oed_sysid.runtime.display import Figure, Report, Section, Table
 
 # Candidates refitted in each round.
 N_REFITS = 7
@@ -174,12 +174,12 @@ class Ranking:
         names = (name, *(refit.name for refit in self.group()), *self.alike(name))
         return tuple(dict.fromkeys(names))
 
-    def report(self, *, hidden: bool = True) -> str:
-        """Return the best candidates, and with ``hidden`` what these records cannot show, as text.
+    def document(self, *, hidden: bool = True) -> Report:
+        """Return the best candidates and, with ``hidden``, what these records cannot show.
 
         What they cannot show beside the nominal model they may show beside a better one.
         """
-        rows = [("candidate effect", "score", "gain", "needed", "distinct")]
+        rows = []
         refits = {refit.name: refit for refit in self.refits}
         scores = {score.effect.name: score for score in self.scores}
         for name in self.order[:8]:
@@ -187,16 +187,37 @@ class Ranking:
             gain = f"{refits[name].gain:.1f}" if name in refits else "-"
             needed = f"{self.needed_by(score):.1f}"
             rows.append((name, f"{score.statistic:.1f}", gain, needed, f"{score.distinct:.2f}"))
-        lines = align(rows)
+        headers = ("candidate effect", "score", "gain", "needed", "distinct")
+        drawing = Figure(
+            "plot_ranking", self,
+            "The candidates in the first round. The score is computed without refitting; the most "
+            "promising candidates are then refitted.",
+            size=(8.4, 5.2),
+        )  # fmt: skip
         imitated = self.imitated()
-        unseen = sorted(set(self.undetectable()) - set(imitated))
+        seen = self.undetectable()
+        unseen = sorted(set(seen) - set(imitated))
+        words = []
         if hidden and unseen:
-            text = "These records would not show the typical size of: "
-            lines += ["", text + ", ".join(unseen)]
+            words += ["", "These records would not show the typical size of: " + ", ".join(unseen)]
         if hidden and imitated:
             text = "Parameters that are free already do the same in these records as: "
-            lines += ["", text + ", ".join(imitated)]
-        return "\n".join(lines)
+            words += ["", text + ", ".join(imitated)]
+        parts = [Section("Candidates", words, (Table(headers, rows),), (drawing,))]
+        if seen:
+            units = {p.name: p.unit for score in self.scores for p in score.effect.parameters}
+            sizes = [(name, _visible_from(limits, units)) for name, limits in seen.items()]
+            table = Table(("candidate", "would be seen from"), sizes, words=(1,))
+            says = (
+                f"{len(seen)} of {len(self.scores)} candidates would not be seen in these "
+                "records at their typical size. That they were not found says nothing about them."
+            )
+            parts.append(Section("Invisible at typical size", (says,), (table,), only="page"))
+        return Report("Candidates", sections=parts)
+
+    def report(self, *, hidden: bool = True) -> str:
+        """Return the document as text."""
+        return "\n".join(self.document(hidden=hidden).sections[0].lines())
 
     def imitated(self) -> tuple[str, ...]:
         """Effects that free parameters of the model imitate completely, by name."""
@@ -224,6 +245,16 @@ class Ranking:
             if score.absorbed or (unseen and all(unseen)):
                 found[score.effect.name] = limits
         return found
+
+
+def _visible_from(limits: Mapping[str, float], units: Mapping[str, str]) -> str:
+    """Amplitudes from which a candidate would show; none where free parameters imitate it."""
+    if not all(np.isfinite(value) for value in limits.values()):
+        return "no size: the free parameters imitate it"
+    return ", ".join(
+        f"{key} = {value:.3g} {'' if units[key] == '1' else units[key]}".rstrip()
+        for key, value in limits.items()
+    )
 
 
 def _basis(score: Score) -> np.ndarray:

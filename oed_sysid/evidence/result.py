@@ -8,10 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.runtime.display import as_dict, as_html, plain
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.runtime.display import (
+    TWO_SIDED_95,
+    Figure,
+    Report,
+    Section,
+    Table,
+    as_dict,
+    as_html,
+    as_text,
+    plain,
+)
 
 # A normal variable's 95 % interval in standard deviations.
-TWO_SIDED_95 = 1.96
+# Records that a page draws.
+MOST_DRAWN = 3
 
 
 # Findings with which a fit must not be used whatever its residuals say.
@@ -109,6 +121,13 @@ class Finding:
     def name(self) -> str:
         """Kind and signals in one word, such as ``"bias q"``."""
         return f"{self.kind} {', '.join(self.signals)}".strip()
+
+    @property
+    def amount(self) -> str:
+        """Size with its interval; empty where there is none."""
+        if self.size is None or self.interval is None:
+            return ""
+        return amount(self.size, self.interval, self.unit)
 
     def lines(self) -> list[str]:
         """Return the finding as sentences, the most important first."""
@@ -247,35 +266,100 @@ class LogCheck:
         lines += [f"  - {one.says} Fix: {one.fix}" for one in self.serious]
         return "\n".join(lines)
 
-    def report(self) -> str:
-        """Return the result in words."""
+    def document(self, dataset: Dataset | None = None, *, title: str = "") -> Report:
+        """Return the result; with the records, these drawn."""
         n = len(self.records)
-        lines = [f"Log check of {n} {'record' if n == 1 else 'records'}: {', '.join(self.records)}"]
-        lines += ["", self.verdict]
-        for title, suspect in (("Suspect", True), ("Good to know", False)):
-            chosen = [one for one in self.findings if one.suspect is suspect]
-            if not chosen:
-                continue
-            lines += ["", title]
-            for number, one in enumerate(chosen, start=1):
-                first, *rest = one.lines()
-                where = "" if set(one.records) == set(self.records) else _where(one.records)
-                lines.append(f"{number:3d}. {first}{where}")
-                lines += [f"     {text}" for text in rest]
-        if self.balances:
-            lines += ["", "Equations between signals, and what is left of the left side's changes"]
-            for row in self.balances:
-                after = f", {_share(row.after)} with the findings undone" * self.suspect
-                lines.append(f"     {row.relation}: {_share(row.before)}{after}")
-        if self.unchecked:
-            lines += ["", "What this check cannot tell"]
-            lines += [f"     {text}" for text in self.unchecked]
-        return "\n".join(lines)
+        undone = "with the findings undone"
+        equations = [
+            f"{row.relation}: {_share(row.before)}"
+            + f", {_share(row.after)} {undone}" * self.suspect
+            for row in self.balances
+        ]
+        return Report(
+            title=title or "Log check",
+            subtitle=f"Log check of {', '.join(self.records)}",
+            headline=f"Log check of {n} {'record' if n == 1 else 'records'}: "
+            f"{', '.join(self.records)}\n\n{self.verdict}",
+            answer=self.verdict,
+            numbers=(
+                ("suspect", str(len(self.serious))),
+                ("good to know", str(len(self.findings) - len(self.serious))),
+                ("equations used", str(len(self.relations))),
+            ),
+            sections=(
+                *self._listed("Suspect", suspect=True),
+                *self._listed("Good to know", suspect=False),
+                *self._table(),
+                Section(
+                    "Equations between signals, and what is left of the left side's changes",
+                    equations, figures=self._figures(), heading=True, indent=5,
+                ),
+                Section("What this check cannot tell", self.unchecked, heading=True, indent=5),
+                Section("Records", figures=_drawn(dataset), only="page"),
+            ),
+        )  # fmt: skip
+
+    report = as_text
+
+    def _listed(self, title: str, *, suspect: bool) -> list[Section]:
+        """Findings of one weight as a numbered list, in text."""
+        lines = []
+        chosen = [one for one in self.findings if one.suspect is suspect]
+        for number, one in enumerate(chosen, start=1):
+            first, *rest = one.lines()
+            where = "" if set(one.records) == set(self.records) else _where(one.records)
+            lines += [f"{number:3d}. {first}{where}", *(f"     {text}" for text in rest)]
+        return [Section(title, lines, heading=True, only="text")]
+
+    def _table(self) -> list[Section]:
+        """Findings as a table, on a page."""
+        rows = [
+            (
+                one.says + (f" Or: {'; '.join(one.alternatives)}." if one.alternatives else ""),
+                one.amount,
+                "" if one.gain is None else f"{one.gain:.0f}",
+                one.changes,
+                one.fix,
+            )
+            for one in self.findings
+        ]
+        table = Table(
+            ("finding", "size, 95 % interval", "log-likelihood gain", "left as it is", "fix"),
+            rows,
+            caption="Suspect findings are stressed.",
+            words=(0, 3, 4),
+            marked=tuple(i for i, one in enumerate(self.findings) if one.suspect),
+        )
+        return [Section("Findings", tables=(table,), only="page")] if rows else []
+
+    def _figures(self) -> list[Figure]:
+        if not self.balances:
+            return []
+        return [
+            Figure(
+                "plot_balances", self,
+                "How much of the changes of each left side the other signals do not explain, over "
+                "blocks of about a second; at the dotted line they explain nothing. Noise alone "
+                "leaves something, too.",
+                size=(7.0, 1.5 + 0.5 * len(self.balances)),
+            ),
+            Figure(
+                "figure_check", self,
+                "Each signal minus the integral of the others. With sensors that agree this is "
+                "noise around a constant, or a slow random walk; a fault has a shape.",
+            ),
+        ]  # fmt: skip
 
     to_dict = as_dict(
         "verdict", "suspect", "records", "findings", "unchecked",
         relations="balances", duration_s="duration",
     )  # fmt: skip
+
+
+def _drawn(dataset: Dataset | None) -> list[Figure]:
+    """The first records as they were read."""
+    records = () if dataset is None else dataset.records[:MOST_DRAWN]
+    return [Figure("figure_record", one, f"{one.name} as it was read.") for one in records]
 
 
 def _share(value: float) -> str:
@@ -284,6 +368,28 @@ def _share(value: float) -> str:
 
 def _where(records: tuple[str, ...]) -> str:
     return f" ({', '.join(records)})" if records else ""
+
+
+def angle_aware(value: float, unit: str) -> tuple[float, str]:
+    """Turn rad into degrees for people.
+
+    >>> angle_aware(0.1, "rad/s")
+    (5.729577951308233, 'deg/s')
+    """
+    if unit.startswith("rad"):
+        return math.degrees(value), unit.replace("rad", "deg")
+    return value, unit
+
+
+def amount(size: float, bounds: tuple[float, float], unit: str) -> str:
+    """Estimate with half the width of its 95 % interval, in people's units."""
+    value, shown = angle_aware(size, unit)
+    half, _ = angle_aware(0.5 * (bounds[1] - bounds[0]), unit)
+    if unit == "1":
+        value, half, shown = 100.0 * value, 100.0 * half, "%"
+    digits = max(0, 1 - math.floor(math.log10(half))) if half > 0.0 else 3
+    digits = min(digits, 8)
+    return f"{value:.{digits}f} ± {half:.{digits}f} {shown}"
 
 
 def interval(size: float, std: float) -> tuple[float, float]:

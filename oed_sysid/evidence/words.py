@@ -5,7 +5,6 @@ Findings of single signals in words, gathered over records.
 
 from __future__ import annotations
 
-import math
 from itertools import combinations
 
 import numpy as np
@@ -15,34 +14,12 @@ from oed_sysid.evidence.blocks import Candidate
 from oed_sysid.evidence.continuous import Continuous
 from oed_sysid.evidence.discrete import SIZED, Discrete, Hypothesis
 from oed_sysid.evidence.relations import Relation
-from oed_sysid.evidence.result import Correction, Finding, interval
+from oed_sysid.evidence.result import Correction, Finding, amount, angle_aware, interval
 from oed_sysid.evidence.screens import Fault
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.physics.channels import Channels, Input, Output
 
 COPY = "oed-sysid check ... --fix FOLDER writes corrected copies"
-
-
-def angle_aware(value: float, unit: str) -> tuple[float, str]:
-    """Turn rad into degrees for people.
-
-    >>> angle_aware(0.1, "rad/s")
-    (5.729577951308233, 'deg/s')
-    """
-    if unit.startswith("rad"):
-        return math.degrees(value), unit.replace("rad", "deg")
-    return value, unit
-
-
-def amount(size: float, bounds: tuple[float, float], unit: str) -> str:
-    """Estimate with half the width of its 95 % interval, in people's units."""
-    value, shown = angle_aware(size, unit)
-    half, _ = angle_aware(0.5 * (bounds[1] - bounds[0]), unit)
-    if unit == "1":
-        value, half, shown = 100.0 * value, 100.0 * half, "%"
-    digits = max(0, 1 - math.floor(math.log10(half))) if half > 0.0 else 3
-    digits = min(digits, 8)
-    return f"{value:.{digits}f} ± {half:.{digits}f} {shown}"
 
 
 def _channel(channels: Channels, name: str) -> Input | Output | None:

@@ -18,7 +18,7 @@ from oed_sysid.information.noise import Noise
 from oed_sysid.information.response import Play, respond
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text
 
 # Brun et al. call subsets between 10 and 15 critical.
 COLLINEARITY_LIMIT = 15.0
@@ -114,23 +114,32 @@ class Subset:
         """Parameters to fix, best first."""
         return self.order[self.size :]
 
-    def report(self) -> str:
+    def words(self, source: str = "") -> str:
+        """How many parameters can be estimated, and which not."""
+        fixed = f"; fix {', '.join(self.left_out)}" if self.left_out else ""
+        n = len(self.order)
+        return f"{self.size} of {n} parameters can be estimated together{source}{fixed}."
+
+    def document(self) -> Report:
         """Return the subset in words and as a table."""
-        lines = [f"{'':>3} {'parameter':<22} {'collinearity':>12} {'worst rel. error':>17}"]
-        for index, name in enumerate(self.order):
-            mark = "  " if index < self.size else " x"
-            error = self.relative_errors[index]
-            lines.append(
-                f"{index + 1:>3} {name:<22} {self.collinearity[index]:>12.3g} {error:>16.2%}{mark}"
+        rows = [
+            (f"{i + 1}", name, f"{index:.3g}", f"{error:.2%}", "" if i < self.size else "x")
+            for i, (name, index, error) in enumerate(
+                zip(self.order, self.collinearity, self.relative_errors, strict=True)
             )
+        ]
+        headers = ("", "parameter", "collinearity", "worst rel. error", "to fix")
         fixed = ", ".join(self.left_out) or "none"
-        return "\n".join(
-            [
-                f"{self.size} of {len(self.order)} parameters can be estimated together "
-                f"(collinearity at most {self.limit:g}); to fix: {fixed}",
-                *lines,
-            ]
+        title = (
+            f"{self.size} of {len(self.order)} parameters can be estimated together "
+            f"(collinearity at most {self.limit:g}); to fix: {fixed}"
         )
+        table = Table(headers, rows, words=(1,))
+        return Report(
+            "", answer=self.words(), sections=(Section(title, (), (table,), heading=True),)
+        )
+
+    report = as_text
 
     to_dict = as_dict("order", "collinearity", "relative_errors", "limit", identifiable="names")
 

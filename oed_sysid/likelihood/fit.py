@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,30 +11,41 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.likelihood.agreement import Sources
-from oed_sysid.likelihood.archive import encode
-from oed_sysid.likelihood.between_records import RecordScatter
+from oed_sysid.likelihood.archive import check_fit, decode_result, encode, made_by, write_result
+from oed_sysid.likelihood.between_records import RecordScatter, Sources
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.estimate import Estimate, Status, checked_scatter
-from oed_sysid.likelihood.explained import grave
 from oed_sysid.likelihood.information import Information
-from oed_sysid.likelihood.judgement import Concern, judge
+from oed_sysid.likelihood.judgement import Concern, grave, judge
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.prediction import Initial, Prediction, predict
-from oed_sysid.likelihood.saved import check_fit, decode_result, made_by, write_result
 from oed_sysid.physics import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.channels import Channels, Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.runtime.display import as_dict, as_html
+from oed_sysid.runtime.display import (
+    TWO_SIDED_95,
+    Figure,
+    Report,
+    Section,
+    Table,
+    as_dict,
+    as_html,
+    as_text,
+    counted,
+    share,
+)
 from oed_sysid.text.callables import Function
 from oed_sysid.text.units import shown_unit
 
-# Residuals that count fewer independent samples than this share are coloured.
-COLOUR_LIMIT = 0.8
-# What stands behind +/- is half of a 95 % interval, in standard errors.
-TWO_SIDED_95 = 1.96
+# Multiple of the noise up to which residuals say no more than noise would, and from which they
+# are no measure: filtered logs have next to no noise.
+EXPLAINED, SMOOTHED = 1.2, 100.0
+# Prior standard deviations beyond which an estimate contradicts the prior.
+SURPRISING = 3.0
+# Records that a page draws.
+MOST_DRAWN = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +108,7 @@ class Fit(Estimate):
         of it.
     sources : Sources, or None
         What priors and each record say of the shared parameters, apart from one another; None
-        where the estimator does not tell. See :mod:`oed_sysid.likelihood.agreement`.
+        where the estimator does not tell. See :mod:`oed_sysid.likelihood.between_records`.
     """
 
     @cached_property
@@ -162,7 +173,7 @@ class Fit(Estimate):
         """Write the fit, its model and its data to a JSON file; :meth:`load` reads it.
 
         The file appears whole or not at all. ``command=`` and ``settings=`` say how the
-        fit was made; see :func:`oed_sysid.likelihood.saved.made_by`.
+        fit was made; see :func:`oed_sysid.likelihood.archive.made_by`.
         """
         settings = {"estimator": self.estimator, **made.pop("settings", {})}
         made_of = made_by([self.dataset], settings=settings, **made)
@@ -185,26 +196,135 @@ class Fit(Estimate):
 
     # -- words ---------------------------------------------------------------------
 
-    def report(self) -> str:
-        """Return the fit as text that can be pasted into a paper."""
-        lines = [
-            *(f"Do not use these values: {concern.text}" for concern in self.grave),
-            f"{self.model.name} fitted by {self.estimator}",
-            f"  records       {', '.join(self._record_words())}",
-            f"  observations  {self.n_observations}",
-            f"  status        {self.status} ({self.iterations} iterations, {self.seconds:.2g} s)",
-            f"  misfit        {self.normalised_rms:.3f} x noise over all outputs",
-            "",
-            *self._parameter_table(),
-            *self._local_lines(),
-            *self._start_lines(),
-            "",
-            *self._output_table(),
-            *self._captive_lines(),
-            *self._noise_lines(),
-        ]
-        lines += self._warnings()
-        return "\n".join(lines)
+    def document(self, comparison: Any = None, *, log: Any = None, style: int = 0) -> Report:
+        """Return what the fit says.
+
+        Parameters
+        ----------
+        comparison : Comparison, optional
+            Of the fit with other records.
+        log : LogCheck, optional
+            What a check of the records found; said first.
+        style : int
+            Position of the model in a comparison, for its colour.
+        """
+        way = self.estimator.replace(", ", " with ", 1)
+        effective = sum(count for count, _ in self.effective_samples().values())
+        tested = "samples" if self.innovations is None else "innovations"
+        misfit = f"{self.normalised_rms:.3f} x noise over all outputs"
+        return Report(
+            title=self.model.name,
+            subtitle=f"Fitted by {way} to {', '.join(self._record_words())}",
+            headline=f"{self.model.name} fitted by {self.estimator}",
+            answer=self._answer(comparison),
+            warnings=(
+                *([] if log is None else log.warning().splitlines()),
+                *(f"Do not use these values: {concern.text}" for concern in self.grave),
+            ),
+            head=(
+                ("records", ", ".join(self._record_words())),
+                ("observations", f"{self.n_observations}"),
+                ("status", f"{self.status} ({self.iterations} iterations, {self.seconds:.2g} s)"),
+                ("misfit", misfit),
+            ),
+            numbers=(
+                ("misfit", f"{self.normalised_rms:.3g} × noise"),
+                ("parameters", str(len(self.names))),
+                ("samples", f"{self.n_observations:,}".replace(",", " ")),
+                (f"independent {tested}", f"{effective:,.0f}".replace(",", " ")),
+                ("status", self.status.code),
+            ),
+            sections=(
+                self._estimates(),
+                self._residuals(style),
+                *self._random(),
+                *self._records(style),
+                *([] if comparison is None else comparison.document().sections),
+                Section("Equations", listing=self.model.equations(), only="page"),
+            ),
+            verdict=self._remarks(),
+        )
+
+    report = as_text
+
+    def _answer(self, comparison: Any) -> str:
+        """Whether the fit can be used, how certain it is, and how well it fits and predicts."""
+        if not self.status.ok:
+            return f"Not usable: the fit of {self.model.name} ended as {self.status.code}."
+        if self.grave:
+            return f"Not usable: {self.grave[0].text}"
+        errors = {
+            name: TWO_SIDED_95 * self.std_errors[name] / abs(value) if value else np.inf
+            for name, value in self.values.items()
+        }
+        words = f"{self.model.name}: {counted(len(self.names), 'parameter')} estimated"
+        if errors:
+            worst = max(errors, key=lambda name: errors[name])
+            words += f", the least certain {worst} ± {share(errors[worst])} (95 %)"
+        words += f"; residuals are {self.normalised_rms:.3g} × noise"
+        if self.normalised_rms > SMOOTHED:
+            words += (
+                ": the model is far off, or the log was smoothed and shows no noise; read errors "
+                "in units"
+            )
+        elif not self.normalised_rms < EXPLAINED:
+            words += ", so the model lacks something"
+        if comparison is not None:
+            size = comparison.best.relative
+            words += f"; errors on the validation records {size:.3g} × noise"
+        return f"{words}."
+
+    def _estimates(self) -> Section:
+        size = 2.0 + 0.42 * len(self.names)
+        drawings = [
+            Figure(
+                "plot_intervals", self,
+                "Estimates with 95 % intervals, divided by the prior (grey bars), or by "
+                "themselves where nothing was.",
+                size=(7.6, 1.3 + 0.34 * len(self.names)),
+            ),
+            Figure(
+                "plot_correlation", self,
+                "Correlation of the estimates. Two that are close to ±1 can be told apart only "
+                "by other manoeuvres.",
+                size=(size + 0.8, size),
+            ),
+        ]  # fmt: skip
+        return Section(
+            "Estimates", (*self._local_lines(), *self._start_lines()), self._parameter_table(),
+            drawings[: len(self.names)], indent=2,
+        )  # fmt: skip
+
+    def _residuals(self, style: int) -> Section:
+        words = self._captive_lines()
+        if self.innovations is not None:
+            words += [
+                "Effective samples are of the one-step prediction errors, measured less expected "
+                "from all earlier samples; residuals are measured less the model running on its "
+                "own."
+            ]
+        drawing = Figure(
+            "figure_whiteness", self,
+            "Autocorrelation of the residuals, one line per record. White noise stays inside the "
+            "grey band; slow curves are physics or sensor dynamics that the model lacks.",
+            options={"style": style},
+        )  # fmt: skip
+        return Section("Residuals", words, (self._output_table(),), (drawing,), indent=2)
+
+    def _records(self, style: int) -> list[Section]:
+        """Data and model of the first records, on a page."""
+        drawings = [
+            Figure(
+                "figure_fit", self,
+                f"{name}: dots are measured, the line is the model and its band holds 95 % of the "
+                "noise around it. Right: measured minus model, with the band of the noise.",
+                (index,), {"style": style},
+            )
+            for index, name in enumerate(self.dataset.names[:MOST_DRAWN])
+        ]  # fmt: skip
+        rest = len(self.dataset) - len(drawings)
+        words = (f"{rest} further records are not drawn.",) if rest else ()
+        return [Section("Records", words, figures=drawings, only="page")]
 
     def _record_words(self) -> list[str]:
         """Names of the records; of many independent tests the first and the last."""
@@ -222,26 +342,27 @@ class Fit(Estimate):
         errors: Mapping[str, float] = self.extras.get("captive", {})
         sizes: Mapping[str, float] = self.extras.get("captive_misfit", {})
         lines = [
-            f"  captive {axis}: error {sizes[axis]:.3g} x noise"
+            f"captive {axis}: error {sizes[axis]:.3g} x noise"
             + (f", {100 * error:.3g} % of its rms" if np.isfinite(error) else "")
             for axis, error in errors.items()
             if np.isfinite(sizes.get(axis, np.nan))
         ]
         if self.extras.get("tests_scatter"):
             lines.append(
-                "  Forces of the captive tests scatter more than their noise allows: their part "
+                "Forces of the captive tests scatter more than their noise allows: their part "
                 "of the standard errors is from their residuals, in whatever order."
             )
         return lines
 
-    def _parameter_table(self) -> list[str]:
+    def _parameter_table(self) -> list[Table]:
         if not self.names:
-            return ["  no free parameter: initial states only"]
+            return [Table(("no free parameter: initial states only",), ())]
         # A column of its own where the stated errors do not hold what differs between records.
         differ = bool(self.caveat)
         scattered = self.record_errors
         head = ("std. error", "between records") if differ else ("std. error",)
-        rows = [("parameter", "value", *head, "rel. %", "unit", "")]
+        headers = ("parameter", "value", *head, "rel. %", "unit", "")
+        rows = []
         errors = self.std_errors
         for name, value in self.values.items():
             parameter = self.model.parameter(name)
@@ -262,7 +383,7 @@ class Fit(Estimate):
                     note,
                 )
             )
-        return [f"  {line}" for line in align(rows)]
+        return [Table(headers, rows)]
 
     def _local_lines(self) -> list[str]:
         """Values of per-record parameters, one line each."""
@@ -270,9 +391,7 @@ class Fit(Estimate):
         for name in self.local_values[0] if self.local_values else ():
             pairs = zip(self.dataset.names, self.local_values, strict=True)
             listed = ", ".join(f"{record} {values[name]:.4g}" for record, values in pairs)
-            lines.append(
-                f"  {name} per record: {listed} {self.model.parameter(name).unit}".rstrip()
-            )
+            lines.append(f"{name} per record: {listed} {self.model.parameter(name).unit}".rstrip())
         return lines
 
     def _start_lines(self) -> list[str]:
@@ -288,11 +407,12 @@ class Fit(Estimate):
                 for name, (value, std) in known.items()
             ]
             if words:
-                lines.append(f"  start of {record.name} given: {', '.join(words)} (95 %)")
+                lines.append(f"start of {record.name} given: {', '.join(words)} (95 %)")
         return lines
 
-    def _output_table(self) -> list[str]:
-        rows = [("output", "rms residual", "noise", "", "eff. samples", "of", "unit")]
+    def _output_table(self) -> Table:
+        headers = ("output", "rms residual", "noise", "", "eff. samples", "of", "unit")
+        rows = []
         effective = self.effective_samples()
         rms = self.rms
         for output, sigma, estimated in zip(
@@ -313,15 +433,16 @@ class Fit(Estimate):
                     unit,
                 )
             )
-        return [f"  {line}" for line in align(rows)]
+        return Table(headers, rows)
 
-    def _noise_lines(self) -> list[str]:
+    def _random(self) -> list[Section]:
         """Random forces and coloured sensors, one line each."""
         noise = self.noise
         if noise.is_white:
             return []
         units = {place.name: place.unit for place in places(self.model)}
-        rows: list[tuple[str, ...]] = [("random", "level", "95 %", "time [s]", "unit")]
+        headers = ("random", "level", "95 %", "time [s]", "unit")
+        rows = []
         for name, level, time in zip(noise.places, noise.force, noise.force_time, strict=True):
             rows.append(self._noise_row(name, level, time, units.get(name, "")))
         for output, level, time in zip(
@@ -329,36 +450,42 @@ class Fit(Estimate):
         ):
             if level > 0:
                 rows.append(self._noise_row(f"colour of {output.name}", level, time, output.unit))
-        return ["", *(f"  {line}" for line in align(rows))]
+        return [Section("Random", tables=(Table(headers, rows),), indent=2)]
 
     def _noise_row(self, name: str, level: float, time: float, unit: str) -> tuple[str, ...]:
         if level <= 0:
             return name, "absent", "", "", unit
-        share = self.noise_std.get(f"{name} level")
-        spread = "" if share is None else f"+/- {1.96 * share * level:.2g}"
+        known = self.noise_std.get(f"{name} level")
+        spread = "" if known is None else f"+/- {TWO_SIDED_95 * known * level:.2g}"
         return name, f"{level:.3g}", spread, f"{time:.2g}", unit
 
-    def _warnings(self) -> list[str]:
-        said = self.status.advice
-        said_first = {said, *(concern.text for concern in self.grave)}
-        lines = [f"  {one.text}" for one in self.concerns if one.text not in said_first]
+    def _remarks(self) -> list[str]:
+        """What else to know before the values are used, one sentence each."""
+        said_first = {self.status.advice, *(concern.text for concern in self.grave)}
+        lines = [one.text for one in self.concerns if one.text not in said_first]
         commands = np.vstack([record.inputs for record in self.dataset])
         for channel, series in zip(self.model.inputs, commands.T, strict=True):
             if np.ptp(series) == 0.0 and not self.tests_alone:
                 lines.append(
-                    f"  Input {channel.name} never moves in any record: what it does cannot be "
+                    f"Input {channel.name} never moves in any record: what it does cannot be "
                     "told from what else is constant."
                 )
         if self.coloured:
             lines.append(
-                "  Residuals are correlated in time (see eff. samples): standard errors are from "
+                "Residuals are correlated in time (see eff. samples): standard errors are from "
                 "the sandwich covariance."
             )
-        lines += [f"  Not identifiable: {text}." for text in self.information.null_directions()]
-        if bounded := [r.split()[0] for r in self._parameter_table() if r.endswith("at bound")]:
+        lines += [f"Not identifiable: {text}." for text in self.information.null_directions()]
+        own = {name: self.model.parameter(name) for name in self.names}
+        if bounded := [n for n, v in self.values.items() if not own[n].lower < v < own[n].upper]:
             lines.append(
-                f"  {', '.join(bounded)} at bound: widen it if it may be wrong. A log that counts "
+                f"{', '.join(bounded)} at bound: widen it if it may be wrong. A log that counts "
                 "an angle the other way does this too: Input(..., sign=-1)."
+            )
+        if far := [name for name in self.names if self._surprise(name) > SURPRISING]:
+            lines.append(
+                f"Further than {SURPRISING:g} standard deviations from the prior: "
+                f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
             )
         correlation = self.correlation
         pairs = [
@@ -368,8 +495,15 @@ class Fit(Estimate):
             if abs(correlation[i, j]) > 0.95
         ]
         for _, first, second, value in sorted(pairs, reverse=True)[:6]:
-            lines.append(f"  Correlation of {first} and {second}: {value:+.3f}.")
-        return ["", *lines] if lines else []
+            lines.append(f"Correlation of {first} and {second}: {value:+.3f}.")
+        return lines
+
+    def _surprise(self, name: str) -> float:
+        """Distance of an estimate from its prior mean, in standard deviations of the prior."""
+        parameter = self.model.parameter(name)
+        if parameter.prior_spread is None or parameter.prior_mean is None:
+            return 0.0
+        return abs(self.values[name] - parameter.prior_mean) / parameter.prior_spread
 
     to_dict = as_dict(
         "estimator", "iterations", "seconds", "cost", "normalised_rms", "covariance", "rms",
@@ -389,18 +523,6 @@ class Fit(Estimate):
         noise=lambda self: dict(zip(self.model.output_names, self.sigma, strict=True)),
         effective_samples=lambda self: self.effective_samples(), noise_model="noise",
     )  # fmt: skip
-
-
-def align(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lay rows of text out in columns; the first column flush left, the others right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return [
-        "  ".join(
-            cell.ljust(width) if i == 0 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
 
 
 # Everything that a saved fit is made of.

@@ -27,11 +27,12 @@ import numpy as np
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.record import Record
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.fit import Fit, align
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import measured_columns, measured_states
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.draws import asked, parameter_sets
 from oed_sysid.prediction.laws import CourseControl, ZigzagControl
+from oed_sysid.runtime.display import align
 
 __all__ = ["ClosedLoop", "Control", "CourseControl", "UncertainControl", "ZigzagControl"]
 __all__ += ["closed_loop"]

@@ -31,8 +31,9 @@ from scipy.special import stdtrit
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, OedSysidError
-from oed_sysid.likelihood.fit import Fit, align
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import align
 
 Purpose = Callable[[Fit], Mapping[str, float]]
 # With two, one difference would have to tell how much differences scatter.

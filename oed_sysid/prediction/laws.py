@@ -33,8 +33,8 @@ from numpy.typing import ArrayLike
 
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
-from oed_sysid.likelihood.fit import align
 from oed_sysid.prediction.helmsman import CONSTANT, fit_course_law, rudder_noise, smooth_heading
+from oed_sysid.runtime.display import align
 
 DEGREE = math.degrees(1.0)
 

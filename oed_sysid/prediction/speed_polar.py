@@ -16,10 +16,10 @@ import numpy as np
 from oed_sysid.errors import ModelError
 from oed_sysid.experiments.experiment import Limits
 from oed_sysid.experiments.simulation import equilibrium
-from oed_sysid.likelihood.fit import Fit, align
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.draws import asked, parameter_sets
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import align, as_dict
 
 
 @dataclass(frozen=True)

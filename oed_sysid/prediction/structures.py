@@ -35,11 +35,11 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.likelihood.captive import CaptiveTests
-from oed_sysid.likelihood.fit import Fit, align
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import measured_states
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.jackknife import Estimator, Purpose, leave_out
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import align, as_dict
 
 # Records whose strengths differ by less than this share are of one rung.
 SAME_STRENGTH = 0.05

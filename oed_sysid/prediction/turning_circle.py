@@ -17,11 +17,11 @@ from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.experiments.indices import TurningIndices, turning_indices
 from oed_sysid.experiments.manoeuvres import TurningCircle
 from oed_sysid.experiments.simulation import equilibrium, simulate_batch
-from oed_sysid.likelihood.fit import TWO_SIDED_95, Fit, align
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.draws import asked, parameter_sets
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import TWO_SIDED_95, align, as_dict
 
 SIDES = ("starboard", "port")
 # Heading change that is simulated: a full turn, then half a turn to call steady.

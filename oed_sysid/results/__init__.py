@@ -2,16 +2,12 @@
 
 Every ``plot_x(result, ax=None)`` draws on the given axes, or on those of a new
 figure, and returns them; nothing is shown and no global setting is touched.
-``figure_x`` compose several, and ``x_page(result).write("file.html")`` makes a
-report in one file.
+``figure_x`` compose several, and ``page(result).write("file.html")`` makes a report in
+one file: the document of the result with its figures drawn.
 """
 
-from oed_sysid.results.card_page import card_page
 from oed_sysid.results.card_plots import figure_card, plot_orders, plot_tracks
-from oed_sysid.results.check_page import check_page
 from oed_sysid.results.check_plots import figure_check, plot_balance, plot_balances
-from oed_sysid.results.comparison_page import comparison_page
-from oed_sysid.results.design_page import design_page
 from oed_sysid.results.design_plots import (
     figure_design,
     plot_accuracy,
@@ -19,8 +15,6 @@ from oed_sysid.results.design_plots import (
     plot_output_change,
     plot_sensitivity,
 )
-from oed_sysid.results.diagnosis_page import diagnosis_page
-from oed_sysid.results.fit_page import fit_page
 from oed_sysid.results.fit_plots import (
     figure_fit,
     figure_whiteness,
@@ -36,7 +30,6 @@ from oed_sysid.results.force_plots import (
     plot_force_against,
     plot_residual_force,
 )
-from oed_sysid.results.improvement_page import improvement_page
 from oed_sysid.results.improvement_plots import (
     figure_diagnosis,
     plot_error_fall,
@@ -45,8 +38,7 @@ from oed_sysid.results.improvement_plots import (
 )
 from oed_sysid.results.live_plots import LiveParameters, plot_history
 from oed_sysid.results.multistart_plots import plot_waterfall
-from oed_sysid.results.numbers_page import numbers_page
-from oed_sysid.results.page import Page, Picture, Section, Table, style_sheet
+from oed_sysid.results.page import Page, Picture, card_page, numbers_page, page, style_sheet
 from oed_sysid.results.polar_plots import plot_polar
 from oed_sysid.results.prediction_plots import (
     figure_predictions,
@@ -55,20 +47,26 @@ from oed_sysid.results.prediction_plots import (
     plot_prediction_error,
 )
 from oed_sysid.results.profile_plots import plot_ellipses, plot_profile
-from oed_sysid.results.programme_page import programme_page
 from oed_sysid.results.programme_plots import figure_programme
-from oed_sysid.results.ranking_page import ranking_page
 from oed_sysid.results.record_plots import figure_record
 from oed_sysid.results.style import finding, model_style, new_figure, save_figure
 from oed_sysid.results.track_plots import plot_phase, plot_track, plot_zigzag
+from oed_sysid.runtime.display import Figure, Report, Section, Table
+
+# The report on every kind of result; the names say which arguments its ``document`` takes.
+check_page = comparison_page = design_page = diagnosis_page = page
+fit_page = improvement_page = programme_page = ranking_page = page
 
 __all__ = [
+    "Figure",
+    "Report",
+    "page",
+    "card_page",
     "LiveParameters",
     "Page",
     "Picture",
     "Section",
     "Table",
-    "card_page",
     "check_page",
     "comparison_page",
     "design_page",

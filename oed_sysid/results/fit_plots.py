@@ -16,7 +16,6 @@ from oed_sysid.results.style import (
     DATA,
     NEUTRAL,
     TRUTH,
-    TWO_SIDED_95,
     abscissa,
     clean,
     joined,
@@ -30,6 +29,7 @@ from oed_sysid.results.style import (
     spread_legend,
     symbol_of,
 )
+from oed_sysid.runtime.display import TWO_SIDED_95
 from oed_sysid.text.units import shown_unit
 
 # Blue over white to vermilion; darkness says how strong in greyscale.

@@ -22,7 +22,6 @@ from oed_sysid.results.style import (
     COLOURS,
     DATA,
     TRUTH,
-    TWO_SIDED_95,
     clean,
     label,
     model_style,
@@ -33,6 +32,7 @@ from oed_sysid.results.style import (
     spread_legend,
     symbol_of,
 )
+from oed_sysid.runtime.display import TWO_SIDED_95
 
 _N_BINS = 12
 

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from oed_sysid.errors import DataError
 from oed_sysid.results.style import (
     TRUTH,
-    TWO_SIDED_95,
     clean,
     model_style,
     new_axes,
@@ -23,6 +22,7 @@ from oed_sysid.results.style import (
     spread_legend,
     symbol_of,
 )
+from oed_sysid.runtime.display import TWO_SIDED_95
 from oed_sysid.runtime.files import whole_file
 
 

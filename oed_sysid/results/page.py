@@ -1,22 +1,44 @@
-"""A page of words, tables and pictures, rendered as one self-contained HTML file."""
+"""Documents as HTML: pages with figures in one self-contained file, and notebooks.
+
+A document (:class:`~oed_sysid.runtime.display.Report`) names its figures; they are drawn here.
+Angles are in degrees, ± is half of a 95 % interval.
+"""
 
 from __future__ import annotations
 
 import base64
 import io
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
+from html import escape
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import jinja2
 import matplotlib as mpl
-from matplotlib.figure import Figure
+import numpy as np
+from matplotlib.figure import Figure as Drawing
 
-from oed_sysid.results.style import finding
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import Record
+from oed_sysid.design import Design
+from oed_sysid.design.assurance import PredictedTracks
+from oed_sysid.errors import DataError, OedSysidError
+from oed_sysid.physics.channels import Input, Output
+from oed_sysid.physics.model import Model
+from oed_sysid.results.style import finding, new_figure
 from oed_sysid.runtime import files
+from oed_sysid.runtime.display import TWO_SIDED_95, Figure, Report, Section, Table
 from oed_sysid.runtime.version import __version__
+from oed_sysid.text.units import shown_unit
 
 _RESOLUTION = 110
+_MOST_ROWS = 30
+
+# A page is a document; its older name.
+Page = Report
 
 
 @dataclass(frozen=True)
@@ -38,89 +60,153 @@ class Picture:
     finding: str = ""
 
     @classmethod
-    def of(cls, figure: Figure, caption: str) -> Picture:
+    def of(cls, drawing: Drawing, caption: str) -> Picture:
         """Embed a figure as SVG; dense point clouds in it may be rasterised."""
         target = io.BytesIO()
         # A fixed salt and no date: the same result gives the same bytes.
         with mpl.rc_context({"svg.hashsalt": "oed_sysid"}):
-            figure.savefig(target, format="svg", dpi=_RESOLUTION, metadata={"Date": None})
+            drawing.savefig(target, format="svg", dpi=_RESOLUTION, metadata={"Date": None})
         coded = base64.b64encode(target.getvalue()).decode("ascii")
-        return cls(f"data:image/svg+xml;base64,{coded}", caption, finding(figure))
+        return cls(f"data:image/svg+xml;base64,{coded}", caption, finding(drawing))
 
 
-@dataclass(frozen=True)
-class Table:
-    """Rows of text; ``words`` are the columns to set flush left, ``marked`` rows to stress."""
-
-    headers: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    caption: str = ""
-    words: tuple[int, ...] = ()
-    marked: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True)
-class Section:
-    """One part of a page with its own heading."""
-
-    title: str
-    paragraphs: tuple[str, ...] = ()
-    tables: tuple[Table, ...] = ()
-    pictures: tuple[Picture, ...] = ()
-    listing: str = ""
-
-    def html(self) -> str:
-        """Return the part below the heading as HTML, to be put inside another page."""
-        return _template("section").render(section=self)
+def draw(figure: Figure) -> Drawing:
+    """Draw a figure of a document."""
+    function = getattr(import_module("oed_sysid.results"), figure.name)
+    if figure.name.startswith("figure_"):
+        made: Drawing = function(figure.subject, *figure.arguments, **figure.options)
+        return made
+    drawing, axes = new_figure(1, 1, size=figure.size)
+    function(figure.subject, *figure.arguments, ax=axes[0, 0], **figure.options)
+    return drawing
 
 
-@dataclass(frozen=True)
-class Page:
-    """What a report says.
+def drawn(part: Any) -> Any:
+    """Return a document or a section with its figures as pictures."""
+    if isinstance(part, Report):
+        told = (one for one in part.sections if one.only != "text" and not one.is_empty)
+        return replace(part, sections=tuple(map(drawn, told)))
+    if isinstance(part, Section):
+        return replace(part, figures=tuple(map(drawn, part.figures)))
+    return Picture.of(draw(part), part.caption) if isinstance(part, Figure) else part
+
+
+def html(part: Report | Section, template: str) -> str:
+    """Return a document, its summary or a section as HTML."""
+    shown = part if template == "summary" else drawn(part)
+    return _template(template).render(part=shown, version=__version__)
+
+
+def write(report: Report, path: str | Path) -> Path:
+    """Write a document as a page; see :meth:`oed_sysid.runtime.display.Report.write`."""
+    files.write_text(Path(path), report.html())
+    return Path(path)
+
+
+def page(result: Any, *arguments: Any, **options: Any) -> Report:
+    """Return the report on a result as a page.
 
     Parameters
     ----------
-    title, subtitle : str
-        Heading, and what was done to what.
-    verdict : tuple of str
-        The outcome in sentences, before everything else.
-    numbers : tuple of (str, str)
-        The few numbers that matter most, by name.
-    sections : tuple of Section
-        The rest.
+    result : Fit, Comparison, Diagnosis, Improvement, Design, Programme, LogCheck, ...
+    *arguments, **options
+        Of the result's ``document``: what else it is to show.
 
-    Examples
-    --------
-    >>> page = Page("Trial", "two runs", ("It fits.",), (("misfit", "1.01 x noise"),))
-    >>> "<dd>1.01 x noise</dd>" in page.html()
-    True
+    Returns
+    -------
+    Report
+        Call ``.write("page.html")``.
     """
+    made: Report = result.document(*arguments, **options)
+    return made
 
-    title: str
-    subtitle: str
-    verdict: tuple[str, ...]
-    numbers: tuple[tuple[str, str], ...] = ()
-    sections: tuple[Section, ...] = ()
 
-    def html(self) -> str:
-        """Return the page as HTML that refers to nothing outside itself."""
-        return _template("page").render(page=self, version=__version__)
+def card_page(design: Design, tracks: PredictedTracks | None = None, *, title: str = "") -> Report:
+    """Return the sea-trial card as a page; see :meth:`oed_sysid.design.Design.card`."""
+    return design.card(tracks, title=title)
 
-    def summary_html(self) -> str:
-        """Return verdict and numbers as HTML, to be put inside another page."""
-        return _template("summary").render(page=self)
 
-    def write(self, path: str | Path) -> Path:
-        """Write the page and return its path.
+def numbers_page(content: Mapping[str, Any]) -> Report:
+    """Compose a report from what ``oed-sysid fit --json`` wrote.
 
-        Raises
-        ------
-        FileError
-            If the file cannot be written; an older one is untouched.
-        """
-        target = Path(path)
-        files.write_text(target, self.html())
-        return target
+    Parameters
+    ----------
+    content : mapping
+        As JSON returns it.
+
+    Raises
+    ------
+    DataError
+        If it is not what that command writes.
+    """
+    status = _part(content, "status", dict)
+    code = _part(status, "code", str)
+    parameters = []
+    for entry in _part(content, "parameters", list):
+        if not isinstance(entry, dict):
+            raise DataError("One of the 'parameters' of this file is no object: it is damaged.")
+        words = (str(entry.get("name", "?")), _number(entry.get("value")))
+        parameters.append((*words, _number(entry.get("std_error")), str(entry.get("unit", ""))))
+    noise, rms = _part(content, "noise", dict), _part(content, "rms", dict)
+    outputs = [(str(name), _number(rms.get(name)), _number(level)) for name, level in noise.items()]
+    made = content.get("oed_sysid")
+    made = made if isinstance(made, dict) else {}
+    records = made.get("records")
+    hashes = records if isinstance(records, dict) else {}
+    trust = (
+        "The estimation converged."
+        if code == "converged"
+        else f"The estimation did not converge ({code}). Do not use the values."
+    )
+    columns = ("parameter", "value", "std. error", "unit")
+    return Report(
+        title=str(_part(content, "model", str)),
+        subtitle=f"Fitted by {content.get('estimator')}; numbers only",
+        verdict=(
+            trust,
+            "Model and data were not kept, so there are no pictures here: repeat the fit with "
+            "--save FILE for those.",
+        ),
+        numbers=(
+            ("misfit", f"{_number(content.get('normalised_rms'))} × noise"),
+            ("parameters", str(len(parameters))),
+            ("status", code),
+        ),
+        sections=(
+            Section("Estimates", tables=(Table(columns, tuple(parameters), words=(0, 3)),)),
+            Section(
+                "Outputs",
+                tables=(Table(("output", "rms residual", "noise"), tuple(outputs), words=(0,)),),
+            ),
+            Section(
+                "Where it comes from",
+                paragraphs=(
+                    f"oed_sysid {made.get('version', 'of unknown version')}: "
+                    f"{made.get('command', 'the command was not kept')}",
+                    *(f"{name}: {digest}" for name, digest in hashes.items()),
+                ),
+            ),
+        ),
+    )
+
+
+def _part(content: Mapping[str, Any], key: str, kind: type) -> Any:
+    value = content.get(key)
+    if not isinstance(value, kind):
+        raise DataError(
+            f"The numbers of this fit have no usable {key!r}: the file is damaged, or was changed "
+            "by hand. Use a copy of it, or make it again."
+        )
+    return value
+
+
+def _number(value: Any) -> str:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return "unknown" if value is None else str(value)[:40]
+    try:
+        return f"{value:.6g}"
+    except OverflowError:  # a whole number beyond all floats
+        return "beyond all numbers"
 
 
 def style_sheet() -> str:
@@ -140,3 +226,80 @@ def _environment() -> jinja2.Environment:
         autoescape=True,
         undefined=jinja2.StrictUndefined,
     )
+
+
+# -- notebooks ---------------------------------------------------------------------------
+
+
+def notebook(thing: object) -> str:
+    """Return an object as HTML, to be put inside a notebook: a sentence, and its tables.
+
+    Parameters
+    ----------
+    thing : Model, Dataset, Record, Fit, Comparison, Diagnosis, Improvement, Design, ...
+        What is shown.
+
+    Raises
+    ------
+    OedSysidError
+        If nothing is known about such objects.
+    """
+    before = ""
+    says: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    if isinstance(thing, Model):
+        equations = escape(r" \\ ".join(thing.latex().splitlines()), quote=False)
+        before = f"<div>$$\\begin{{aligned}}{equations}\\end{{aligned}}$$</div>"
+        tables = [_parameters(thing)]
+    elif isinstance(thing, Record | Dataset):
+        tables = [_records([thing] if isinstance(thing, Record) else list(thing))]
+    elif hasattr(thing, "document"):
+        document: Report = thing.document()
+        says = document.first
+        tables = [table for one in document.sections for table in one.tables]
+    else:
+        raise OedSysidError(f"A {type(thing).__name__} has no picture in a notebook; print it.")
+    inner = Section("", says, tuple(map(_shortened, tables))).html()
+    return f'<div class="oed-sysid"><p><b>{escape(str(thing))}</b></p>{before}{inner}</div>'
+
+
+def _shortened(table: Table) -> Table:
+    if len(table.rows) <= _MOST_ROWS:
+        return table
+    said = f"{table.caption} (the first {_MOST_ROWS} of {len(table.rows)})".strip()
+    return replace(table, rows=table.rows[:_MOST_ROWS], caption=said)
+
+
+def _parameters(model: Model) -> Table:
+    rows = []
+    for name in model.parameter_names:
+        one = model.parameter(name)
+        kind = "fixed" if one.fixed else "per record" if one.per_record else "free"
+        prior = ""
+        if one.prior_mean is not None and one.prior_spread is not None:
+            prior = f"{one.prior_mean:.4g} ± {TWO_SIDED_95 * one.prior_spread:.2g}"
+        rows.append((name, f"{one.value:.5g}", one.unit, kind, prior))
+    return Table(("parameter", "value", "unit", "", "prior (95 %)"), rows)
+
+
+def _records(records: list[Record]) -> Table:
+    channels = records[0].channels
+    names: list[Input | Output] = [*channels.inputs, *channels.outputs]
+    rows = []
+    for record in records:
+        spans = []
+        for channel in names:
+            inside = channel.name in channels.input_names
+            values = record.input(channel.name) if inside else record.output(channel.name)
+            spans.append(_span(shown_unit(channel.unit)[0] * values))
+        rows.append((record.name, f"{record.duration:.4g}", str(record.n_samples), *spans))
+    heads = (f"{one.name} [{shown_unit(one.unit)[1] or '-'}]" for one in names)
+    return Table(("record", "length [s]", "samples", *heads), rows)
+
+
+def _span(values: np.ndarray) -> str:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return "not measured"
+    low, high = float(finite.min()), float(finite.max())
+    return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"

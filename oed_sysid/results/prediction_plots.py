@@ -15,7 +15,6 @@ from oed_sysid.results.style import (
     DATA,
     NEUTRAL,
     TRUTH,
-    TWO_SIDED_95,
     abscissa,
     clean,
     joined,
@@ -28,6 +27,7 @@ from oed_sysid.results.style import (
     shown,
     spread_legend,
 )
+from oed_sysid.runtime.display import TWO_SIDED_95
 
 # Best and worst record of an output, those that did not measure it left out.
 _ENDS = (np.nanmin, np.nanmax)

@@ -9,11 +9,10 @@ from matplotlib.axes import Axes
 
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.information import Information
-from oed_sysid.likelihood.profile import Profile
+from oed_sysid.likelihood.multistart import Profile
 from oed_sysid.results.style import (
     NEUTRAL,
     TRUTH,
-    TWO_SIDED_95,
     clean,
     model_style,
     new_axes,
@@ -21,6 +20,7 @@ from oed_sysid.results.style import (
     spread_legend,
     symbol_of,
 )
+from oed_sysid.runtime.display import TWO_SIDED_95
 
 
 def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
@@ -29,7 +29,7 @@ def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
     Parameters
     ----------
     profile : Profile
-        From :func:`~oed_sysid.likelihood.profile`.
+        From :func:`~oed_sysid.likelihood.multistart`.
     ax : Axes, optional
         Where to draw.
     """

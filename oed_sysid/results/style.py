@@ -33,8 +33,6 @@ NEUTRAL = "0.6"
 COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DASHES = ("--", "-", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 HATCHES = ("", "///", "...", "xxx", "\\\\\\", "+++")
-# A 95 % interval of a normal variable, in standard deviations.
-TWO_SIDED_95 = 1.96
 DEGREE = np.degrees(1.0)
 
 

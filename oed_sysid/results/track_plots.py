@@ -17,7 +17,6 @@ from oed_sysid.results.style import (
     DEGREE,
     NEUTRAL,
     TRUTH,
-    TWO_SIDED_95,
     clean,
     label,
     model_style,
@@ -27,6 +26,7 @@ from oed_sysid.results.style import (
     spread_legend,
     symbol_of,
 )
+from oed_sysid.runtime.display import TWO_SIDED_95
 from oed_sysid.text.units import shown_unit
 
 

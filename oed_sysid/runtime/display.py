@@ -242,11 +242,18 @@ class Section:
     indent: int = 0
     only: str = ""
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing below the heading."""
+        return not (self.paragraphs or self.tables or self.figures or self.listing)
+
     def lines(self) -> list[str]:
         """Return the section as lines of text."""
         parts = [one.lines() for one in self.tables]
         lines = [line for part in parts for line in ["", *part]][1:]
         lines += [*self.paragraphs, *self.listing.splitlines()]
+        if not lines:
+            return []
         margin = " " * self.indent
         return [*([self.title] * self.heading), *(f"{margin}{line}".rstrip() for line in lines)]
 
@@ -271,8 +278,10 @@ class Report:
         The outcome in sentences: last in text, first on a page.
     numbers : tuple of (str, str)
         The few numbers that matter most, by name; on a page.
+    headline : str
+        First line of a text; the title by default.
     head : tuple of (str, str)
-        What was done to what, below the title of a text.
+        What was done to what, below the first line of a text.
     sections : tuple of Section
 
     Examples
@@ -292,6 +301,7 @@ class Report:
     sections: Sequence[Section] = ()
     answer: str = ""
     warnings: Sequence[str] = ()
+    headline: str = ""
     head: Sequence[tuple[str, str]] = ()
 
     @property
@@ -303,7 +313,7 @@ class Report:
     def text(self) -> str:
         """Return the document as text, tables aligned."""
         width = max((len(name) for name, _ in self.head), default=0)
-        parts = [[*self.warnings, *filter(None, [self.title])]]
+        parts = [[*self.warnings, self.headline or self.title]]
         parts[0] += [f"  {name:<{width}}  {value}" for name, value in self.head]
         parts += [one.lines() for one in self.sections if one.only != "page"]
         parts.append(list(self.verdict))

@@ -17,8 +17,17 @@ import math
 
 import numpy as np
 
-from benchmarks.other_vehicles.truth.commands import Signal, constant, multisine, steps, zigzag
-from benchmarks.other_vehicles.truth.simulator import Hidden, Manoeuvre, Sizes, Vehicle
+from benchmarks.other_vehicles.truth.simulator import (
+    Hidden,
+    Manoeuvre,
+    Signal,
+    Sizes,
+    Vehicle,
+    constant,
+    multisine,
+    steps,
+    zigzag,
+)
 
 MASS, I_X, I_Y = 30.5, 0.8, 3.45  # kg, kg m2; pitch and yaw alike
 X_UDOT, Y_VDOT, K_PDOT, M_QDOT = -0.93, -35.5, -0.2, -4.88

@@ -19,8 +19,16 @@ import math
 
 import numpy as np
 
-from benchmarks.other_vehicles.truth.commands import Signal, constant, multisine, steps
-from benchmarks.other_vehicles.truth.simulator import Hidden, Manoeuvre, Sizes, Vehicle
+from benchmarks.other_vehicles.truth.simulator import (
+    Hidden,
+    Manoeuvre,
+    Signal,
+    Sizes,
+    Vehicle,
+    constant,
+    multisine,
+    steps,
+)
 
 MASS, X_UDOT, Y_VDOT = 62.0, -6.0, -70.0  # kg
 INERTIA = 18.0 + 16.0  # kg m2, with added inertia

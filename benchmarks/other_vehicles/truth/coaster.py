@@ -19,8 +19,16 @@ import math
 
 import numpy as np
 
-from benchmarks.other_vehicles.truth.commands import constant, multisine, steps, zigzag
-from benchmarks.other_vehicles.truth.simulator import Hidden, Manoeuvre, Sizes, Vehicle
+from benchmarks.other_vehicles.truth.simulator import (
+    Hidden,
+    Manoeuvre,
+    Sizes,
+    Vehicle,
+    constant,
+    multisine,
+    steps,
+    zigzag,
+)
 
 LENGTH, DENSITY = 50.0, 1025.0
 Q = 0.5 * DENSITY * LENGTH**2  # kg/m

@@ -16,8 +16,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.other_vehicles.truth.commands import multisine, steps
-from benchmarks.other_vehicles.truth.simulator import Hidden, Manoeuvre, Sizes, Vehicle
+from benchmarks.other_vehicles.truth.simulator import (
+    Hidden,
+    Manoeuvre,
+    Sizes,
+    Vehicle,
+    multisine,
+    steps,
+)
 
 
 def _applied(x: np.ndarray, d: np.ndarray, p: Sizes, h: Sizes, f: np.ndarray) -> np.ndarray:

@@ -1,0 +1,303 @@
+"""What all benchmarks share: how they measure, keep results, go on where they stopped, and print.
+
+A result is a line of JSON in ``benchmarks/results``. It names its case, so that it is never
+computed again, and the revision of the code that it depends on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from types import UnionType
+from typing import Any, get_args, get_origin
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from oed_sysid import Model, Record
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.runtime.files import write_text
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "benchmarks" / "results"
+# Linear algebra on one thread: what a benchmark's processes are started with.
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+# The diving plane of the REMUS-like vehicle: noise of u, w, q, theta, z, and where dives begin.
+NOISE = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
+START = {"u": 1.5, "z": 10.0}
+Row = dict[str, Any]
+
+# -- measuring ---------------------------------------------------------------------
+
+
+def least(
+    work: Callable[[], object],
+    repeats: int = 15,
+    clock: Callable[[], float] = time.process_time,
+) -> float:
+    """Least processor time of several warm calls, s: what other loads on the machine leave.
+
+    Processor time counts all threads of this process, so a call that spreads over threads gains
+    nothing by it here; ``time.perf_counter`` is the time that passes.
+    """
+    work()
+    taken = []
+    for _ in range(repeats):
+        began = clock()
+        work()
+        taken.append(clock() - began)
+    return min(taken)
+
+
+def verdict(what: str, value: float, target: float, unit: str = "", *, at_most: bool = True) -> str:
+    """One line: what was measured beside its target, met or MISSED."""
+    met = value <= target if at_most else value >= target
+    relation = "<=" if at_most else ">="
+    stated = f"{value:.3g} {unit}".strip()
+    return f"{what:<58} {stated:>10}   target {relation} {target:g}: {'met' if met else 'MISSED'}"
+
+
+def machine() -> str:
+    """Processor, load and versions: numbers mean little without them."""
+    name = platform.processor() or platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        name = next(line.split(":", 1)[1].strip() for line in lines if "model name" in line)
+    except (OSError, StopIteration):
+        pass
+    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    libraries = ", ".join(f"{one} {version(one.lower())}" for one in ("NumPy", "SciPy", "CasADi"))
+    return f"{name}, {os.cpu_count()} cores{load}; Python {platform.python_version()}, {libraries}"
+
+
+@cache
+def revision(*code: str) -> str:
+    """Revision of the code, with a plus where files of it are changed.
+
+    Parameters
+    ----------
+    *code : str
+        Folders that a number depends on, beside the package and its problems.
+    """
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True)
+        return done.stdout.strip()
+
+    changed = git("status", "--porcelain", "--", "oed_sysid", "problems", *code)
+    return git("rev-parse", "--short", "HEAD") + ("+" if changed else "")
+
+
+# -- keeping, and going on ------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Store:
+    """Finished cases, one line of JSON each.
+
+    Parameters
+    ----------
+    path : Path
+    key : callable
+        Name of a case, from its row.
+    """
+
+    path: Path
+    key: Callable[[Row], Hashable] = lambda row: row["key"]
+
+    def rows(self) -> list[Row]:
+        """Finished cases; a line that a killed run has cut short is left out."""
+        if not self.path.exists():
+            return []
+        found = []
+        for line in self.path.read_text(encoding="utf-8").splitlines():
+            try:
+                found.append(json.loads(line))
+            except json.JSONDecodeError:
+                continue
+        return found
+
+    def done(self) -> dict[Hashable, Row]:
+        """Finished cases by name."""
+        return {self.key(row): row for row in self.rows()}
+
+    def add(self, *rows: Row) -> None:
+        """Keep more cases, with the revision of the code."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        text = self.path.read_text(encoding="utf-8") if self.path.exists() else ""
+        whole = text[: text.rfind("\n") + 1]
+        if whole != text:
+            write_text(self.path, whole)
+        with self.path.open("a", encoding="utf-8") as file:
+            for row in rows:
+                file.write(json.dumps({**row, "revision": revision("benchmarks")}) + "\n")
+
+
+def run_cases(
+    store: Store,
+    keys: Sequence[Hashable],
+    jobs: Callable[[Sequence[Hashable]], Iterable[Callable[[], Row]]],
+    *,
+    n_jobs: int = 1,
+    deadline: float | None = None,
+    tell: Callable[[Row], str] = str,
+    say: Callable[[str], None] = lambda text: print(text, flush=True),
+) -> list[Row]:
+    """Compute cases that are not in the store, keep each as soon as it is done.
+
+    Parameters
+    ----------
+    store : Store
+    keys : sequence
+        Names of the cases that are wanted.
+    jobs : callable
+        From the names that are left to one call for each; may be lazy.
+    n_jobs : int
+        Processes.
+    deadline : float, optional
+        Time (seconds since the epoch) after which no result is waited for.
+    tell : callable
+        A finished case in one line.
+    say : callable
+        Takes progress.
+
+    Returns
+    -------
+    list of dict
+        All wanted cases that are finished.
+    """
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    done = store.done()
+    left = [key for key in keys if key not in done]
+    say(f"{len(keys)} cases, {len(keys) - len(left)} of them done")
+    began = time.perf_counter()
+    with Parallel(n_jobs=n_jobs, return_as="generator_unordered") as workers:
+        found: Iterator[Row] = workers(delayed(call)() for call in jobs(left))
+        for finished, row in enumerate(found, start=1):
+            store.add(row)
+            pace = (time.perf_counter() - began) / finished
+            rest = pace * (len(left) - finished) / 60
+            say(f"{finished}/{len(left)} {tell(row)} ({pace:.1f} s a case, {rest:.0f} min left)")
+            if deadline is not None and time.time() > deadline:
+                say("out of time: the rest is left for the next run")
+                break
+    done = store.done()
+    return [done[key] for key in keys if key in done]
+
+
+# -- printing ------------------------------------------------------------------------
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    """Lines of a Markdown table.
+
+    Examples
+    --------
+    >>> markdown(["a", "b"], [(1, 2)])
+    ['| a | b |', '|---|---|', '| 1 | 2 |']
+    """
+    lines = [" | ".join(map(str, cells)) for cells in (head, *rows)]
+    return [f"| {lines[0]} |", "|" + "---|" * len(head), *(f"| {line} |" for line in lines[1:])]
+
+
+def between(page: str, begin: str, end: str, lines: Iterable[str]) -> str:
+    """The page with what stands between two marks written anew, at its end without the marks."""
+    body = "\n".join([begin, *lines, end])
+    if begin not in page:
+        return page.rstrip() + "\n\n" + body + "\n"
+    before, _, rest = page.partition(begin)
+    return before + body + rest.partition(end)[2]
+
+
+# -- the command line -------------------------------------------------------------------
+
+
+def command(main: Callable[..., Any], arguments: Sequence[str] | None = None) -> Any:
+    """Call a function as the command line says: its signature is the list of options.
+
+    Positional parameters are arguments, the others options; ``bool`` is a flag, a sequence takes
+    several values. Help is what the docstring's *Parameters* say.
+    """
+    module = sys.modules[main.__module__]
+    text = inspect.getdoc(main) or ""
+    said = dict(_said(text.partition("Parameters\n----------\n")[2]))
+    known = inspect.signature(main, eval_str=True).parameters.values()
+    parser = argparse.ArgumentParser(
+        description=(module.__doc__ or text).partition("\n")[0],
+        prog=f"python -m {module.__spec__.name if module.__spec__ else module.__name__}",
+    )
+    for one in known:
+        kind, several = _kind(one.annotation)
+        options: dict[str, Any] = {"default": one.default, "help": said.get(one.name)}
+        options |= {"action": "store_true"} if kind is bool else {"type": kind}
+        name = f"--{one.name.replace('_', '-')}"
+        if one.kind is not inspect.Parameter.KEYWORD_ONLY:
+            name, several = one.name, several or "?"
+        if several:
+            options["nargs"] = several
+        parser.add_argument(name, **options)
+    return main(**_split(vars(parser.parse_args(arguments)), known))
+
+
+def _kind(annotation: Any) -> tuple[type, str]:
+    """Type of one value, and how many there are."""
+    if isinstance(annotation, UnionType):
+        annotation = next(one for one in get_args(annotation) if one is not type(None))
+    if get_origin(annotation) is None:
+        return annotation, ""
+    return get_args(annotation)[0], "*"
+
+
+def _split(values: Mapping[str, Any], known: Iterable[inspect.Parameter]) -> dict[str, Any]:
+    """Values by name; an empty list of arguments is the default."""
+    return {one.name: one.default if values[one.name] == [] else values[one.name] for one in known}
+
+
+def _said(text: str) -> Iterator[tuple[str, str]]:
+    """Names and words of a numpydoc list of parameters."""
+    for block in text.split("\n\n")[0].splitlines():
+        if " : " in block and not block.startswith(" "):
+            name = block.partition(" : ")[0]
+        elif block.strip():
+            yield name, block.strip()
+
+
+# -- the vehicle of most benchmarks ----------------------------------------------------------
+
+
+def ignorant(model: Model) -> Model:
+    """The model without priors."""
+    for parameter in model.free_parameters:
+        model = model.with_parameter(replace(parameter, prior_mean=None, prior_std=None))
+    return model
+
+
+def scaled(model: Model, factor: float) -> Model:
+    """The model with every free value times a factor."""
+    return model.with_values({name: factor * model.values[name] for name in model.free_names})
+
+
+def dive(
+    model: Model,
+    times: np.ndarray,
+    *,
+    ripple: bool = True,
+    seed: int = 0,
+) -> Record:
+    """A noisy record of the diving plane: a square wave of the fin, with a sine on top."""
+    fin = 0.1 * np.sign(np.sin(2 * np.pi * times / 14.0))
+    fin = fin + 0.05 * np.sin(0.9 * times) * ripple
+    run = simulate_inputs(model, times, inputs={"fin_command": fin, "thrust": 9.0}, initial=START)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(run.outputs.shape)
+    return Record("dive", times, run.inputs, run.outputs + noise, model.channels)

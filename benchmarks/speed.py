@@ -1,0 +1,671 @@
+"""How long things take, beside their targets; all names: ``python -m benchmarks.speed --help``.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.speed kernel score
+
+The vehicle is the diving plane of a REMUS-like AUV, five outputs, noise as declared, unless another
+is named. Times are least processor times of warm calls, or on the clock where it is said.
+
+kernel
+    Trajectory and sensitivities of 2,400 samples by twelve parameters and five start states: ours,
+    the same compiled code called in a loop by a C program that owns its buffers (what is above it
+    is the price of Python, of checks and of fresh arrays), and CasADi as its manual teaches.
+information
+    The information of the same record, every way from the same equations, the same steps and the
+    same triangularisation: ours, one-sided differences, CasADi's jacobian; and our sensitivities
+    against complex steps of equations written anew and differences of eighth order.
+fit_speed
+    *Local*: three records of 2,400 samples, start values 30 % off. *Wild starts*: one record of
+    900 samples, forty starts within four times each true value, signs included; success is the
+    optimum that a start at the truth reaches. The last rows leave out sensors.
+growth
+    One record of 1,000 to 100,000 samples, starts 10 % off, all by the same way (``near``), each
+    in a process of its own, so that its peak memory is its own.
+likelihood
+    A pass of the filter (*narrow*: the nominal model, *wide*: with all candidates, *levels*:
+    tangents of all noise levels and times), a fit with process noise, an improvement.
+score
+    The score test of all candidate effects on 2,703 samples; the first fit is not counted.
+swarm
+    100 particles, 300 generations, 1,000 samples, on all cores by threads: the clock counts.
+startup
+    Import, first fit and first compilation in fresh processes.
+long_search
+    `improve` on one dive of half an hour at 50 Hz, 90,000 samples, with a hidden heave drag.
+six_degrees
+    Fit and search in six degrees of freedom: 12 states, 25 parameters, 36,030 samples at 20 Hz of
+    the AUV of :mod:`benchmarks.other_vehicles`, simulated by that benchmark's own code.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from benchmarks.harness import (
+    NOISE,
+    ONE_THREAD,
+    START,
+    command,
+    dive,
+    ignorant,
+    least,
+    machine,
+    scaled,
+    verdict,
+)
+from oed_sysid import Dataset, Model, MultipleShooting, Record, improve, load_problem
+from oed_sysid.compiled import graph as graphs
+from oed_sysid.compiled.kernels import Kernel
+from oed_sysid.compiled.kernels import kernel as compiled
+from oed_sysid.evidence.study import Study, fitting_candidates
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.information import Play, noise_of, respond
+from oed_sysid.information.bound import triangle, whitened_factor
+
+N_SAMPLES, STEP = 2400, 0.1
+EXTRA = ("X_udot", "Z_wdot", "M_wdot", "M_qdot")
+REPEATS, ROUNDS = 60, 5
+WHITE = MultipleShooting(disturbances="none")
+
+
+def vehicle() -> Model:
+    """The model that makes and fits the data."""
+    return load_problem("remus_diving_plane").model
+
+
+def split() -> tuple[Dataset, Dataset]:
+    """The problem's records for training and for tests; something is hidden in them."""
+    records = load_problem("remus_diving_plane").data()
+    train, test = (
+        Dataset(tuple(r for r in records if r.name.startswith(kind))) for kind in ("train", "test")
+    )
+    return train, test
+
+
+# -- trajectory, sensitivities, information ----------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One record to simulate with sensitivities; the outputs of this model are its states."""
+
+    model: Model
+    kernel: Kernel
+    times: np.ndarray
+    inputs: np.ndarray
+    start: np.ndarray
+
+    @classmethod
+    def usual(cls) -> Task:
+        """Twelve parameters, 2,400 samples."""
+        model = vehicle().free(*EXTRA)
+        times = np.arange(N_SAMPLES) * STEP
+        fin = 0.1 * np.sign(np.sin(0.5 * times)) + 0.05 * np.sin(1.3 * times)
+        inputs = np.column_stack([fin, np.full(N_SAMPLES, 9.0)])
+        return cls(model, compiled(model), times, inputs, np.array([1.5, 0.0, 0.0, 0.0, 10.0]))
+
+    @property
+    def free(self) -> list[int]:
+        """Positions of the free parameters."""
+        return [self.model.parameter_names.index(name) for name in self.model.free_names]
+
+    def run(self) -> np.ndarray:
+        """Sensitivities ``(n_times, n_outputs, n_columns)`` from our kernel."""
+        values = self.model.value_vector
+        run = self.kernel.run(self.times, self.inputs, values, self.start, sensitivities=True)
+        assert run.output_sensitivities is not None
+        return run.output_sensitivities
+
+    def by_manual(self) -> ca.Function:
+        """``mapaccum`` over the record, and the jacobian of all outputs.
+
+        CasADi 3.x user guide, sections on map and mapaccum and on differentiation.
+        """
+        graph, values, n = graphs.build(self.model), self.model.value_vector, len(self.start)
+        z0, unknown = ca.MX.sym("z0", n), ca.MX.sym("p", len(self.free))
+        parameters = ca.MX(values)
+        for position, index in enumerate(self.free):
+            parameters[index] = unknown[position]
+        z, u, q = ca.MX.sym("z", n), ca.MX.sym("u", 2), ca.MX.sym("q", len(values))
+        step = ca.Function("step", [z, u, q], [graph.advance(z, u, u, q, 0.0, STEP)])
+        path = step.mapaccum("path", N_SAMPLES - 1)(
+            z0, self.inputs[:-1].T, ca.repmat(parameters, 1, N_SAMPLES - 1)
+        )
+        outputs = ca.vec(ca.horzcat(z0, path))
+        jacobian = ca.jacobian(outputs, ca.vertcat(z0, unknown))
+        return ca.Function("J", [z0, unknown], [outputs, jacobian])
+
+    def bare(self, program: Path, folder: Path) -> tuple[float, float]:
+        """Least time of a call from C, s, and the sum of all sensitivities."""
+        k, data = self.kernel, folder / "task.bin"
+        sizes = (N_SAMPLES, k.n_inputs, k.n_parameters, k.n_full, k.n_outputs, k.n_columns)
+        parts = (self.model.step, self.times, self.inputs, self.model.value_vector, self.start)
+        with data.open("wb") as file:
+            file.write(np.array(sizes, dtype=np.intc).tobytes())
+            for part in parts:
+                file.write(np.asarray(part, dtype=float).tobytes())
+        words = [program, k._library._name, data, str(REPEATS)]
+        told = subprocess.run(words, check=True, capture_output=True, text=True).stdout.split()
+        return float(told[0]), float(told[1])
+
+
+def kernel() -> None:
+    """Ours over the bare loop, CasADi over ours."""
+    job = Task.usual()
+    free = [job.model.values[name] for name in job.model.free_names]
+    began = time.perf_counter()
+    manual = job.by_manual()
+    built = time.perf_counter() - began
+    ours = job.run()
+    theirs = np.array(manual(job.start, free)[1]).reshape(ours.shape)
+    difference = float(np.max(np.abs(ours - theirs) / np.abs(ours).max(axis=(0, 1))))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        compiler = next(filter(None, map(shutil.which, ("gcc", "clang", "cc"))))
+        program, code = folder / "kernel_loop", Path(__file__).with_name("kernel_loop.c")
+        subprocess.run([compiler, "-O2", str(code), "-o", str(program), "-ldl"], check=True)
+        # Both in turn, several times: other loads on the machine come and go.
+        rounds = [(least(job.run, REPEATS), job.bare(program, folder)) for _ in range(ROUNDS)]
+    t_ours, t_bare = min(one for one, _ in rounds), min(found[0] for _, found in rounds)
+    assert abs(rounds[0][1][1] - ours.sum()) < 1e-9 * np.abs(ours).sum()
+    t_manual = least(lambda: manual(job.start, free), 5)
+    print(
+        f"{N_SAMPLES} samples, 5 outputs, {len(free)} parameters + 5 initial states: bare C loop "
+        f"{1e3 * t_bare:.3f} ms, ours {1e3 * t_ours:.3f} ms, CasADi jacobian "
+        f"{1e3 * t_manual:.1f} ms (built in {built:.2f} s); largest relative difference of ours "
+        f"to CasADi's {difference:.1e}"
+    )
+    print(verdict("ours / bare C loop", t_ours / t_bare, 1.3))
+    print(f"CasADi's jacobian / ours: {t_manual / t_ours:.0f}")
+
+
+def information() -> None:
+    """Accuracy of sensitivities and information by several ways, and their times."""
+    job = Task.usual()
+    model, values, noise = job.model, job.model.value_vector, noise_of(job.model)
+    seen = np.ones((N_SAMPLES, 5), dtype=bool)
+    play = Play("benchmark", job.times, job.inputs, job.start, seen)
+    point = np.concatenate([job.start, values[job.free]])
+    scale = np.maximum(np.abs(point), 0.1)
+
+    def outputs(unknowns: np.ndarray) -> np.ndarray:
+        trial = values.copy()
+        trial[job.free] = unknowns[5:]
+        z, _ = job.kernel.start(unknowns[:5], job.inputs[0], trial, 0.0)
+        return job.kernel.run(job.times, job.inputs, trial, z).outputs
+
+    def differences(share: float, weights: dict[int, float]) -> np.ndarray:
+        columns, base = [], outputs(point) * weights.get(0, 0.0)
+        for i, size in enumerate(scale):
+            step = share * size * np.eye(len(point))[i]
+            moved = (w * outputs(point + k * step) for k, w in weights.items() if k)
+            columns.append((base + sum(moved)) / (share * size))
+        return np.stack(columns, axis=2)
+
+    def factor_of(jacobian: np.ndarray) -> np.ndarray:
+        rows = (jacobian / noise.sigma[:, None]).reshape(-1, len(point))
+        return triangle(rows)[5:, 5:]
+
+    eighth = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
+    central = eighth | {-k: -w for k, w in eighth.items()}
+    print(f"{model.name}: {len(job.free)} free parameters, compiled: {job.kernel.is_compiled}")
+    exact = respond(model, play).jacobian
+    began = time.perf_counter()
+    manual = job.by_manual()
+    build = time.perf_counter() - began
+
+    def by_casadi() -> np.ndarray:
+        return np.array(manual(point[:5], point[5:])[1]).reshape(N_SAMPLES, 5, -1)
+
+    theirs, size = by_casadi(), np.abs(exact).max(axis=(0, 1))
+    path = simulate_inputs(model, job.times, inputs=job.inputs, initial=job.start).outputs
+    assert np.allclose(path, outputs(point))
+    others = {
+        "CasADi's jacobian": theirs,
+        "complex steps of NumPy equations": complex_step(job, point),
+        "eighth-order differences": differences(3e-3, central),
+    }
+    apart = (f"{words} {np.max(np.abs(exact - j) / size):.1e}" for words, j in others.items())
+    print(f"largest relative difference of the sensitivities to {', to '.join(apart)}")
+    reference = factor_of(theirs)
+    matrix = reference.T @ reference
+    unit = np.sqrt(np.outer(*[np.diag(matrix)] * 2))
+
+    def by_us() -> np.ndarray:
+        response = respond(model, play)
+        return whitened_factor(model, response.jacobian, response.present, noise)
+
+    ways: dict[str, Callable[[], np.ndarray]] = {
+        "ours": by_us,
+        "one-sided differences": lambda: factor_of(differences(1e-7, {1: 1.0, 0: -1.0})),
+        "CasADi jacobian": lambda: factor_of(by_casadi()),
+    }
+    ours = least(ways["ours"], 25)
+    for words, way in ways.items():
+        found, taken = way(), least(way, 25)
+        error = np.max(np.abs(found.T @ found - matrix) / unit)
+        print(f"information, {words}: largest relative error {error:.1e}, {1e3 * taken:.2f} ms, "
+              f"{taken / ours:.1f} times ours")  # fmt: skip
+    print(f"CasADi's jacobian was built in {build:.2f} s")
+
+
+def complex_step(job: Task, point: np.ndarray) -> np.ndarray:
+    """Derivatives by an imaginary step, exact to rounding, from equations written anew.
+
+    Independent of CasADi and of the compiled kernel: NumPy, the same Runge-Kutta steps, one
+    column of complex unknowns for each derivative.
+    """
+    tiny = 1e-30
+    state = np.repeat(point[:5, None].astype(complex), len(point), axis=1)
+    state[np.arange(5), np.arange(5)] += 1j * tiny
+    c = {n: np.full(len(point), value, dtype=complex) for n, value in job.model.values.items()}
+    for i, name in enumerate(job.model.free_names):
+        c[name][5 + i] += 1j * tiny
+    mass_w, cross_w = c["m"] - c["Z_wdot"], -c["Z_qdot"]
+    cross_q, mass_q = -c["M_wdot"], c["I_yy"] - c["M_qdot"]
+    determinant = mass_w * mass_q - cross_w * cross_q
+
+    def rates(x: np.ndarray, fin: float, thrust: float) -> np.ndarray:
+        u, w, q, theta, _ = x
+        # Forward speed is positive, so u|u| is u squared.
+        surge = thrust + c["X_uu"] * u * u - c["m"] * q * w
+        heave = c["m"] * u * q + c["Z_uw"] * u * w + c["Z_uq"] * u * q + c["Z_uuds"] * u * u * fin
+        pitch = c["M_uw"] * u * w + c["M_uq"] * u * q + c["M_uuds"] * u * u * fin
+        pitch = pitch - c["zgW"] * np.sin(theta)
+        return np.stack([
+            surge / (c["m"] - c["X_udot"]), (mass_q * heave - cross_w * pitch) / determinant,
+            (mass_w * pitch - cross_q * heave) / determinant, q,
+            -u * np.sin(theta) + w * np.cos(theta),
+        ])  # fmt: skip
+
+    rows = [state.imag / tiny]
+    for order in job.inputs[:-1]:
+        k1 = rates(state, *order)
+        k2 = rates(state + STEP / 2 * k1, *order)
+        k3 = rates(state + STEP / 2 * k2, *order)
+        k4 = rates(state + STEP * k3, *order)
+        state = state + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        rows.append(state.imag / tiny)
+    return np.stack(rows)
+
+
+# -- fits --------------------------------------------------------------------------------
+
+TESTS = ((90.0, 0.10, 9.0, 14.0), (90.0, 0.20, 6.0, 9.0), (60.0, 0.05, 12.0, 20.0))
+N_STARTS, SPAN = 40, 4.0
+SENSORS = (("u", "w", "q", "theta", "z"), ("u", "theta", "z"), ("u", "w", "theta"))
+SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
+
+
+def records(model: Model, outputs: tuple[str, ...]) -> tuple[Model, Dataset]:
+    """The model with some outputs, and noisy records of it."""
+    rng = np.random.default_rng(0)
+    part = replace(model, outputs=tuple(o for o in model.outputs if o.name in outputs))
+    columns = [model.output_names.index(name) for name in part.output_names]
+    result = []
+    for index, (duration, amplitude, thrust, period) in enumerate(TESTS):
+        times = np.arange(0.0, duration, 0.1)
+        fin = amplitude * np.sign(np.sin(2 * np.pi * times / period))
+        inputs = {"fin_command": fin, "thrust": thrust}
+        run = simulate_inputs(model, times, inputs=inputs, initial=START)
+        noisy = run.outputs + NOISE * rng.standard_normal(run.outputs.shape)
+        result.append(Record(f"r{index}", times, run.inputs, noisy[:, columns], part.channels))
+    return part, Dataset(tuple(result))
+
+
+def fit_speed() -> None:
+    """Local fits, and arrival from wild starts."""
+    model, data = records(vehicle(), SENSORS[0])
+    print("local fit of 2,400 samples        CPU ms  iterations  cost")
+    for factor in (0.7, 1.3):
+        for noise in ("given", "estimate"):
+            estimator = replace(WHITE, noise=noise)
+            fit = estimator.fit(scaled(model, factor), data)
+            taken = least(lambda f=factor, e=estimator: e.fit(scaled(model, f), data))
+            print(f"  start x {factor}, noise {noise:9} {1e3 * taken:10.1f} {fit.iterations:8} "
+                  f"{fit.cost:12.2f}")  # fmt: skip
+    print("wild starts, one record of 900 samples")
+    for sensors in SENSORS:
+        model, data = records(vehicle(), sensors)
+        single = Dataset((data[0],))
+        right = WHITE.fit(model, single)
+        local = least(lambda m=model, d=single: WHITE.fit(scaled(m, 0.7), d))
+        arrived, times = 0, []
+        for seed in range(N_STARTS):
+            rng = np.random.default_rng(seed)
+            wild = {n: rng.uniform(-SPAN, SPAN) * abs(model.values[n]) for n in model.free_names}
+            began = time.process_time()
+            fit = WHITE.fit(model.with_values(wild), single)
+            times.append(1e3 * (time.process_time() - began))
+            arrived += fit.status.ok and fit.cost < right.cost + 0.01
+        print(
+            f"  {', '.join(sensors):18} {arrived}/{N_STARTS} arrive; median {np.median(times):.0f} "
+            f"ms, longest {max(times):.0f} ms; a local fit {1e3 * local:.0f} ms"
+        )
+
+
+def grown(n_samples: int) -> None:
+    """Print least time of a fit (s), its iterations and the peak memory (bytes)."""
+    model = vehicle()
+    data = Dataset((dive(model, STEP * np.arange(n_samples)),))
+    start, estimator = ignorant(scaled(model, 0.9)), replace(WHITE, noise="given", start="near")
+    fit = estimator.fit(start, data)
+    assert fit.status.ok, fit.status
+    seconds = least(lambda: estimator.fit(start, data), max(3, min(20, 30_000 // n_samples)))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    print(f"{seconds} {fit.iterations} {peak}")
+
+
+def growth() -> None:
+    """Time and memory of a fit over the length of the record."""
+    rows = {}
+    print(f"{'samples':>8} {'fit, s':>8} {'iterations':>10} {'us/sample/iteration':>20} {'MiB':>6}")
+    for n in SIZES:
+        code = f"from benchmarks.speed import grown; grown({n})"
+        told = fresh(code)[1].split()
+        seconds, iterations, peak = float(told[-3]), int(told[-2]), float(told[-1]) / 2**20
+        rows[n] = 1e6 * seconds / n / iterations, peak
+        print(f"{n:>8} {seconds:>8.3f} {iterations:>10} {rows[n][0]:>20.2f} {peak:>6.0f}",
+              flush=True)  # fmt: skip
+    more = rows[SIZES[-1]][0] / rows[SIZES[0]][0] - 1.0
+    print(verdict("time per sample and iteration, 100,000 / 1,000, growth", more, 0.15))
+    print(verdict("peak memory", max(peak for _, peak in rows.values()) / 2**10, 1.0, "GiB"))
+
+
+def swarm() -> None:
+    """The published search, on the clock."""
+    from oed_sysid.baselines import DifferentialSwarm
+
+    model = vehicle()
+    for parameter in model.free_parameters:
+        lower, upper = sorted((0.5 * parameter.value, 1.5 * parameter.value))
+        model = model.with_parameter(replace(parameter, lower=lower, upper=upper))
+    data = Dataset((dive(model, STEP * np.arange(1000), ripple=False),))
+    search = DifferentialSwarm(n_particles=100, n_generations=300, tolerance=0.0, initial=START)
+    search.fit(model, data)
+    began, cpu = time.perf_counter(), time.process_time()
+    fit = search.fit(model, data)
+    clock, used = time.perf_counter() - began, time.process_time() - cpu
+    n_runs = fit.extras["evaluations"]
+    worst = max(abs(fit.values[n] - model.values[n]) / fit.std_errors[n] for n in model.free_names)
+    print(
+        f"{fit.iterations} generations, {n_runs} simulations of 1000 samples, processor time "
+        f"{used:.1f} s ({1e6 * used / n_runs:.0f} us each); largest error {worst:.1f} standard "
+        "errors"
+    )
+    print(verdict("swarm, time on the clock", clock, 15.0, "s"))
+
+
+# -- process noise and missing physics ------------------------------------------------------
+
+
+def passes(model: Model, train: Dataset, effects: Sequence[Any]) -> None:
+    """Print the time of a pass for one sample."""
+    from oed_sysid.compiled.filtering import filter_kernel
+    from oed_sysid.likelihood.disturbances import chosen_places
+    from oed_sysid.likelihood.filtered import Filtered, disturbed_model
+    from oed_sysid.likelihood.score_test import Setting
+
+    places = chosen_places(model, "all")
+    white = np.array([output.noise_std for output in model.outputs])
+    setting = Setting.of(train, places, white, np.ones(len(white), dtype=bool))
+    joined, _ = fitting_candidates(model, effects)
+    start = [np.nan_to_num(record.outputs[0]) for record in train]
+    noise = replace(setting.noise(model, 1.0), force=np.full(len(places), 0.3))
+    unit = replace(noise, force=np.ones(len(places)))
+    free = setting.levels(train, noise, unit, np.zeros(len(white), dtype=bool))
+    n_samples = sum(record.n_samples for record in train)
+    for name, wide in (("narrow", model), ("wide", model + joined)):
+        own = filter_kernel(disturbed_model(wide, setting.disturbances))
+        for words, levels in (("no levels", free.held()), (f"{len(free)} levels", free)):
+            problem = Filtered(model, train, levels, kernel=own)
+            point = problem.point(start, [{}] * len(start)).unknowns
+            seconds = least(lambda problem=problem, point=point: problem.passes(point), 10)
+            print(f"pass, {name}, {words}: {1e6 * seconds / n_samples:.2f} us a sample")
+
+
+def likelihood() -> None:
+    """Times of passes, a fit and an improvement."""
+    from benchmarks.random_forces.scenarios import SCENARIOS
+    from benchmarks.random_forces.simulator import simulate
+    from benchmarks.random_forces.trial import _model, believed, dataset
+
+    problem, (train, test) = load_problem("remus_diving_plane"), split()
+    passes(problem.model, train, list(problem.effects))
+    scenario = SCENARIOS["medium"]
+    (drawn,) = simulate(scenario, 0, range(1))
+    model = _model(scenario.vehicle).with_values(believed(scenario))
+    data = dataset(scenario, model, drawn.runs)
+    earlier = MultipleShooting().fit(model, data)
+    samples = sum(record.n_samples for record in data)
+    for words, warm in (
+        (f"fit with random forces, {samples} samples of {len(model.outputs)} outputs", None),
+        ("the same from where an earlier fit ended", earlier),
+    ):
+        seconds = least(lambda warm=warm: MultipleShooting().fit(model, data, warm=warm), 5)
+        print(verdict(words, 1e3 * seconds, 100.0, "ms"))
+    times = []
+    for _ in range(3):
+        began = time.process_time()
+        found = improve(problem.model, train, test, candidates=problem.effects)
+        times.append(time.process_time() - began)
+    added = ", ".join(step.added for step in found.steps)
+    print(verdict(f"improve, {len(problem.effects)} candidates ({added})", min(times), 4.0, "s"))
+
+
+def score() -> None:
+    """Time of the score test."""
+    from oed_sysid.evidence.score import scores
+
+    problem, (train, _) = load_problem("remus_diving_plane"), split()
+    candidates = list(problem.effects)
+    study, fit = Study.begin(problem.model, train, None, candidates, known_noise=False)
+
+    def work() -> object:
+        return scores(study, fit, study.candidates)
+
+    seconds, clock = least(work, 12), least(work, 5, time.perf_counter)
+    ranked, _ = scores(study, fit, study.candidates)
+    n_samples = sum(record.n_samples for record in train)
+    print(
+        f"{len(candidates)} candidates on {n_samples} samples; best: "
+        f"{', '.join(s.effect.name for s in ranked[:3])}; on the clock {clock:.3f} s"
+    )
+    print(verdict("score test of all candidates, processor time", seconds, 0.3, "s"))
+    print(f"for 40 candidates, in proportion: {40 * seconds / len(candidates):.3f} s")
+
+
+def timed(words: str, call: Callable[[], Any]) -> tuple[Any, float]:
+    """Call something, say how long it took, and return the time on the clock as well."""
+    wall, processor = time.perf_counter(), time.process_time()
+    result = call()
+    wall, processor = time.perf_counter() - wall, time.process_time() - processor
+    print(f"{words}: {wall:.1f} s, processor {processor:.1f} s", flush=True)
+    return result, wall
+
+
+def long_search(samples: int) -> None:
+    """Search in one record, which `improve` splits itself."""
+    problem = load_problem("remus_diving_plane")
+    hidden = problem.effect("heave_crossflow_drag")
+    (size,) = hidden.amplitude_names
+    truth = (problem.model + hidden).with_values({size: -40.0})
+    run = dive(truth, 0.02 * np.arange(samples))
+    data = Dataset((replace(run, channels=problem.channels),))
+    found, wall = timed(
+        f"improve, {samples} samples, {len(problem.effects)} candidates",
+        lambda: improve(problem.model, data, candidates=problem.effects),
+    )
+    print("  found", ", ".join(step.added for step in found.steps) or "nothing")
+    print(verdict("on the clock", wall, 60.0, "s"))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(verdict("peak memory", peak, 1.5, "GiB"))
+
+
+DRAGS = (
+    "heave_crossflow", "sway_crossflow", "pitch_quadratic_damping", "yaw_quadratic_damping",
+    "roll_quadratic_damping", "pitch_crossflow_moment", "yaw_crossflow_moment", "sway_drift_yaw",
+    "crossflow_drag", "surge_linear_drag",
+)  # fmt: skip
+CANDIDATES = 30
+
+
+def six_degrees_task() -> tuple[Model, Dataset, Dataset]:
+    """The nominal model with ten drags, derivatives 10 to 30 % wrong, and both sets of records."""
+    from benchmarks.other_vehicles.models.auv import NOMINAL
+    from benchmarks.other_vehicles.truth import VEHICLES
+    from benchmarks.other_vehicles.truth.simulator import simulate
+
+    auv = replace(VEHICLES["auv"], sample=0.05, substep=0.05)
+    rng = np.random.default_rng(36030)
+    runs = simulate(auv, {"lag:stern": 0.25}, rng=rng)
+    model = NOMINAL.model(True, None)
+    for name in DRAGS:
+        model = model + NOMINAL.effect(name)
+    wrong = rng.uniform(0.1, 0.3, len(auv.free)) * rng.choice([-1, 1], len(auv.free))
+    start = {k: v * (1 + e) for (k, v), e in zip(auv.free.items(), wrong, strict=True)}
+    model = model.with_values({k: v for k, v in start.items() if k in model.parameter_names})
+    found = [
+        Record(name, runs.times, runs.logged[i], runs.outputs[i], model.channels)
+        for i, name in enumerate(runs.names)
+    ]
+    n_train = len(auv.train)
+    return model, Dataset(found[:n_train]), Dataset(found[n_train:])
+
+
+def six_degrees(*, search: bool = True) -> None:
+    """A white fit, one with process noise, and a search; compiling is left out."""
+    from benchmarks.other_vehicles.models.auv import NOMINAL
+
+    model, train, test = six_degrees_task()
+    n_samples = sum(int(np.isfinite(record.outputs).sum()) for record in train)
+    print(f"{len(model.state_names)} states, {len(model.free_names)} free, {n_samples} samples")
+    full = model + NOMINAL.effect("stern_lag")
+    for words, disturbances in (("white", "none"), ("random forces", "auto")):
+        estimator = MultipleShooting(noise="given", disturbances=disturbances)
+        estimator.fit(full, Dataset((train[0],)))
+        fit, _ = timed(f"fit, {words}", lambda e=estimator: e.fit(full, train))
+        print(f"  {fit.status.code}, {fit.iterations} iterations, {fit.normalised_rms:.3f} x noise")
+    if not search:
+        return
+    others = [effect for effect in NOMINAL.candidates if effect.name not in DRAGS]
+    chosen = [NOMINAL.effect("stern_lag"), *others][: CANDIDATES + 1]
+    chosen = list({effect.name: effect for effect in chosen}.values())[:CANDIDATES]
+    words = f"improve, {len(chosen)} candidates"
+    found, _ = timed(words, lambda: improve(model, train, test, candidates=chosen))
+    print("  found", ", ".join(step.added for step in found.steps) or "nothing")
+
+
+# -- fresh processes --------------------------------------------------------------------
+
+IMPORT = "import oed_sysid"
+# What a user's first lines do: load a problem, read a record from a CSV file, fit.
+PREPARE = (
+    "import sys, numpy as np; from oed_sysid import load_problem, write_csv; "
+    "from oed_sysid.experiments.simulation import simulate; "
+    "p = load_problem('remus_diving_plane'); "
+    "r = simulate(p.model, p.experiment('steps'), rng=np.random.default_rng(0)); "
+    "write_csv(r, sys.argv[1])"
+)
+FIT = (
+    "import sys; from oed_sysid import MultipleShooting, load_problem, read_csv; "
+    "p = load_problem('remus_diving_plane'); d = read_csv(sys.argv[1], p.channels); "
+    "m = p.model.with_values({n: 0.7 * p.model.values[n] for n in p.model.free_names}); "
+    "print(MultipleShooting(disturbances='none').fit(m, d).status.code)"
+)
+COMPILE = (
+    "from oed_sysid import load_problem; from oed_sysid.compiled.kernels import kernel; "
+    "kernel(load_problem('remus_diving_plane').model)"
+)
+
+
+def fresh(
+    code: str, *arguments: str, repeats: int = 1, **environment: str
+) -> tuple[float, str, str]:
+    """Least processor time of fresh processes that run some code, s, and what they said."""
+
+    def children() -> float:
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return used.ru_utime + used.ru_stime
+
+    found = []
+    for _ in range(repeats):
+        began = children()
+        done = subprocess.run(
+            [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True,
+            env={**os.environ, **ONE_THREAD, **environment},
+        )  # fmt: skip
+        found.append(children() - began)
+    return min(found), done.stdout, done.stderr
+
+
+def startup() -> None:
+    """From nothing to a result; *cold* compiles, once per model structure, and says so."""
+    bare, _, _ = fresh("pass", repeats=7)
+    light, _, _ = fresh(IMPORT, repeats=7)
+    with tempfile.TemporaryDirectory() as folder:
+        data = f"{folder}/dive.csv"
+        fresh(PREPARE, data)
+        fresh(FIT, data)
+        began = time.perf_counter()
+        fit, said, _ = fresh(FIT, data, repeats=5)
+        clock = (time.perf_counter() - began) / 5
+        assert said.strip() == "converged", said
+        empty = {"OED_SYSID_CACHE": f"{folder}/cache"}
+        cold, _, message = fresh(COMPILE, **empty)
+        warm, _, silent = fresh(COMPILE, repeats=3, **empty)
+    assert not silent, silent
+    print(f"an empty Python process takes {bare:.2f} s of each; a first fit {clock:.2f} s by clock")
+    print(verdict("import oed_sysid, whole process", light, 0.5, "s"))
+    print(verdict("first fit in a fresh process, kernel cached", fit, 1.5, "s"))
+    print(verdict("cold compilation, beyond the same with a cache", cold - warm, 5.0, "s"))
+    print(f"message while compiling: {message.strip()}")
+
+
+PARTS: dict[str, Callable[..., None]] = {
+    part.__name__: part
+    for part in (
+        kernel, information, startup, score, growth, swarm, fit_speed, likelihood, long_search,
+        six_degrees,
+    )
+}  # fmt: skip
+
+
+def main(names: Sequence[str] = (), *, samples: int = 90_000, fit_only: bool = False) -> None:
+    """Measure what is named.
+
+    Parameters
+    ----------
+    names : sequence of str
+        any of those that the module lists
+    samples : int
+        length of the record of long_search
+    fit_only : bool
+        leave out the search of six_degrees
+    """
+    if unknown := [name for name in names if name not in PARTS]:
+        raise SystemExit(f"there is no {unknown[0]}; choose from {', '.join(PARTS)}")
+    options: dict[str, dict[str, Any]] = {
+        "long_search": {"samples": samples},
+        "six_degrees": {"search": not fit_only},
+    }
+    print(machine())
+    for name in names or PARTS:
+        print(f"\n{name}", flush=True)
+        PARTS[name](**options.get(name, {}))
+
+
+if __name__ == "__main__":
+    command(main)
