@@ -128,22 +128,34 @@ def equilibrium(
     target = tuple(steady) if steady is not None else depended
     order = (*names, *model.input_names)
     unknowns = tuple(n for n in order if n not in given and n in (*depended, *wanted))
-    point = np.array([given.get(name, (guess or {}).get(name, 0.0)) for name in order])
+    known = {**dict.fromkeys(order, 0.0), **(guess or {}), **given}
+    point = np.array([known[name] for name in order])
     search = _Search(model, function, names, [names.index(n) for n in target],
                      [order.index(n) for n in unknowns], point)  # fmt: skip
     full = search.solved(_bounds(limits or Limits(), unknowns))
-    rates, misses = search.rates(full), search.misses(full)
+    return _described(model, search, full, target, unknowns)
+
+
+def _described(
+    model: Model,
+    search: _Search,
+    full: np.ndarray,
+    target: tuple[str, ...],
+    unknowns: tuple[str, ...],
+) -> Equilibrium:
+    """The point that a search has ended at, and whether it is an equilibrium."""
+    misses, names = search.misses(full), search.names
     ok = bool(np.isfinite(misses).all() and (misses < _STEADY).all())
     worst = target[int(np.argmax(misses))] if len(misses) else ""
-    by_name = dict(zip(names, rates.tolist(), strict=True))
+    rates = dict(zip(names, search.rates(full).tolist(), strict=True))
     return Equilibrium(
         states=dict(zip(names, full[: len(names)].tolist(), strict=True)),
         inputs=dict(zip(model.input_names, full[len(names) :].tolist(), strict=True)),
-        rates=by_name,
+        rates=rates,
         steady=target,
         solved=unknowns,
         ok=ok,
-        status=_status(model, ok, worst, by_name.get(worst, 0.0), unknowns),
+        status=_status(model, ok, worst, rates.get(worst, 0.0), unknowns),
     )
 
 
@@ -159,7 +171,8 @@ class _Search:
         columns: list[int],
         point: np.ndarray,
     ) -> None:
-        self.function, self.values, self.n = function, model.value_vector, len(names)
+        self.function, self.values = function, model.value_vector
+        self.names, self.n = names, len(names)
         self.rows, self.columns, self.point = rows, columns, point
         self.scales = np.array([*_scales(model, names), *np.ones(len(model.input_names))])
 

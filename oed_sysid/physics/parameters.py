@@ -102,12 +102,12 @@ class Parameter:
             given = getattr(self, field)
             if not isinstance(given, bool | np.bool_):
                 raise ModelError(f"{who} has {field} {given!r:.40}. Expected True or False.")
-        if self.prior_std is not None and self.prior_std <= 0:
+        if self.prior_std is not None and not 0 < self.prior_std < math.inf:
             raise ModelError(
                 f"{who} has prior_std {self.prior_std}. Give a positive number, or fixed=True for "
                 "a known value."
             )
-        if self.scale is not None and self.scale <= 0:
+        if self.scale is not None and not self.scale > 0:
             raise ModelError(f"{who} has scale {self.scale}. Give a positive one.")
 
     def _check_log(self) -> None:
@@ -151,12 +151,12 @@ class Parameter:
 
 
 def _check_number(who: str, field: str, given: Any) -> None:
-    """Refuse what is no number; only bounds may be infinite."""
+    """Refuse what is no number; only bounds may be infinite. Sizes are judged by their sign."""
     if isinstance(given, bool) or not isinstance(given, int | float | np.number):
         raise ModelError(f"{who} has {field} {given!r:.40}. Expected a number.")
-    if math.isnan(given):
+    if math.isnan(given) and field in ("value", "lower", "upper"):
         raise ModelError(f"{who} has {field} NaN. Give a number.")
-    if field not in ("lower", "upper") and not math.isfinite(given):
+    if field in ("value", "prior_mean") and not math.isfinite(given):
         raise ModelError(f"{who} has {field} {given}. Give a number.")
 
 
