@@ -25,6 +25,7 @@ from oed_sysid.physics.table import factor_of
 from oed_sysid.text import dimensions, expressions, notation
 from oed_sysid.text.units import Dimension, dimension
 
+Factors = tuple[tuple[str, bool], ...]
 MOST_FACTORS = 3
 # With more signals than this a product of three has at most two different ones.
 MANY_SIGNALS = 6
@@ -269,14 +270,9 @@ def terms(model: Model, signals: Sequence[Signal]) -> list[Term]:
         ]
     for signal in signals:
         if signal.kind == "angle":
-            sine, cosine = f"sin({signal.name})", f"cos({signal.name})"
-            texts = (sine, cosine, f"{sine}*{cosine}", f"{sine}*abs({sine})")
-            expressions += [((), text) for text in texts]
+            expressions += _of_angle(signal.name)
         elif signal.kind == "position":
-            expressions.append((((signal.name, False),), signal.name))
-            if signal.name in springs:
-                expressions += [item for item in _products([signal]) if len(item[0]) > 1]
-                expressions += [((), f"{signal.name}*sin({angle})") for angle in angles]
+            expressions += _of_position(signal, angles if signal.name in springs else None)
     return [
         Term(equation, text, factors)
         for equation in disturbed_equations(model)
@@ -284,14 +280,26 @@ def terms(model: Model, signals: Sequence[Signal]) -> list[Term]:
     ]
 
 
+def _of_angle(name: str) -> list[tuple[Factors, str]]:
+    """What gravity and buoyancy do with an angle."""
+    sine, cosine = f"sin({name})", f"cos({name})"
+    return [((), text) for text in (sine, cosine, f"{sine}*{cosine}", f"{sine}*abs({sine})")]
+
+
+def _of_position(signal: Signal, angles: Sequence[str] | None) -> list[tuple[Factors, str]]:
+    """A position; where a spring hangs on it, powers of it and products with angles as well."""
+    found: list[tuple[Factors, str]] = [(((signal.name, False),), signal.name)]
+    if angles is not None:
+        found += [item for item in _products([signal]) if len(item[0]) > 1]
+        found += [((), f"{signal.name}*sin({angle})") for angle in angles]
+    return found
+
+
 def _forces_depend_on(effect: Effect) -> set[str]:
     """Names in the force terms of an effect."""
     if effect.stage != "force":
         return set()
     return {name for text in effect.terms.values() for name in expressions.names(text)}
-
-
-Factors = tuple[tuple[str, bool], ...]
 
 
 def _products(signals: Sequence[Signal]) -> list[tuple[Factors, str]]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.dictionary import HORIZONTAL, Factors, Term, cyclic
@@ -228,6 +229,17 @@ class Sizes:
         return self.rate[state] / self.mobility[equation]
 
 
+def _logged(model: Model, record: Record) -> dict[str, np.ndarray]:
+    """Inputs, actuator signals that need no function of the user's, and outputs."""
+    known = dict(zip(model.input_names, record.inputs.T, strict=True))
+    scope = {**model.values, **known, "t": record.times, "h": record.sample_time}
+    for name, text in model.actuator_signals.items():
+        if not expressions.functions(text) & {f.name for f in model.functions}:
+            found = expressions.to_numpy(text, scope, model.tables)
+            known[name] = np.broadcast_to(found, record.times.shape)
+    return known | dict(zip(model.output_names, record.outputs.T, strict=True))
+
+
 def sizes_of(model: Model, dataset: Dataset) -> Sizes:
     """Sizes that a model's signals have along records, their states measured or guessed."""
     names = model.state_names
@@ -240,14 +252,7 @@ def sizes_of(model: Model, dataset: Dataset) -> Sizes:
         for position, values in series.items():
             pooled.setdefault(names[position], []).append(values)
             slopes.setdefault(names[position], []).append(slope(record.times, values)[0])
-        known = dict(zip(model.input_names, record.inputs.T, strict=True))
-        scope = {**model.values, **known, "t": record.times, "h": record.sample_time}
-        for name, text in model.actuator_signals.items():
-            if not expressions.functions(text) & {f.name for f in model.functions}:
-                found = expressions.to_numpy(text, scope, model.tables)
-                known[name] = np.broadcast_to(found, record.times.shape)
-        known |= dict(zip(model.output_names, record.outputs.T, strict=True))
-        for name, column in known.items():
+        for name, column in _logged(model, record).items():
             if name not in names:
                 pooled.setdefault(name, []).append(column[np.isfinite(column)])
     joined = {name: np.concatenate(parts) for name, parts in pooled.items()}
@@ -375,6 +380,22 @@ def _powers(
         yield f"quadratic_{signal}", f"abs({signal})*{signal}", (absolute, plain), level**2
         if not model.axes or (other == state and other != "u"):
             yield f"cubic_{signal}", f"{signal}**3", (plain,) * 3, level**3
+    yield from _of_commands(model, sizes, equation, through, commands)
+    angle = RIGHTING.get(equation)
+    if angle in model.state_names:
+        yield f"righting_{angle}", f"sin({angle})", (), sizes.level[angle]
+        thrice = ((angle, False),) * 3  # a hull that hardens or softens as it heels
+        yield f"hardening_{angle}", f"{angle}**3", thrice, sizes.level[angle] ** 3
+
+
+def _of_commands(
+    model: Model,
+    sizes: Sizes,
+    equation: str,
+    through: dict[str, str],
+    commands: dict[str, str],
+) -> Iterator[_Power]:
+    """What a deflection or a thrust does that no derivative holds."""
     for signal, unit in commands.items():
         level = sizes.level.get(signal, 0.0)
         twice = ((signal, False),) * 2
@@ -387,11 +408,6 @@ def _powers(
         elif not model.axes:
             one, size = (signal, False), level**2
             yield f"quadratic_{signal}", f"abs({signal})*{signal}", ((signal, True), one), size
-    angle = RIGHTING.get(equation)
-    if angle in model.state_names:
-        yield f"righting_{angle}", f"sin({angle})", (), sizes.level[angle]
-        thrice = ((angle, False),) * 3  # a hull that hardens or softens as it heels
-        yield f"hardening_{angle}", f"{angle}**3", thrice, sizes.level[angle] ** 3
 
 
 def _coupled(model: Model, equation: str, state: str) -> list[str]:
@@ -509,12 +525,16 @@ def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
         flow = (states["u"], states["w"])
         yield forces.current_forward(flow=flow, scale=OF_SPEED * speed)
         yield forces.current_down(flow=flow, scale=0.5 * OF_SPEED * speed)
-    if "u" in states or not model.axes:
-        return
+    if "u" not in states and model.axes:
+        yield from _drifts(model, OF_SPEED * speed)
+
+
+def _drifts(model: Model, speed: float) -> Iterator[Effect]:
+    """Currents of a model without a flow: its positions move by themselves."""
     for state in model.states:
         if state.name in (*HORIZONTAL, "z", "zeta") and state.name in model.kinematics:
             name = f"drift_{state.name}"
-            size = Parameter(f"E_{name}", 0.0, f"{state.unit}/s", scale=OF_SPEED * speed)
+            size = Parameter(f"E_{name}", 0.0, f"{state.unit}/s", scale=speed)
             yield Force(
                 name,
                 {state.name: size.name},
