@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from oed_sysid.cli.options import JsonFile, PictureFile, Variant, file_place, folder_place
 from oed_sysid.cli.terminal import answer, draw, note, progress, say, store
 from oed_sysid.errors import DataError
 from oed_sysid.runtime.files import make_folder
@@ -19,58 +18,16 @@ if TYPE_CHECKING:
 
 
 def import_(
-    log: Annotated[
-        Path,
-        typer.Argument(
-            metavar="LOG",
-            help="ULog, DataFlash .bin, ROS bag, MCAP, NMEA 0183, .mat, Excel, Parquet or CSV.",
-            show_default=False,
-        ),
-    ],
-    listing: Annotated[
-        bool, typer.Option("--list", help="Show every field with rate, span, unit and range.")
-    ] = False,
-    find: Annotated[
-        str, typer.Option("--find", metavar="TEXT", help="With --list: fields that hold TEXT.")
-    ] = "",
-    mapping: Annotated[
-        Path | None,
-        typer.Option(
-            "--map",
-            metavar="TOML",
-            help="Which field is which channel, and where to cut; the same file serves the next "
-            "log.",
-            show_default=False,
-        ),
-    ] = None,
-    draft: Annotated[
-        Path | None,
-        typer.Option(
-            "--draft",
-            metavar="TOML",
-            help="With --problem: write a first mapping from names and units, to be corrected.",
-            show_default=False,
-            callback=file_place,
-        ),
-    ] = None,
-    problem: Annotated[
-        str | None,
-        typer.Option(
-            "--problem",
-            metavar="PROBLEM",
-            help="Whose channels these are; by default what the mapping says.",
-            show_default=False,
-        ),
-    ] = None,
-    model: Variant = None,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", metavar="FOLDER", help="Where the records go, as CSV.", callback=folder_place
-        ),
-    ] = Path("data"),
-    json_file: JsonFile = None,
-    picture: PictureFile = None,
+    log: Path,
+    listing: bool = False,
+    find: str = "",
+    mapping: Path | None = None,
+    draft: Path | None = None,
+    problem: str | None = None,
+    model: str | None = None,
+    out: Path = Path("data"),
+    json_file: Path | None = None,
+    picture: Path | None = None,
 ) -> None:
     """Make records of a vehicle's own log: list its fields, map them to channels, cut, check.
 

@@ -5,28 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from oed_sysid.cli.options import (
-    Criterion,
-    Effort,
-    Family,
-    Fresh,
-    HtmlFile,
-    JournalFolder,
-    JsonFile,
-    PictureFile,
-    ProblemName,
-    Sea,
-    ToReveal,
-    ToTellApart,
-    Variant,
-    ending_of,
-    file_place,
-    folder_place,
-)
 from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.terminal import (
     deliver,
@@ -52,28 +32,13 @@ EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
 
 
 def rank(
-    problem: ProblemName,
-    files: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[CSV...]",
-            help="Records in hand instead of planned experiments.",
-            show_default=False,
-        ),
-    ] = None,
-    experiment: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--experiment",
-            metavar="NAME...",
-            help="Planned experiments, together; by default all of the problem.",
-            show_default=False,
-        ),
-    ] = None,
-    model: Variant = None,
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
-    picture: PictureFile = None,
+    problem: str,
+    files: list[str] | None = None,
+    experiment: list[str] | None = None,
+    model: str | None = None,
+    json_file: Path | None = None,
+    html_file: Path | None = None,
+    picture: Path | None = None,
 ) -> None:
     """Rank parameters by what experiments tell about them, before fitting anything.
 
@@ -96,140 +61,34 @@ def rank(
     )
 
 
-def _card_place(value: Any) -> Any:
-    return ending_of(value, (".txt", ".html", ".pdf"), "a card")
-
-
 def design(
-    problem: ProblemName,
-    like: Annotated[
-        str | None,
-        typer.Option(
-            "--like",
-            metavar="EXPERIMENT",
-            help="Experiment that lends its length, sampling, constant inputs and start state.",
-            show_default="the problem's first",
-        ),
-    ] = None,
-    duration: Annotated[
-        float | None,
-        typer.Option("--duration", metavar="S", help="Length of the run, s.", show_default=False),
-    ] = None,
-    limit: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--limit",
-            metavar="NAME=VALUE...",
-            help="What must be kept, in degrees and SI units: pitch=20, depth=80:120. The "
-            "problem's own options are easier: `oed-sysid design PROBLEM --help` lists them.",
-            show_default="those of the problem",
-        ),
-    ] = None,
-    certainty: Annotated[
-        float | None,
-        typer.Option(
-            "--certainty",
-            metavar="P",
-            help="Keep the limits with this probability although coefficients are uncertain; takes "
-            "a minute. 0 only states the probability.",
-            show_default="0.95 with --after, else 0",
-        ),
-    ] = None,
-    uncertainty: Annotated[
-        float,
-        typer.Option(
-            "--uncertainty",
-            metavar="SHARE",
-            help="How wrong coefficients may be; after a fit its own covariance is used.",
-        ),
-    ] = 0.3,
-    criterion: Criterion = "D",
-    discriminate: ToTellApart = None,
-    reveal: ToReveal = None,
-    family: Family = "levels",
-    avoid: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--avoid",
-            metavar="LOW:HIGH...",
-            help="Frequencies that must not be excited, Hz; for --family multisine.",
-            show_default=False,
-        ),
-    ] = None,
-    effort: Effort = "quick",
-    after: Annotated[
-        Path | None,
-        typer.Option(
-            "--after",
-            metavar="FIT",
-            help="Complete what a fit knows already, as kept by --save of fit or improve.",
-            show_default=False,
-        ),
-    ] = None,
-    sea: Sea = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="CSV",
-            help="Commands to play, one row per sample.",
-            show_default=False,
-            callback=file_place,
-        ),
-    ] = None,
-    card: Annotated[
-        Path | None,
-        typer.Option(
-            "--card",
-            metavar="FILE",
-            help="One page for those on board: .txt, .html or .pdf (these with the track and the "
-            "sea room that it needs).",
-            show_default=False,
-            callback=_card_place,
-        ),
-    ] = None,
-    length: Annotated[
-        float | None,
-        typer.Option(
-            "--length", metavar="M", help="Of the vehicle, for the sea room.", show_default=False
-        ),
-    ] = None,
-    servo: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--servo",
-            metavar="INPUT=CHANNEL...",
-            help="RC channels of the inputs for --overrides; their ends are those of the limits.",
-            show_default=False,
-        ),
-    ] = None,
-    overrides: Annotated[
-        Path | None,
-        typer.Option(
-            "--overrides",
-            metavar="CSV",
-            help="Commands as servo pulses, to send as MAVLink RC_CHANNELS_OVERRIDE.",
-            show_default=False,
-            callback=file_place,
-        ),
-    ] = None,
-    bag: Annotated[
-        Path | None,
-        typer.Option(
-            "--bag",
-            metavar="FOLDER",
-            help="Commands as a ROS 2 bag to play.",
-            show_default=False,
-            callback=folder_place,
-        ),
-    ] = None,
-    model: Variant = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the search.")] = 0,
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
-    picture: PictureFile = None,
-    kept_in: JournalFolder = None,
-    fresh: Fresh = False,
+    problem: str,
+    like: str | None = None,
+    duration: float | None = None,
+    limit: list[str] | None = None,
+    certainty: float | None = None,
+    uncertainty: float = 0.3,
+    criterion: str = "D",
+    discriminate: list[str] | None = None,
+    reveal: list[str] | None = None,
+    family: str = "levels",
+    avoid: list[str] | None = None,
+    effort: str = "quick",
+    after: Path | None = None,
+    sea: str | None = None,
+    out: Path | None = None,
+    card: Path | None = None,
+    length: float | None = None,
+    servo: list[str] | None = None,
+    overrides: Path | None = None,
+    bag: Path | None = None,
+    model: str | None = None,
+    seed: int = 0,
+    json_file: Path | None = None,
+    html_file: Path | None = None,
+    picture: Path | None = None,
+    kept_in: Path | None = None,
+    fresh: bool = False,
 ) -> None:
     """Design the manoeuvre that tells most about the parameters, within the limits.
 
