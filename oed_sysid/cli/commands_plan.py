@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from oed_sysid.design.search import Progress as SearchProgress
     from oed_sysid.experiments.experiment import Experiment, Limits
     from oed_sysid.experiments.problem import Problem
+    from oed_sysid.runtime.journal import Journal
 
 # Starts that are refined, rough manoeuvres tried, and steps of refinement.
 N_FINISHES = 3
@@ -94,8 +95,6 @@ def design(
 
     [bold]Example[/bold]: oed-sysid design auv_diving_plane --duration 120 --max-fin 10
     """
-    from dataclasses import replace
-
     import numpy as np
 
     from oed_sysid.cli.limit_words import with_limits
@@ -104,12 +103,8 @@ def design(
         Knowledge,
         Search,
         Trial,
-        accuracy_range,
-        assess_limits,
         design_experiment,
         predicted_tracks,
-        write_bag,
-        write_overrides,
     )
     from oed_sysid.experiments.problem import load_problem
     from oed_sysid.likelihood.fit import Fit
@@ -121,12 +116,9 @@ def design(
         note(f"Limit: {words}.")
     # What cannot be written is said now, not after the work.
     servos = {} if overrides is None else _servos(servo or [], limits)
-    if bag is not None and bag.exists():
-        raise FileError(f"{str(bag)!r} exists already. Name a folder that does not.")
+    _check_bag(bag)
     spread = None if after else uncertainty
-    caution: Caution | str | None = "auto" if after and certainty is None else None
-    if certainty:
-        caution = Caution(certainty, spread)
+    caution = Caution(certainty, spread) if certainty else _usual_caution(after, certainty)
     n_starts, _, n_steps = _choice("effort", effort, EFFORTS)
     nominal = Fit.load(after) if after else chosen.model
     noise = _noise(chosen, nominal, sea)
@@ -143,22 +135,7 @@ def design(
                 journal=keep,
                 progress=partial(_tell, show, n_starts, n_steps),
             )
-            if found.assurance is None:
-                show.say("simulating other vehicles")
-                stated = partial(
-                    assess_limits, found.model, found.experiment, limits=limits, spread=spread,
-                    prior=found.prior, rng=np.random.default_rng(seed), vehicles=200,
-                    sea=found.sea,
-                )  # fmt: skip
-                found = replace(found, assurance=keep.once("assurance", stated))
-            if found.sea is not None:
-                show.say("accuracy on other vehicles")
-                other = partial(
-                    accuracy_range, found.model, found.experiment,
-                    rng=np.random.default_rng(seed), noise=found.sea, spread=spread,
-                    prior=found.prior,
-                )  # fmt: skip
-                found = replace(found, spread=keep.once("accuracy", other))
+            found = _on_other_vehicles(found, limits, spread, seed, keep, show)
         deliver(
             found.document(title=chosen.title),
             found.to_dict(),
@@ -168,19 +145,53 @@ def design(
         if out is not None:
             found.write_csv(out)
             note(f"Written: {out}")
-        if card is not None and card.suffix.lower() in (".html", ".pdf"):
+        if card is not None:
             show_track = partial(
                 predicted_tracks, found.model, found.experiment, spread=spread, sea=found.sea,
                 prior=found.prior, rng=np.random.default_rng(seed), length=length,
             )  # fmt: skip
-            _card(found, keep.once("track", show_track), card, chosen.title)
-        elif card is not None:
-            write(found.sea_trial_card() + "\n", card)
-        played = found.trajectory.times, found.trajectory.inputs
-        if overrides is not None:
-            note(f"Written: {write_overrides(overrides, found.model, *played, servos=servos)}")
-        if bag is not None:
-            note(f"Written: {write_bag(bag, found.model, *played)}")
+            _card(found, partial(keep.once, "track", show_track), card, chosen.title)
+        _write_played(found, overrides, servos, bag)
+
+
+def _on_other_vehicles(
+    found: Design, limits: Limits, spread: float | None, seed: int, keep: Journal, show: Shown
+) -> Design:
+    """State how likely the limits are kept and, at sea, how accurate other vehicles become."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from oed_sysid.design import accuracy_range, assess_limits
+
+    if found.assurance is None:
+        show.say("simulating other vehicles")
+        stated = partial(
+            assess_limits, found.model, found.experiment, limits=limits, spread=spread,
+            prior=found.prior, rng=np.random.default_rng(seed), vehicles=200, sea=found.sea,
+        )  # fmt: skip
+        found = replace(found, assurance=keep.once("assurance", stated))
+    if found.sea is not None:
+        show.say("accuracy on other vehicles")
+        other = partial(
+            accuracy_range, found.model, found.experiment, rng=np.random.default_rng(seed),
+            noise=found.sea, spread=spread, prior=found.prior,
+        )  # fmt: skip
+        found = replace(found, spread=keep.once("accuracy", other))
+    return found
+
+
+def _write_played(
+    found: Design, overrides: Path | None, servos: dict[str, Servo], bag: Path | None
+) -> None:
+    """Write the commands for an autopilot: as servo pulses, or as a bag."""
+    from oed_sysid.design import write_bag, write_overrides
+
+    played = found.trajectory.times, found.trajectory.inputs
+    if overrides is not None:
+        note(f"Written: {write_overrides(overrides, found.model, *played, servos=servos)}")
+    if bag is not None:
+        note(f"Written: {write_bag(bag, found.model, *played)}")
 
 
 def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None:
@@ -191,14 +202,30 @@ def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None
     show.share((done * n_steps + now.round + 1) / rounds, at_most=True)
 
 
-def _card(design: Design, tracks: PredictedTracks | None, path: Path, title: str) -> None:
-    """Write the card as a page or as one sheet of A4."""
+def _check_bag(bag: Path | None) -> None:
+    if bag is not None and bag.exists():
+        raise FileError(f"{str(bag)!r} exists already. Name a folder that does not.")
+
+
+def _usual_caution(after: Path | None, certainty: float | None) -> str | None:
+    """How limits are kept where nobody said how surely: after a fit they are, else not."""
+    return "auto" if after is not None and certainty is None else None
+
+
+def _card(
+    design: Design, tracks: Callable[[], PredictedTracks | None], path: Path, title: str
+) -> None:
+    """Write the card as text, as a page or as one sheet of A4."""
     from oed_sysid.results import figure_card, save_figure
 
-    if path.suffix.lower() == ".html":
-        design.card(tracks, title=title).write(path)
+    kind = path.suffix.lower()
+    if kind == ".txt":
+        write(design.sea_trial_card() + "\n", path)
+        return
+    if kind == ".html":
+        design.card(tracks(), title=title).write(path)
     else:
-        save_figure(figure_card(design, tracks), path)
+        save_figure(figure_card(design, tracks()), path)
     note(f"Written: {path}")
 
 

@@ -194,18 +194,9 @@ def plot_intervals(
     scale = {name: _reference(several, name) for name in names}
     rows = np.arange(len(names))[::-1]
     for index, fit in enumerate(several):
-        look = model_style(index)
         shift = 0.22 * (index - (len(several) - 1) / 2)
-        found = [i for i, name in enumerate(names) if name in fit.values]
-        centre = np.array([fit.values[names[i]] / scale[names[i]] for i in found])
-        half = np.array(
-            [TWO_SIDED_95 * fit.std_errors[names[i]] / abs(scale[names[i]]) for i in found]
-        )
-        ax.errorbar(
-            centre, rows[found] - shift, xerr=np.where(np.isfinite(half), half, 0.0),
-            fmt="osD^v<"[index % 6], ms=4.5, color=look.colour, elinewidth=1.6, capsize=3,
-            label=labels[index] if labels else f"{fit.model.name} (95 %)",
-        )  # fmt: skip
+        label = labels[index] if labels else f"{fit.model.name} (95 %)"
+        _draw_estimates(ax, fit, index, dict(zip(names, rows - shift, strict=True)), scale, label)
     _draw_priors(ax, several[0], names, scale, rows)
     for name, row in zip(names, rows, strict=True):
         if truth and name in truth:
@@ -219,6 +210,20 @@ def plot_intervals(
     # Above: below, its distance from the axis' label would depend on the height.
     spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return say(ax, _least_certain(several))
+
+
+def _draw_estimates(
+    ax: Axes, fit: Fit, index: int, rows: dict[str, float], scale: dict[str, float], label: str
+) -> None:
+    """Draw the estimates of one fit with their intervals, in the look of its position."""
+    found = [name for name in rows if name in fit.values]
+    sizes = np.array([scale[name] for name in found])
+    half = TWO_SIDED_95 * np.array([fit.std_errors[name] for name in found]) / np.abs(sizes)
+    ax.errorbar(
+        np.array([fit.values[name] for name in found]) / sizes, [rows[name] for name in found],
+        xerr=np.where(np.isfinite(half), half, 0.0), fmt="osD^v<"[index % 6], ms=4.5,
+        color=model_style(index).colour, elinewidth=1.6, capsize=3, label=label,
+    )  # fmt: skip
 
 
 def plot_correlation(fit: Fit, *, ax: Axes | None = None) -> Axes:

@@ -67,19 +67,7 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
     ax.set(xlabel="log-likelihood gain [-]")
     clean(ax)
     ax.grid(False, axis="y")
-    handles = [
-        Patch(fc=_BEST, ec="0.25", label="best after refit"),
-        Patch(fc=_GROUP, ec="0.25", hatch="///", label="cannot be told from the best"),
-        Patch(fc="0.8", ec="0.25", label="other refits"),
-        ax.plot([], [], "D", ms=4.5, mfc="white", mec=TRUTH, label="score before refit")[0],
-        ax.plot([], [], "|", ms=11, mew=1.8, color=TRUTH, label="needed for a claim")[0],
-    ]
-    if len(group) < 2:
-        handles.pop(1)
-    ax.legend(
-        handles=handles, frameon=False, fontsize=8.5, ncols=3, loc="lower center",
-        bbox_to_anchor=(0.5, 1.0),
-    )  # fmt: skip
+    _explain_bars(ax, alike=len(group) > 1)
     if not ranking.refits:
         return say(ax, "No candidate was worth a refit.")
     best = ranking.refits[0]
@@ -88,6 +76,22 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
         f"{best.name} has the largest log-likelihood gain, {best.gain:.4g}; "
         f"{ranking.needed(best):.3g} are needed.",
     )
+
+
+def _explain_bars(ax: Axes, *, alike: bool) -> None:
+    """Legend of the bars of a ranking; ``alike`` where some cannot be told from the best."""
+    rest = Patch(fc=_GROUP, ec="0.25", hatch="///", label="cannot be told from the best")
+    handles = [
+        Patch(fc=_BEST, ec="0.25", label="best after refit"),
+        *([rest] if alike else []),
+        Patch(fc="0.8", ec="0.25", label="other refits"),
+        ax.plot([], [], "D", ms=4.5, mfc="white", mec=TRUTH, label="score before refit")[0],
+        ax.plot([], [], "|", ms=11, mew=1.8, color=TRUTH, label="needed for a claim")[0],
+    ]
+    ax.legend(
+        handles=handles, frameon=False, fontsize=8.5, ncols=3, loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+    )  # fmt: skip
 
 
 def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes:

@@ -57,6 +57,18 @@ def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
     return say(clean(ax), profile.report())
 
 
+def _covariance(information: Information, pair: tuple[str, str]) -> np.ndarray:
+    """Covariance of two parameters, shape ``(2, 2)``."""
+    absent = [name for name in pair if name not in information.names]
+    if absent:
+        raise DataError(f"There is no {absent[0]!r}; there are {', '.join(information.names)}.")
+    rows = [information.names.index(name) for name in pair]
+    covariance: np.ndarray = information.covariance[np.ix_(rows, rows)]
+    if not np.isfinite(covariance).all():
+        raise DataError(f"{pair[0]} and {pair[1]} are not both determined, so there is no ellipse.")
+    return covariance
+
+
 def plot_ellipses(
     informations: Sequence[Information],
     pair: tuple[str, str],
@@ -99,15 +111,7 @@ def plot_ellipses(
     circle = np.stack([np.cos(turn), np.sin(turn)])
     said = []
     for number, one in enumerate(informations):
-        absent = [name for name in pair if name not in one.names]
-        if absent:
-            raise DataError(f"There is no {absent[0]!r}; there are {', '.join(one.names)}.")
-        rows = [one.names.index(name) for name in pair]
-        covariance = one.covariance[np.ix_(rows, rows)]
-        if not np.isfinite(covariance).all():
-            raise DataError(
-                f"{pair[0]} and {pair[1]} are not both determined, so there is no ellipse."
-            )
+        covariance = _covariance(one, pair)
         axes, turned = np.linalg.eigh(covariance)
         edge = TWO_SIDED_95 * turned @ (np.sqrt(np.maximum(axes, 0.0))[:, None] * circle)
         centre = (0.0, 0.0) if centres is None else centres[number]
