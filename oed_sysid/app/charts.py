@@ -20,7 +20,7 @@ from oed_sysid.evidence.locate import CLEAR, Located
 from oed_sysid.likelihood.disturbances import Place
 from oed_sysid.likelihood.information import effective_sample_size
 from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.results.force_plots import slice_means
+from oed_sysid.results.improvement_plots import slice_means
 from oed_sysid.results.style import model_style
 from oed_sysid.runtime.display import TWO_SIDED_95
 
