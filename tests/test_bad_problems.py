@@ -9,8 +9,8 @@ import pytest
 from bad_input.problem_files import REFUSED, SOUND
 
 from oed_sysid.errors import ProblemError
+from oed_sysid.experiments.definition import faults
 from oed_sysid.experiments.problem import list_problems, load_problem
-from oed_sysid.experiments.soundness import faults
 
 
 def write(folder: Path, source: str | dict[str, str | bytes]) -> Path:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from benchmarks.killed import killed
-from oed_sysid.design.trial import opened as design_journal
+from oed_sysid.design.experiment_design import opened as design_journal
 from oed_sysid.experiments.experiment import Limits
 from oed_sysid.runtime.journal import Journal, package_digest
 

@@ -76,11 +76,7 @@ def test_template_fits_improves_and_designs(tmp_path: Path, template: str) -> No
 @pytest.mark.parametrize("template", VEHICLES)
 def test_templates_read_as_programs(template: str) -> None:
     """Every template compiles once its names are filled in, and names what it hides."""
-    text = (
-        files("oed_sysid.experiments.problem")
-        .joinpath("starter_files", f"{template}.txt")
-        .read_text()
-    )
+    text = files("oed_sysid.experiments").joinpath("starter_files", f"{template}.txt").read_text()
     compile(text.replace("$name", "mine").replace("$title", "Mine"), template, "exec")
     assert f'"E_{TEMPLATES[template]["hidden"]}"' in text
 

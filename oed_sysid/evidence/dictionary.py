@@ -32,6 +32,9 @@ MANY_SIGNALS = 6
 HORIZONTAL = ("x", "y", "xi", "eta")
 
 
+Factors = tuple[tuple[str, bool], ...]
+
+
 @dataclass(frozen=True)
 class Signal:
     """Something that terms are made of.
@@ -71,7 +74,7 @@ class Term:
 
     equation: str
     expression: str
-    factors: tuple[tuple[str, bool], ...] = ()
+    factors: Factors = ()
 
     @property
     def complexity(self) -> int:
@@ -255,32 +258,29 @@ def terms(model: Model, signals: Sequence[Signal]) -> list[Term]:
         From :func:`signals_along`.
     """
     products = _products([s for s in signals if s.kind == "motion"])
-    thrusts = [s for s in signals if s.kind == "thrust"]
     # A position on which a force depends, as a mooring's does: that may be no straight line.
     springs = {name for effect in model.effects for name in _forces_depend_on(effect)}
     angles = [s.name for s in signals if s.kind == "angle"]
-    expressions = [((), "1"), *products]
-    for thrust in thrusts:
-        extra = (thrust.name, False)
-        few = [((), "")] + [item for item in products if len(item[0]) < MOST_FACTORS]
-        expressions += [
-            ((*factors, extra), f"{text}*{thrust.name}" if text else thrust.name)
-            for factors, text in few
-        ]
+    found = [(factors, product_text(factors)) for factors in ((), *products)]
+    for thrust in (s.name for s in signals if s.kind == "thrust"):
+        few = [(), *(factors for factors in products if len(factors) < MOST_FACTORS)]
+        driven = [(*factors, (thrust, False)) for factors in few]
+        found += [(factors, product_text(factors)) for factors in driven]
     for signal in signals:
         if signal.kind == "angle":
             sine, cosine = f"sin({signal.name})", f"cos({signal.name})"
             texts = (sine, cosine, f"{sine}*{cosine}", f"{sine}*abs({sine})")
-            expressions += [((), text) for text in texts]
+            found += [((), text) for text in texts]
         elif signal.kind == "position":
-            expressions.append((((signal.name, False),), signal.name))
+            found.append((((signal.name, False),), signal.name))
             if signal.name in springs:
-                expressions += [item for item in _products([signal]) if len(item[0]) > 1]
-                expressions += [((), f"{signal.name}*sin({angle})") for angle in angles]
+                powers = [factors for factors in _products([signal]) if len(factors) > 1]
+                found += [(factors, product_text(factors)) for factors in powers]
+                found += [((), f"{signal.name}*sin({angle})") for angle in angles]
     return [
-        Term(equation, text, factors)
+        Term(equation, text or "1", factors)
         for equation in disturbed_equations(model)
-        for factors, text in expressions
+        for factors, text in found
     ]
 
 
@@ -291,37 +291,37 @@ def _forces_depend_on(effect: Effect) -> set[str]:
     return {name for text in effect.terms.values() for name in expressions.names(text)}
 
 
-Factors = tuple[tuple[str, bool], ...]
-
-
-def _products(signals: Sequence[Signal]) -> list[tuple[Factors, str]]:
-    """Products of up to three signals, absolute values included."""
+def _products(signals: Sequence[Signal]) -> list[Factors]:
+    """Factors of products of up to three signals, absolute values included."""
     one_sided = {s.name for s in signals if s.one_sided}
-    found = []
+    found: list[Factors] = []
     for count in range(1, MOST_FACTORS + 1):
         for names in combinations_with_replacement([s.name for s in signals], count):
             different = list(dict.fromkeys(names))
             if len(signals) > MANY_SIGNALS and len(different) > 2:
                 continue
-            powers = [names.count(name) for name in different]
             choices = [(False,) if name in one_sided else (False, True) for name in different]
             for absolute in product(*choices):
-                found.append(_write(different, powers, absolute))
+                found.append(
+                    tuple(
+                        (name, is_absolute and not used)
+                        for name, is_absolute in zip(different, absolute, strict=True)
+                        for used in range(names.count(name))
+                    )
+                )
     return found
 
 
-def _write(
-    names: Sequence[str], powers: Sequence[int], absolute: Sequence[bool]
-) -> tuple[Factors, str]:
-    """Factors and text of a product; ``|w| w`` and ``|q| q^2`` where absolute."""
-    factors: list[tuple[str, bool]] = []
+def product_text(factors: Factors) -> str:
+    """Text of a product; ``abs(w)*w`` and ``abs(q)*q**2`` where a factor is absolute.
+
+    >>> product_text((("u", False), ("q", True), ("q", False), ("q", False)))
+    'u*abs(q)*q**2'
+    """
     texts = []
-    for name, power, is_absolute in zip(names, powers, absolute, strict=True):
-        plain = power - is_absolute
-        if is_absolute:
-            factors.append((name, True))
-            texts.append(f"abs({name})")
-        factors += [(name, False)] * plain
+    for name in dict.fromkeys(name for name, _ in factors):
+        texts += [f"abs({name})"] * factors.count((name, True))
+        plain = factors.count((name, False))
         if plain:
             texts.append(name if plain == 1 else f"{name}**{plain}")
-    return tuple(factors), "*".join(texts)
+    return "*".join(texts)

@@ -1,18 +1,19 @@
 """Candidates where nobody named any: what usually goes wrong, written for the model at hand.
 
-Actuators, sensors, currents, inertia and low powers of every motion, with typical sizes from the
-records: a force that would make a fifth of the accelerations seen, a lag of two samples, a play
-of a tenth of the command's swing. Sizes scale the unknowns; they are no priors.
-
+Low powers of every motion, currents, winds and weight, inertia, actuators and sensors: selections
+from the library of effects, with typical sizes from the records: a force that would make a fifth
+of the accelerations seen, a lag of two samples, backlash of a tenth of the command's standard
+deviation. Sizes scale the unknowns; they are no priors.
 """
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
-from math import ceil
+from math import ceil, prod
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.evidence.check import LogCheck
-from oed_sysid.evidence.dictionary import HORIZONTAL, Factors, Term, cyclic
+from oed_sysid.evidence.dictionary import HORIZONTAL, Factors, Term, cyclic, product_text
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.disturbances import disturbance, places
@@ -30,8 +31,15 @@ from oed_sysid.likelihood.start_guess import (
     measured_states,
     slope,
 )
-from oed_sysid.physics import Effect, Environment, Force, forces, in_each_record, signals
-from oed_sysid.physics import signals as actuators
+from oed_sysid.physics import (
+    Effect,
+    Environment,
+    Force,
+    amplitude,
+    forces,
+    in_each_record,
+    signals,
+)
 from oed_sysid.physics.frames import rotation
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
@@ -40,162 +48,22 @@ from oed_sysid.text import expressions
 from oed_sysid.text.dimensions import dimension_of
 from oed_sysid.text.units import Dimension, dimension
 
-# Share of an inertia that an effect makes.
-OF_INERTIA = 0.2
-# Longest delay of a signal that came late, over that which the check found.
-OF_DELAY = 2.0
+# Typical sizes, as shares of the accelerations, inertia and lift seen, and of what signals do.
+SHARE, TENTH = 0.2, 0.1
+# A lag in samples; the most steps that the register of a delay may hold.
+LAG, LONGEST = 2.0, 12
+# Share of its typical speed over which dry friction changes sign.
+SLOW = 0.02
+# Motions that a vehicle with a plane of symmetry couples: in the plane, and across it.
+IN_PLANE, ACROSS = ("u", "w", "q"), ("v", "p", "r")
+# Angles whose sine turns a floating or submerged body back.
+RIGHTING = {"K": "phi", "M": "theta"}
+# An input in this unit or with such a name is no command but a measured flow.
+FLOW_UNIT, FLOWS = "m/s", ("wind", "wave", "current")
+# Names of twins that have nothing in common.
+SIDES = ("port", "starboard", "left", "right", "upper", "lower")
 # What is steady in a record and another in the next: trims, currents and winds.
 FROM_DAY_TO_DAY = ("*_offset", "current*", "drift_*", "wind")
-
-
-def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
-    """Candidate effects made from a model's own signals and the records' sizes.
-
-    Parameters
-    ----------
-    model : Model
-        The nominal model.
-    dataset : Dataset
-        Records that it is to be compared with.
-
-    Returns
-    -------
-    tuple of Effect
-        Absent, each with a name of its own; terms whose derivative is free in the model already
-        are left out.
-
-    Examples
-    --------
-    >>> from oed_sysid import load_problem
-    >>> problem = load_problem("remus_diving_plane")
-    >>> [e.name for e in usual_effects(problem.model, problem.data())][:3]
-    ['constant_X', 'linear_X_u_r', 'quadratic_X_u_r']
-    """
-    check_channels(model, dataset)
-    sizes = sizes_of(model, dataset)
-    found: dict[str, Effect] = {}
-    made = (
-        *usual_forces(model, sizes),
-        *usual_surroundings(model, sizes),
-        *_inertias(model, sizes),
-        *usual_commands(model, sizes),
-        *_sensors(model, sizes),
-    )
-    own = [
-        in_each_record(effect)
-        for effect in made
-        if len(dataset) > 1 and any(fnmatch(effect.name, kind) for kind in FROM_DAY_TO_DAY)
-    ]
-    for effect in (*made, *own):
-        if effect.name in model.effect_names or effect.name in found:
-            continue
-        try:
-            model + effect
-        except ModelError:  # a signal that this model writes in its own way
-            continue
-        found[effect.name] = effect
-    return tuple(found.values())
-
-
-def _inertias(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    for axis, state in model.axes.items():
-        mass = 1.0 / sizes.mobility[axis]
-        yield forces.added_mass_error(
-            f"inertia_{axis}_{state}", axis, state, scale=OF_INERTIA * mass, bound=0.5 * mass
-        )
-
-
-def _sensors(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    measured = {output.name: output for output in model.outputs}
-    for name, output in measured.items():
-        swing = sizes.swing.get(name, 0.0)
-        if swing <= 0:
-            continue
-        # Only positions show where the vehicle went, and so that its compass is off.
-        is_position = name in HORIZONTAL and output.unit == "m"
-        if not is_position and (name != "psi" or set(HORIZONTAL) & set(measured)):
-            yield signals.sensor_bias(f"bias_{name}", name, output.unit, scale=OF_SWING * swing)
-            yield signals.sensor_scale(f"scale_{name}", name)
-        yield signals.sensor_lag(f"lag_{name}", name, scale=LAG * sizes.sample)
-    for across, rate in (("v", "r"), ("w", "q")):
-        if {"u", across} <= set(measured):
-            yield signals.sensor_misalignment(f"misalignment_u_{across}", "u", across)
-        if {across, rate} <= set(measured):
-            arm = OF_SWING * sizes.swing[across] / max(sizes.swing[rate], 1e-300)
-            yield signals.sensor_lever_arm(f"lever_arm_{across}", across, rate, scale=arm)
-
-
-def equipped(problem: Problem, dataset: Dataset | None = None) -> Problem:
-    """Return the problem, with usual candidates where it names none.
-
-    Parameters
-    ----------
-    problem : Problem
-    dataset : Dataset, optional
-        Records that give the sizes; by default what its experiments would give.
-    """
-    if problem.effects:
-        return problem
-    if dataset is None:
-        runs = [simulate(problem.model, run, noise=False) for run in problem.experiments.values()]
-        if not runs:
-            return problem
-        dataset = Dataset(tuple(runs))
-    return replace(problem, effects=usual_effects(problem.model, dataset))
-
-
-def settled(
-    model: Model,
-    dataset: Dataset,
-    candidates: Sequence[Effect] | None,
-    log: LogCheck | None = None,
-) -> tuple[tuple[Effect, ...], list[str]]:
-    """The candidates that were named, or usual ones and a note that says so.
-
-    Signals that a check of the logs found late bring a candidate of their own.
-    """
-    if candidates:
-        return tuple(candidates), []
-    if dataset.only_tests:
-        raise DataError(
-            "These records are independent tests at given motion (captive tests), from which no "
-            "usual candidates are made: name candidates= yourself, in the signals of the model."
-        )
-    usual = usual_effects(model, dataset)
-    if not usual:
-        raise DataError(
-            "There is no candidate effect, and none can be made: the signals of these records do "
-            "not move. Give records of a manoeuvre, or effects of your own."
-        )
-    late = _late(dataset, log)
-    notes = [
-        f"No candidates were named: {len(usual)} usual ones were made from the model's signals and "
-        "the records' sizes. Where you know the vehicle's own physics, name it: that tells more."
-    ]
-    if late:
-        names = ", ".join(effect.name for effect in late)
-        notes.append(f"The check of the logs finds signals that come late: {names} added to them.")
-    return (*usual, *late), notes
-
-
-def _late(dataset: Dataset, log: LogCheck | None) -> tuple[Effect, ...]:
-    """Delays of single sensors that a check found."""
-    step = min(record.sample_time for record in dataset)
-    measured = dataset.channels.output_names
-    found = []
-    for finding in () if log is None else log.serious:
-        size = finding.size or 0.0
-        if finding.kind != "delay" or len(finding.signals) > 1 or not size > 0.0:
-            continue
-        (signal,) = finding.signals
-        if signal in measured:
-            most = OF_DELAY * size + 2.0 * step
-            found.append(
-                signals.sensor_delay(
-                    f"delay_{signal}", signal, max_delay=most, interval=step, scale=size
-                )
-            )
-    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -296,17 +164,58 @@ def _mobility(model: Model, dataset: Dataset, begin: dict[str, float]) -> dict[s
     return found
 
 
-# Share of the accelerations seen that a force makes.
-OF_FORCE = 0.2
-# Motions that a vehicle with a plane of symmetry couples: in the plane, and across it.
-IN_PLANE, ACROSS = ("u", "w", "q"), ("v", "p", "r")
-# Share of its typical speed over which dry friction changes sign.
-SLOW = 0.02
-# Angles whose sine turns a floating or submerged body back.
-RIGHTING = {"K": "phi", "M": "theta"}
+def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
+    """Candidate effects made from a model's own signals and the records' sizes.
+
+    Parameters
+    ----------
+    model : Model
+        The nominal model.
+    dataset : Dataset
+        Records that it is to be compared with.
+
+    Returns
+    -------
+    tuple of Effect
+        Absent, each with a name of its own; terms whose derivative is free in the model already
+        are left out.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> problem = load_problem("remus_diving_plane")
+    >>> [e.name for e in usual_effects(problem.model, problem.data())][:3]
+    ['constant_X', 'linear_X_u_r', 'quadratic_X_u_r']
+    """
+    check_channels(model, dataset)
+    sizes = sizes_of(model, dataset)
+    found: dict[str, Effect] = {}
+    made = (
+        *_forces(model, sizes),
+        *_flows(model, sizes),
+        *_winds(model, sizes),
+        *_weights(model, sizes),
+        *_inertias(model, sizes),
+        *_commands(model, sizes),
+        *_sensors(model, sizes),
+    )
+    own = [
+        in_each_record(effect)
+        for effect in made
+        if len(dataset) > 1 and any(fnmatch(effect.name, kind) for kind in FROM_DAY_TO_DAY)
+    ]
+    for effect in (*made, *own):
+        if effect.name in model.effect_names or effect.name in found:
+            continue
+        try:
+            model + effect
+        except ModelError:  # a signal that this model writes in its own way
+            continue
+        found[effect.name] = effect
+    return tuple(found.values())
 
 
-def usual_forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
+def _forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Terms of every equation that may lack one, absent."""
     units = {state.name: state.unit for state in model.states}
     units |= {channel.name: channel.unit for channel in model.inputs}
@@ -317,15 +226,16 @@ def usual_forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
     taken = {name.removesuffix("_prime") for name in model.free_names}
     for equation in sizes.mobility:
         state = model.axes.get(equation, equation)
-        size = OF_FORCE * sizes.force(equation, state)
+        size = SHARE * sizes.force(equation, state)
         for word, text, factors, level in _powers(model, sizes, equation, state, through, commands):
             term = Term(equation, text, factors)
             if size > 0 and level > 0 and term.symbol not in taken:
                 yield _named(term.effect(model, units, size / level), word, equation, text)
         if size > 0 and not model.axes and state not in cyclic(model):
+            rate = _unit_of(dimension(units[state]) / dimension("s"))
             yield forces.coulomb_friction(
-                f"friction_{state}", equation, state, unit=_rate_unit(units[state]),
-                velocity_unit=units[state], smooth=SLOW * sizes.level[state], scale=size,
+                f"friction_{state}", equation, state, unit=rate, velocity_unit=units[state],
+                smooth=SLOW * sizes.level[state], scale=size,
             )  # fmt: skip
 
 
@@ -341,10 +251,6 @@ def _named(force: Force, word: str, equation: str, text: str) -> Force:
     )
 
 
-def _rate_unit(unit: str) -> str:
-    return str(Dimension((dimension(unit) / dimension("s")).exponents))
-
-
 _Power = tuple[str, str, Factors, float]
 
 
@@ -357,41 +263,44 @@ def _powers(
     commands: dict[str, str],
 ) -> Iterator[_Power]:
     """Word, text, factors and typical size of every term that an equation may lack."""
-    yield "constant", "1", (), 1.0
-    for other in _coupled(model, equation, state):
-        signal, level = through.get(other, other), sizes.level[other]
-        plain, absolute = (signal, False), (signal, True)
-        forward = through.get("u", "u")
-        even = equation == "X" and other != "u"  # drag does not know starboard from port
-        if even:
-            yield f"quadratic_{signal}", f"{signal}**2", (plain, plain), level**2
-            continue
-        if "u" in model.axes.values() and other != "u":
-            speed = sizes.level["u"]
-            factors = ((forward, False), plain)
-            yield f"lift_{signal}", f"{forward}*{signal}", factors, level * speed
-        else:
-            yield f"linear_{signal}", signal, (plain,), level
-        yield f"quadratic_{signal}", f"abs({signal})*{signal}", (absolute, plain), level**2
-        if not model.axes or (other == state and other != "u"):
-            yield f"cubic_{signal}", f"{signal}**3", (plain,) * 3, level**3
-    for signal, unit in commands.items():
-        level = sizes.level.get(signal, 0.0)
-        twice = ((signal, False),) * 2
-        if equation == "X" and unit == "rad":
-            yield f"drag_{signal}", f"{signal}**2", twice, level**2
-        elif equation == "X" and "u" in model.axes.values() and unit != "m/s":
-            forward = through.get("u", "u")  # thrust falls with the speed of advance
-            pair, size = ((forward, False), (signal, False)), level * sizes.level["u"]
-            yield f"advance_{signal}", f"{forward}*{signal}", pair, size
-        elif not model.axes:
-            one, size = (signal, False), level**2
-            yield f"quadratic_{signal}", f"abs({signal})*{signal}", ((signal, True), one), size
+    levels = {through.get(name, name): level for name, level in sizes.level.items()}
+    for word, factors in _products(model, equation, state, through, commands):
+        powers = Counter(name for name, _ in factors)
+        level = prod(levels.get(name, 0.0) ** power for name, power in powers.items())
+        yield word, product_text(factors) or "1", factors, level
     angle = RIGHTING.get(equation)
     if angle in model.state_names:
         yield f"righting_{angle}", f"sin({angle})", (), sizes.level[angle]
         thrice = ((angle, False),) * 3  # a hull that hardens or softens as it heels
-        yield f"hardening_{angle}", f"{angle}**3", thrice, sizes.level[angle] ** 3
+        yield f"hardening_{angle}", product_text(thrice), thrice, sizes.level[angle] ** 3
+
+
+def _products(
+    model: Model, equation: str, state: str, through: dict[str, str], commands: dict[str, str]
+) -> Iterator[tuple[str, Factors]]:
+    """Word and factors of every product of motions and commands that an equation may lack."""
+    yield "constant", ()
+    surges = "u" in model.axes.values()
+    forward = (through.get("u", "u"), False)
+    for other in _coupled(model, equation, state):
+        signal = through.get(other, other)
+        plain, absolute = (signal, False), (signal, True)
+        if equation == "X" and other != "u":  # drag does not know starboard from port
+            yield f"quadratic_{signal}", (plain, plain)
+            continue
+        lifts = surges and other != "u"
+        yield (f"lift_{signal}", (forward, plain)) if lifts else (f"linear_{signal}", (plain,))
+        yield f"quadratic_{signal}", (absolute, plain)
+        if not model.axes or (other == state and other != "u"):
+            yield f"cubic_{signal}", (plain,) * 3
+    for signal, unit in commands.items():
+        plain = (signal, False)
+        if equation == "X" and unit == "rad":
+            yield f"drag_{signal}", (plain, plain)
+        elif equation == "X" and surges and unit != FLOW_UNIT:
+            yield f"advance_{signal}", (forward, plain)  # thrust falls with the speed of advance
+        elif not model.axes:
+            yield f"quadratic_{signal}", ((signal, True), plain)
 
 
 def _coupled(model: Model, equation: str, state: str) -> list[str]:
@@ -412,85 +321,23 @@ def commanded(model: Model) -> dict[str, str]:
     units = {channel.name: channel.unit for channel in model.inputs}
     known = units | {p.name: p.unit for p in model.all_parameters}
     return {
-        signal: units[text] if text in units else _unit(text, known)
+        signal: units[text] if text in units else _derived_unit(text, known)
         for signal, text in model.actuator_signals.items()
     }
 
 
-def _unit(text: str, units: dict[str, str]) -> str:
-    """Unit of an expression, radians dropped as in those of derivatives; empty if not told."""
+def _derived_unit(text: str, units: dict[str, str]) -> str:
+    """Unit of an expression; empty if not told."""
     try:
         found = dimension_of(text, {name: dimension(unit) for name, unit in units.items()})
     except OedSysidError:  # units that do not fit are another message's matter
         return ""
-    return "" if found is None else str(Dimension(found.exponents))
+    return "" if found is None else _unit_of(found)
 
 
-# Share of a signal's swing, and of a lift, that an effect makes.
-OF_SWING, OF_LIFT = 0.1, 0.2
-# A lag in samples, the longest delay in samples, and the most steps that its register may hold.
-LAG, DELAY, LONGEST = 2.0, 4.0, 12
-# An input in this unit or with such a name is no command but a measured flow.
-FLOW_UNIT, FLOWS = "m/s", ("wind", "wave", "current")
-# Names of twins that have nothing in common.
-SIDES = ("port", "starboard", "left", "right", "upper", "lower")
-
-
-def usual_commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """Offsets, gains and what actuators do to commands, of each and of several alike."""
-    units = {
-        signal: unit
-        for signal, unit in commanded(model).items()
-        if sizes.swing.get(signal, 0.0) > 0 and unit != FLOW_UNIT and not signal.startswith(FLOWS)
-    }
-    alike: dict[tuple[str, str], list[str]] = {}
-    for signal, unit in units.items():
-        alike.setdefault((unit, _stem(signal)), []).append(signal)
-    for signal, unit in units.items():
-        share = OF_SWING * sizes.swing[signal]
-        yield actuators.actuator_offset(f"{signal}_offset", signal, unit, scale=share)
-        if len(alike[unit, _stem(signal)]) > 1:  # of one alone, free derivatives are its gain
-            yield actuators.actuator_gain_error(f"{signal}_gain", signal)
-        if unit == "rad":
-            bend = OF_LIFT / sizes.swing[signal] ** 2
-            yield actuators.stall(f"{signal}_stall", signal, scale=bend)
-        yield from _moved((signal,), unit, sizes)
-    for (unit, _), together in alike.items():
-        if len(together) > 1:
-            yield from _moved(together, unit, sizes)
-
-
-def _stem(signal: str) -> str:
-    """What the names of twins have in common: ``n`` of ``n_l``, nothing of ``port``."""
-    first = re.split(r"[_\d]", signal)[0]
-    return "" if first in SIDES else first
-
-
-def _moved(signals: Sequence[str], unit: str, sizes: Sizes) -> Iterator[Effect]:
-    """What actuators do to their commands: of one, or of several alike."""
-    name, lag = "_".join(signals), LAG * sizes.sample
-    swing = float(np.mean([sizes.swing[signal] for signal in signals]))
-    share = OF_SWING * swing
-    yield actuators.actuator_lag(f"{name}_lag", signals, scale=lag)
-    if DELAY * sizes.sample <= LONGEST * sizes.step:
-        yield actuators.actuator_delay(
-            f"{name}_delay", signals, max_delay=DELAY * sizes.sample, step=sizes.step,
-            scale=0.5 * lag,
-        )  # fmt: skip
-    yield actuators.rate_limit(f"{name}_rate_limit", signals, unit, scale=lag / swing)
-    yield actuators.deadband(f"{name}_deadband", signals, unit, scale=share)
-    yield actuators.backlash(f"{name}_backlash", signals, unit, scale=share)
-
-
-# Share of the speed that a current has, and of the accelerations seen that a load makes.
-OF_SPEED, OF_LOAD = 0.1, 0.2
-
-
-def usual_surroundings(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """Currents, winds and weight that a model can take, absent."""
-    yield from _flows(model, sizes)
-    yield from _winds(model, sizes)
-    yield from _weights(model, sizes)
+def _unit_of(found: Dimension) -> str:
+    """A dimension as text, radians dropped as in the units of derivatives."""
+    return str(Dimension(found.exponents))
 
 
 def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
@@ -499,22 +346,22 @@ def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
     angles = set(model.state_names)
     speed = sizes.level.get("u", 1.0)
     if {"u", "v", "w"} <= set(states) and {"phi", "theta", "psi"} <= angles:
-        yield _current(states, OF_SPEED * speed)
+        yield _current(states, TENTH * speed)
     elif {"u", "v"} <= set(states) and "psi" in angles:
         flow = (states["u"], states["v"])
-        yield forces.current_horizontal_plane(flow=flow, scale=OF_SPEED * speed)
+        yield forces.current_horizontal_plane(flow=flow, scale=TENTH * speed)
     elif "u" in states and "psi" in angles and "v" not in angles:
-        yield _head_current(states["u"], OF_SPEED * speed)
+        yield _head_current(states["u"], TENTH * speed)
     if {"u", "w"} <= set(states) and "theta" in angles and "v" not in states:
         flow = (states["u"], states["w"])
-        yield forces.current_forward(flow=flow, scale=OF_SPEED * speed)
-        yield forces.current_down(flow=flow, scale=0.5 * OF_SPEED * speed)
+        yield forces.current_forward(flow=flow, scale=TENTH * speed)
+        yield forces.current_down(flow=flow, scale=0.5 * TENTH * speed)
     if "u" in states or not model.axes:
         return
     for state in model.states:
         if state.name in (*HORIZONTAL, "z", "zeta") and state.name in model.kinematics:
             name = f"drift_{state.name}"
-            size = Parameter(f"E_{name}", 0.0, f"{state.unit}/s", scale=OF_SPEED * speed)
+            size = Parameter(f"E_{name}", 0.0, f"{state.unit}/s", scale=TENTH * speed)
             yield Force(
                 name,
                 {state.name: size.name},
@@ -527,10 +374,8 @@ def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
 
 def _current(flow: dict[str, str], scale: float) -> Effect:
     """A current towards north, east and down on a vehicle of any attitude."""
-    towards = [
-        Parameter(f"E_current_{way}", 0.0, "m/s", -20 * scale, 20 * scale, scale=scale)
-        for way in ("north", "east", "down")
-    ]
+    ways = ("north", "east", "down")
+    towards = [amplitude(f"current_{way}", "m/s", scale=scale) for way in ways]
     # Columns of the rotation to north, east and down are axes of the body.
     columns = zip(*rotation(("phi", "theta", "psi")), strict=True)
     terms = {
@@ -550,10 +395,8 @@ def _current(flow: dict[str, str], scale: float) -> Effect:
 
 def _head_current(flow: str, scale: float) -> Effect:
     """A current of which a vehicle without sway meets the part along its heading."""
-    north, east = (
-        Parameter(f"E_current_{way}", 0.0, "m/s", -20 * scale, 20 * scale, scale=scale)
-        for way in ("north", "east")
-    )
+    ways = ("north", "east")
+    north, east = (amplitude(f"current_{way}", "m/s", scale=scale) for way in ways)
     return Environment(
         "current",
         {flow: f"{flow} - ({north.name}*cos(psi) + {east.name}*sin(psi))"},
@@ -568,7 +411,7 @@ def _weights(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Weight in water, where an angle turns it."""
     if "Z" not in model.axes or not {"phi", "theta"} & set(model.state_names):
         return
-    size = Parameter("E_weight", 0.0, "N", scale=OF_LOAD * sizes.force("Z", model.axes["Z"]))
+    size = Parameter("E_weight", 0.0, "N", scale=SHARE * sizes.force("Z", model.axes["Z"]))
     pulls = zip("XYZ", rotation(model.state_names)[2], strict=True)
     yield Force(
         "weight",
@@ -587,4 +430,151 @@ def _winds(model: Model, sizes: Sizes) -> Iterator[Effect]:
         return
     across = sizes.force("Y", model.axes["Y"])
     arm = sizes.force("N", model.axes["N"]) / across if "N" in axes and across > 0 else 1.0
-    yield forces.steady_wind(axes=axes, force=OF_LOAD * across or 1.0, arm=arm or 1.0)
+    yield forces.steady_wind(axes=axes, force=SHARE * across or 1.0, arm=arm or 1.0)
+
+
+def _inertias(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    for axis, state in model.axes.items():
+        mass = 1.0 / sizes.mobility[axis]
+        yield forces.added_mass_error(
+            f"inertia_{axis}_{state}", axis, state, scale=SHARE * mass, bound=0.5 * mass
+        )
+
+
+def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Offsets, gains and what actuators do to commands, of each and of several alike."""
+    units = {
+        signal: unit
+        for signal, unit in commanded(model).items()
+        if sizes.swing.get(signal, 0.0) > 0 and unit != FLOW_UNIT and not signal.startswith(FLOWS)
+    }
+    alike: dict[tuple[str, str], list[str]] = {}
+    for signal, unit in units.items():
+        alike.setdefault((unit, _stem(signal)), []).append(signal)
+    for signal, unit in units.items():
+        share = TENTH * sizes.swing[signal]
+        yield signals.actuator_offset(f"{signal}_offset", signal, unit, scale=share)
+        if len(alike[unit, _stem(signal)]) > 1:  # of one alone, free derivatives are its gain
+            yield signals.actuator_gain_error(f"{signal}_gain", signal)
+        if unit == "rad":
+            bend = SHARE / sizes.swing[signal] ** 2
+            yield signals.stall(f"{signal}_stall", signal, scale=bend)
+        yield from _moved((signal,), unit, sizes)
+    for (unit, _), twins in alike.items():
+        if len(twins) > 1:
+            yield from _moved(twins, unit, sizes)
+
+
+def _stem(signal: str) -> str:
+    """What the names of twins have in common: ``n`` of ``n_l``, nothing of ``port``."""
+    first = re.split(r"[_\d]", signal)[0]
+    return "" if first in SIDES else first
+
+
+def _moved(moved: Sequence[str], unit: str, sizes: Sizes) -> Iterator[Effect]:
+    """What actuators do to their commands: of one, or of several alike."""
+    name, lag = "_".join(moved), LAG * sizes.sample
+    swing = float(np.mean([sizes.swing[signal] for signal in moved]))
+    share = TENTH * swing
+    yield signals.actuator_lag(f"{name}_lag", moved, scale=lag)
+    if 2 * lag <= LONGEST * sizes.step:
+        yield signals.actuator_delay(
+            f"{name}_delay", moved, max_delay=2 * lag, step=sizes.step,
+            scale=0.5 * lag,
+        )  # fmt: skip
+    yield signals.rate_limit(f"{name}_rate_limit", moved, unit, scale=lag / swing)
+    yield signals.deadband(f"{name}_deadband", moved, unit, scale=share)
+    yield signals.backlash(f"{name}_backlash", moved, unit, scale=share)
+
+
+def _sensors(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    measured = {output.name: output for output in model.outputs}
+    for name, output in measured.items():
+        swing = sizes.swing.get(name, 0.0)
+        if swing <= 0:
+            continue
+        # Only positions show where the vehicle went, and so that its compass is off.
+        is_position = name in HORIZONTAL and output.unit == "m"
+        if not is_position and (name != "psi" or set(HORIZONTAL) & set(measured)):
+            yield signals.sensor_bias(f"bias_{name}", name, output.unit, scale=TENTH * swing)
+            yield signals.sensor_scale(f"scale_{name}", name)
+        yield signals.sensor_lag(f"lag_{name}", name, scale=LAG * sizes.sample)
+    for across, rate in (("v", "r"), ("w", "q")):
+        if {"u", across} <= set(measured):
+            yield signals.sensor_misalignment(f"misalignment_u_{across}", "u", across)
+        if {across, rate} <= set(measured):
+            arm = TENTH * sizes.swing[across] / max(sizes.swing[rate], 1e-300)
+            yield signals.sensor_lever_arm(f"lever_arm_{across}", across, rate, scale=arm)
+
+
+def equipped(problem: Problem, dataset: Dataset | None = None) -> Problem:
+    """Return the problem, with usual candidates where it names none.
+
+    Parameters
+    ----------
+    problem : Problem
+    dataset : Dataset, optional
+        Records that give the sizes; by default what its experiments would give.
+    """
+    if problem.effects:
+        return problem
+    if dataset is None:
+        runs = [simulate(problem.model, run, noise=False) for run in problem.experiments.values()]
+        if not runs:
+            return problem
+        dataset = Dataset(tuple(runs))
+    return replace(problem, effects=usual_effects(problem.model, dataset))
+
+
+def settled(
+    model: Model,
+    dataset: Dataset,
+    candidates: Sequence[Effect] | None,
+    log: LogCheck | None = None,
+) -> tuple[tuple[Effect, ...], list[str]]:
+    """The candidates that were named, or usual ones and a note that says so.
+
+    Signals that a check of the logs found late bring a candidate of their own.
+    """
+    if candidates:
+        return tuple(candidates), []
+    if dataset.only_tests:
+        raise DataError(
+            "These records are independent tests at given motion (captive tests), from which no "
+            "usual candidates are made: name candidates= yourself, in the signals of the model."
+        )
+    usual = usual_effects(model, dataset)
+    if not usual:
+        raise DataError(
+            "There is no candidate effect, and none can be made: the signals of these records do "
+            "not move. Give records of a manoeuvre, or effects of your own."
+        )
+    late = _late(dataset, log)
+    notes = [
+        f"No candidates were named: {len(usual)} usual ones were made from the model's signals and "
+        "the records' sizes. Where you know the vehicle's own physics, name it: that tells more."
+    ]
+    if late:
+        names = ", ".join(effect.name for effect in late)
+        notes.append(f"The check of the logs finds signals that come late: {names} added to them.")
+    return (*usual, *late), notes
+
+
+def _late(dataset: Dataset, log: LogCheck | None) -> tuple[Effect, ...]:
+    """Delays of single sensors that a check found."""
+    step = min(record.sample_time for record in dataset)
+    measured = dataset.channels.output_names
+    found = []
+    for finding in () if log is None else log.serious:
+        size = finding.size or 0.0
+        if finding.kind != "delay" or len(finding.signals) > 1 or not size > 0.0:
+            continue
+        (signal,) = finding.signals
+        if signal in measured:
+            most = 2.0 * size + 2.0 * step
+            found.append(
+                signals.sensor_delay(
+                    f"delay_{signal}", signal, max_delay=most, interval=step, scale=size
+                )
+            )
+    return tuple(found)

@@ -14,8 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 from oed_sysid.errors import ProblemError
-from oed_sysid.experiments.definition import Problem
-from oed_sysid.experiments.soundness import faults
+from oed_sysid.experiments.definition import Problem, faults
 
 FILE = "problem.py"
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -118,11 +117,32 @@ def _is_path(name_or_folder: str | Path) -> bool:
 
 
 def _load(file: Path) -> Problem:
-    """Execute a ``problem.py`` and return its ``problem``."""
+    """Execute a ``problem.py`` and return its ``problem``, if it is sound."""
     file = file.resolve()
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
-    name = f"oed_sysid_problem_{file.parent.name}_{digest}"
-    module = ModuleType(name)
+    module = ModuleType(f"oed_sysid_problem_{file.parent.name}_{digest}")
+    try:
+        _execute(module, file)
+        problem = getattr(module, "problem", None)
+        if not isinstance(problem, Problem):
+            raise ProblemError(f"{file} does not export 'problem'; {_found_instead(module, file)}.")
+        unsound = [
+            fault
+            for one in (problem, *problem.others.values())
+            for fault in faults(one.name, one.models, one.effects)
+        ]
+        if unsound:
+            more = f" ({len(unsound) - 1} more of this kind.)" if len(unsound) > 1 else ""
+            raise ProblemError(f"{file}: {unsound[0]}{more}")
+    except ProblemError:
+        sys.modules.pop(module.__name__, None)
+        raise
+    return problem
+
+
+def _execute(module: ModuleType, file: Path) -> None:
+    """Run a file as a package of its folder; raise a problem's error for whatever goes wrong."""
+    name = module.__name__
     module.__file__ = str(file)
     # A package, so that ``from .hull import HULL`` finds ``hull.py`` in the same folder,
     # and finds it anew, should it have been edited since.
@@ -140,62 +160,45 @@ def _load(file: Path) -> Problem:
             sys.stdin = nothing
             # Compiled here, not imported: no stale bytecode, nothing written into the folder.
             exec(compile(file.read_bytes(), str(file), "exec"), vars(module))
-    except SyntaxError as error:
-        sys.modules.pop(name, None)
-        if "null bytes" in error.msg and file.read_bytes()[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            raise ProblemError(f"{file} is UTF-16 text. Save it as UTF-8.") from None
-        raise ProblemError(
-            f"{error.filename or file}, line {error.lineno or '?'}: {error.msg}. Correct this line "
-            "of the problem."
-        ) from None
     except KeyboardInterrupt:
         raise
-    except SystemExit as error:
-        sys.modules.pop(name, None)
-        raise ProblemError(
-            f"{_place(file, error)}: it ends the program (sys.exit or exit). A problem only "
-            "defines 'problem': put what runs below if __name__ == '__main__'."
-        ) from None
-    except RecursionError as error:
-        sys.modules.pop(name, None)
-        raise ProblemError(
-            f"{_place(file, error)}: it calls or imports itself without end."
-        ) from None
     except BaseException as error:
-        sys.modules.pop(name, None)
         raise ProblemError(_fault(file, error)) from None
     finally:
         sys.stdin = keyboard
         with suppress(OSError):
             os.chdir(here)
-    problem = getattr(module, "problem", None)
-    if isinstance(problem, Problem):
-        unsound = [
-            fault
-            for one in (problem, *problem.others.values())
-            for fault in faults(one.name, one.models, one.effects)
-        ]
-        if unsound:
-            sys.modules.pop(name, None)
-            more = f" ({len(unsound) - 1} more of this kind.)" if len(unsound) > 1 else ""
-            raise ProblemError(f"{file}: {unsound[0]}{more}")
-        return problem
-    sys.modules.pop(name, None)
+
+
+def _found_instead(module: ModuleType, file: Path) -> str:
+    """Say what a file defines in place of a problem."""
     others = [key for key, value in vars(module).items() if isinstance(value, Problem)]
     if others:
-        found = f"it has a Problem called {others[0]!r}: rename it to 'problem'"
-    elif problem is not None:
-        found = f"its 'problem' is a {type(problem).__name__}: use problem = Problem(...)"
-    else:
-        public = [key for key in vars(module) if not key.startswith("_")]
-        found = f"it defines {', '.join(public) or 'nothing'}: end it with problem = Problem(...)"
-        if b"__main__" in file.read_bytes():
-            found += ", above and outside of if __name__ == '__main__'"
-    raise ProblemError(f"{file} does not export 'problem'; {found}.")
+        return f"it has a Problem called {others[0]!r}: rename it to 'problem'"
+    problem = getattr(module, "problem", None)
+    if problem is not None:
+        return f"its 'problem' is a {type(problem).__name__}: use problem = Problem(...)"
+    public = [key for key in vars(module) if not key.startswith("_")]
+    found = f"it defines {', '.join(public) or 'nothing'}: end it with problem = Problem(...)"
+    if b"__main__" in file.read_bytes():
+        found += ", above and outside of if __name__ == '__main__'"
+    return found
 
 
 def _fault(file: Path, error: BaseException) -> str:
     """Say where in the problem's own file an exception came from, and what it is."""
+    if isinstance(error, SyntaxError):
+        if "null bytes" in error.msg and file.read_bytes()[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return f"{file} is UTF-16 text. Save it as UTF-8."
+        place = f"{error.filename or file}, line {error.lineno or '?'}"
+        return f"{place}: {error.msg}. Correct this line of the problem."
+    if isinstance(error, SystemExit):
+        return (
+            f"{_place(file, error)}: it ends the program (sys.exit or exit). A problem only "
+            "defines 'problem': put what runs below if __name__ == '__main__'."
+        )
+    if isinstance(error, RecursionError):
+        return f"{_place(file, error)}: it calls or imports itself without end."
     kind = "" if isinstance(error, ProblemError) else f"{type(error).__name__}: "
     hint = ""
     if isinstance(error, ModuleNotFoundError):

@@ -8,13 +8,356 @@
 :func:`equilibrium`               a trim condition
 :func:`linearise`                 a linear state-space model around it
 ================================  ==================================================
+
+Manoeuvres that react are simulated sample by sample or many at once: a decision is taken at each
+sample on what is measured there while the command before it still acts. Controllers that foresee
+their commands let whole windows be simulated at once; where one reacts earlier, the window is cut
+there. The commands are the same to the last bit.
 """
 
-from oed_sysid.experiments.batch import simulate_batch
-from oed_sysid.experiments.reference import reference_trajectory
-from oed_sysid.experiments.run import simulate
-from oed_sysid.experiments.steady import Equilibrium, equilibrium, linearise
-from oed_sysid.experiments.trajectory import Trajectory, simulate_inputs
-from oed_sysid.runtime.version import exported
+from __future__ import annotations
 
-__all__ = exported(globals())
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import Kernel, Run, kernel
+from oed_sysid.data.dataset import Record
+from oed_sysid.errors import DesignError, SimulationError
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.manoeuvres import Controller, command_all
+from oed_sysid.experiments.steady import Equilibrium, equilibrium, linearise
+from oed_sysid.experiments.trajectory import (
+    Trajectory,
+    reference_trajectory,
+    simulate_batch,
+    simulate_inputs,
+    start_array,
+    state_names,
+)
+from oed_sysid.physics.model import Model
+
+__all__ = [
+    "Equilibrium",
+    "Trajectory",
+    "equilibrium",
+    "linearise",
+    "reference_trajectory",
+    "simulate",
+    "simulate_batch",
+    "simulate_inputs",
+]
+
+# Samples that are simulated at once while a manoeuvre that reacts goes on as foreseen: at first, at
+# most, and at most while it only holds its commands.
+_FIRST_AHEAD, _MOST_AHEAD, _MOST_HELD = 16, 256, 64
+
+
+def simulate(
+    model: Model,
+    experiment: Experiment,
+    *,
+    rng: np.random.Generator | None = None,
+    noise: bool = True,
+    name: str | None = None,
+) -> Record:
+    """Run an experiment on a model and return what would be logged.
+
+    Parameters
+    ----------
+    model : Model
+        The model, at its parameter values.
+    experiment : Experiment
+        What is commanded, and from which state.
+    rng : numpy.random.Generator
+        Source of the measurement noise; needed if there is any.
+    noise : bool
+        Add white normal noise of each output's ``noise_std``.
+    name : str, optional
+        Name of the record; by default that of the experiment.
+
+    Returns
+    -------
+    Record
+        Inputs as commanded and outputs as measured.
+
+    Raises
+    ------
+    DesignError
+        If the experiment does not fit the model, or its commands break a limit.
+    SimulationError
+        If the trajectory diverges, or noise is wanted but not known.
+
+    Notes
+    -----
+    A manoeuvre with feedback decides at each sample on the measurement of that
+    sample, which is taken while the previous command still acts. An input that
+    is interpolated linearly then moves from the previous command to the new
+    one; the measurement on which a decision is taken still has it constant.
+
+    Examples
+    --------
+    >>> from math import radians
+    >>> from oed_sysid.physics.channels import Input, Output, State
+    >>> from oed_sysid.experiments.manoeuvres import ZigZag
+    >>> nomoto = Model(
+    ...     "Nomoto", (State("psi", "rad"), State("r", "rad/s")), (Input("rudder", "rad"),),
+    ...     (Output("psi", "rad", noise_std=0.002),), {"psi": "r", "r": "(0.1*rudder - r)/10"},
+    ... )
+    >>> test = Experiment("zigzag", ZigZag("rudder", 0.2, 0.2), duration=90.0, sample_time=0.5)
+    >>> record = simulate(nomoto, test, rng=np.random.default_rng(1))
+    >>> record.n_samples, int((np.diff(record.input("rudder")) != 0).sum())
+    (181, 2)
+    """
+    if not isinstance(model, Model) or not isinstance(experiment, Experiment):
+        found = " and ".join(type(one).__name__ for one in (model, experiment))
+        raise SimulationError(f"Expected a model and an experiment, in this order; got {found}.")
+    experiment.check_model(model)
+    times = experiment.times
+    noise_values = _draw_noise(model, experiment, len(times), rng) if noise else None
+    if experiment.reacts:
+        inputs = closed_loop(model, experiment, noise_values)
+        _check_commands(model, experiment, inputs)
+    else:
+        inputs = experiment.commands(model.input_names)
+    trajectory = simulate_inputs(model, times, inputs=inputs, initial=experiment.initial)
+    outputs = trajectory.outputs if noise_values is None else trajectory.outputs + noise_values
+    return Record(
+        name or experiment.name,
+        times,
+        inputs,
+        outputs,
+        model.channels,
+        source=f"simulation of {model.name}: {experiment.describe()}",
+    )
+
+
+def _draw_noise(
+    model: Model, experiment: Experiment, n_times: int, rng: np.random.Generator | None
+) -> np.ndarray:
+    """Noise of all outputs, shape ``(n_times, n_outputs)``."""
+    stds = {output.name: output.noise_std for output in model.outputs} | dict(experiment.noise)
+    unknown = [name for name, std in stds.items() if std is None]
+    if unknown:
+        raise SimulationError(
+            f"The noise of {', '.join(unknown)} is not known. Give Output(noise_std=...), "
+            f"Experiment(noise={{{unknown[0]!r}: ...}}), or simulate without noise (noise=False, "
+            "on the command line --no-noise)."
+        )
+    scales = np.array([stds[name] for name in model.output_names], dtype=float)
+    if not scales.any():
+        return np.zeros((n_times, len(scales)))
+    if rng is None:
+        raise SimulationError(
+            "Noise needs a generator: pass rng=np.random.default_rng(seed), or noise=False."
+        )
+    return rng.standard_normal((n_times, len(scales))) * scales
+
+
+def _check_commands(model: Model, experiment: Experiment, inputs: np.ndarray) -> None:
+    """Raise if commands that only the run could tell break a limit."""
+    signals = dict(zip(model.input_names, inputs.T, strict=True))
+    broken = experiment.limits.violations(experiment.times, signals)
+    if broken:
+        raise DesignError(
+            f"Experiment {experiment.name!r} breaks its limits: {'; '.join(broken)}. Make the "
+            "manoeuvre smaller or slower (Saturated, RateLimited), or widen the limit."
+        )
+
+
+# -- manoeuvres that react ----------------------------------------------------------------
+
+
+def closed_loop(model: Model, experiment: Experiment, noise: np.ndarray | None) -> np.ndarray:
+    """Commands of manoeuvres that react to signals.
+
+    Parameters
+    ----------
+    model : Model
+    experiment : Experiment
+    noise : ndarray (n_times, n_outputs) or None
+        What is added to the outputs before a manoeuvre sees them.
+
+    Returns
+    -------
+    ndarray (n_times, n_inputs)
+    """
+    return _Loop(model, experiment, noise).run()
+
+
+class _Loop:
+    """A run of controllers and vehicle, window by window."""
+
+    def __init__(self, model: Model, experiment: Experiment, noise: np.ndarray | None) -> None:
+        excitation = experiment.excitation
+        self.controllers = excitation.controllers() if excitation else {}
+        self.times, self.names = experiment.times, model.input_names
+        self.values, self.runner = model.value_vector, kernel(model)
+        self.own = start_array(model, experiment.initial)
+        self.signals = _Signals(model, experiment, noise)
+        self.constants = experiment.constants
+        self.linear = any(channel.interpolation == "linear" for channel in model.inputs)
+        self.inputs = np.empty((len(self.times), len(self.names)))
+
+    def run(self) -> np.ndarray:
+        """Commands ``(n_times, n_inputs)`` of the whole run."""
+        times, inputs = self.times, self.inputs
+        z = self._begin()
+        k, ahead = 1, _FIRST_AHEAD
+        while k < len(times):
+            # Ahead with the commands foreseen, as far as they last: most manoeuvres hold for
+            # seconds.
+            n = min(ahead, len(times) - k)
+            plan = _foreseen(self.controllers, self.names, self.constants, times[k : k + n])
+            if plan is None:
+                n = min(n, _MOST_HELD)
+            commands = np.empty((n + 1, len(self.names)))
+            commands[0] = inputs[k - 1]
+            commands[1:] = inputs[k - 1] if plan is None else plan
+            window = self.runner.run(times[k - 1 : k + n], commands, self.values, z)
+            sees = self._measured(times[k - 1 : k + n], commands, window)
+            sure = 0 if plan is None else self._go_on(k, plan, window, sees, n)
+            row, moved, failed = self._react(k, sure, plan, commands, window, sees)
+            if failed:
+                return inputs  # simulate_inputs will fail at the same place, with words
+            k += row
+            z = window.states[row]
+            if moved and self.linear:
+                two = slice(k - 2, k)
+                last = self.runner.run(times[two], inputs[two], self.values, window.states[row - 1])
+                z = last.states[1]
+            ahead = _FIRST_AHEAD if row < n or moved else min(2 * ahead, _MOST_AHEAD)
+        return inputs
+
+    def _begin(self) -> np.ndarray:
+        """Take the first decision and return the state after it."""
+        # Before the first decision the commanded inputs are at rest.
+        before = np.array([self.constants.get(name, 0.0) for name in self.names])
+        z, _ = self.runner.start(self.own, before, self.values, self.times[0])
+        window = self.runner.run(self.times[:2], np.stack([before, before]), self.values, z)
+        self.inputs[0] = self._decide(0, window, 0)
+        z, _ = self.runner.start(self.own, self.inputs[0], self.values, self.times[0])
+        return z
+
+    def _measured(self, times: np.ndarray, commands: np.ndarray, window: Run) -> Run:
+        """What the manoeuvres see in a window."""
+        untouched = self.signals.of_states and not self.linear
+        if untouched or np.all(commands == commands[0]):
+            return window
+        return _seen(self.runner, times, commands, self.values, window)
+
+    def _go_on(self, k: int, plan: np.ndarray, window: Run, sees: Run, n: int) -> int:
+        """Go past the samples at which all commands are as foreseen; return how many."""
+        seen = self.signals.between(k, sees, n)
+        times = self.times[k : k + n]
+        sure = min(n, *(c.undisturbed(times, seen) for c in self.controllers.values()))
+        if 0 <= window.failed_at <= sure:
+            sure = max(window.failed_at - 1, 0)
+        for controller in self.controllers.values():
+            controller.skip(times[:sure])
+        self.inputs[k : k + sure] = plan[:sure]
+        return sure
+
+    def _react(
+        self, k: int, sure: int, plan: np.ndarray | None, commands: np.ndarray, window: Run,
+        sees: Run,
+    ) -> tuple[int, bool, bool]:  # fmt: skip
+        """Decide at the samples after the sure ones: last row, whether it moved, or failed."""
+        row, moved = sure, False
+        for row in range(sure + 1, len(commands)):
+            now = k + row - 1
+            if 0 <= window.failed_at <= row:
+                self.inputs[now:] = self.inputs[now - 1]
+                return row, moved, True
+            self.inputs[now] = self._decide(now, sees, row)
+            moved = not np.array_equal(self.inputs[now], commands[row])
+            # Beyond it the window knows other commands than these.
+            if moved or plan is not None:
+                break
+        return row, moved, False
+
+    def _decide(self, sample: int, window: Run, row: int) -> list[float]:
+        """Commands of all inputs at one sample, on what is seen in a row of a window."""
+        seen = self.signals.at(sample, window, row)
+        commands = command_all(self.controllers, float(self.times[sample]), seen)
+        return [commands[n] if n in commands else self.constants[n] for n in self.names]
+
+
+def _seen(
+    runner: Kernel, times: np.ndarray, commands: np.ndarray, values: np.ndarray, window: Run
+) -> Run:
+    """What is measured at each sample of a window while the command before it still acts.
+
+    Each sample is one step from the state of the one before. Steps that begin at even and at odd
+    samples make two records of segments of two samples.
+    """
+    states, outputs = window.states.copy(), window.outputs.copy()
+    for first in range(min(2, len(times) - 1)):
+        starts = np.arange(first, len(times) - 1, 2)
+        stop = starts[-1] + 2
+        held = commands[first:stop].copy()
+        held[1::2] = held[::2]
+        part = runner.run(
+            times[first:stop], held, values, window.states[starts], starts=starts - first
+        )
+        states[starts + 1], outputs[starts + 1] = part.states[1::2], part.outputs[1::2]
+    return replace(window, states=states, outputs=outputs)
+
+
+def _foreseen(
+    controllers: Mapping[str, Controller],
+    names: tuple[str, ...],
+    constants: Mapping[str, float],
+    times: np.ndarray,
+) -> np.ndarray | None:
+    """Commands ``(n_times, n_inputs)`` while nothing reacts; None if one cannot tell."""
+    plan = np.empty((len(times), len(names)))
+    for column, name in enumerate(names):
+        if name not in controllers:
+            plan[:, column] = constants[name]
+            continue
+        found = controllers[name].foreseen(times)
+        if found is None:
+            return None
+        plan[:, column] = found
+    return plan
+
+
+class _Signals:
+    """What the manoeuvres see: the signals they react to, measured or true."""
+
+    def __init__(self, model: Model, experiment: Experiment, noise: np.ndarray | None) -> None:
+        states, outputs = state_names(model), model.output_names
+        wanted = experiment.excitation.feedback if experiment.excitation else ()
+        measured = experiment.feedback == "measured"
+        self._noise = noise if measured else None
+        self._outputs = {
+            name: outputs.index(name)
+            for name in wanted
+            if name in outputs and (measured or name not in states)
+        }
+        self._states = {name: states.index(name) for name in wanted if name not in self._outputs}
+
+    @property
+    def of_states(self) -> bool:
+        """Whether all are states, which a command of the same sample does not touch."""
+        return not self._outputs
+
+    def between(self, sample: int, window: Run, n: int) -> dict[str, np.ndarray]:
+        """Signals ``(n,)`` from one sample on, found in the rows of a short run after the first."""
+        seen = {name: window.states[1 : n + 1, i] for name, i in self._states.items()}
+        for name, index in self._outputs.items():
+            seen[name] = window.outputs[1 : n + 1, index]
+            if self._noise is not None:
+                seen[name] = seen[name] + self._noise[sample : sample + n, index]
+        return seen
+
+    def at(self, sample: int, window: Run, row: int) -> dict[str, float]:
+        """Signals at one sample, found in one row of a short run."""
+        seen = {name: float(window.states[row, i]) for name, i in self._states.items()}
+        for name, index in self._outputs.items():
+            seen[name] = float(window.outputs[row, index])
+            if self._noise is not None:
+                seen[name] += self._noise[sample, index]
+        return seen

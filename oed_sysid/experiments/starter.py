@@ -1,31 +1,48 @@
 """A folder to begin with: a small problem that works, to be changed into the user's own.
 
 Each template is a ``problem.py`` as text; example data is simulated from the truth that it
-states. From a log, the template is written anew: see :mod:`oed_sysid.experiments.from_log`.
+states. From a log, the template is filled with channels and units from its header and a linear
+model from its numbers: every measured signal answers linearly to the signals that are rates or
+angles of the vehicle, and to the commands; an angle whose rate is measured as well is its
+integral. Start values come from least squares on differences, and are no more than that.
 """
 
 from __future__ import annotations
 
+import keyword
 import re
 import shlex
+import shutil
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 
 import numpy as np
 
+from oed_sysid.data.csv_columns import TIME_NAMES
 from oed_sysid.data.dataset import write_csv
-from oed_sysid.errors import FileError, ProblemError
+from oed_sysid.errors import DataError, FileError, ProblemError
 from oed_sysid.experiments.catalogue import FILE, load_problem
-from oed_sysid.experiments.from_log import write_from_log
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.runtime.files import make_folder, write_text
+from oed_sysid.text.csv_table import read_table
+from oed_sysid.text.expressions import CONSTANTS, FUNCTIONS
+from oed_sysid.text.typeset import safe
+from oed_sysid.text.units import parse_header, to_si
 
 # Example data is the same wherever it is made.
 _SEED = 20240229
+_COMMAND = re.compile(
+    r"rudder|delta|fin|plane|elevator|aileron|thrust|throttle|rpm|prop|cmd|command|servo|pwm|"
+    r"sail|sheet|motor|torque|voltage|current_a|^n$|^n_|^d[rse]$",
+    re.IGNORECASE,
+)
+_INTEGRALS = {"psi": "r", "theta": "q", "phi": "p"}
+_TAKEN = {*CONSTANTS, *FUNCTIONS, "t", "h", "dot", "force"}
 
 
 # What each template is, the columns of its data, the run to judge by and what is hidden.
@@ -149,19 +166,23 @@ def new_problem(
 def _write_template(place: Path, template: str, words: dict[str, str]) -> None:
     """Write the files of a template, and example data simulated from its truth."""
     kind = TEMPLATES[template]
-    folder = files("oed_sysid.experiments").joinpath("starter_files")
-    code = Template(folder.joinpath(f"{template}.txt").read_text("utf-8")).substitute(words)
-    write_text(place / FILE, code)
+    write_text(place / FILE, _filled_template(template, words))
     problem = load_problem(place / FILE)
     runs = [run for run in problem.experiments if run != kind.get("test")]
     words = words | kind | {"train": " ".join(f"{words['folder']}/data/{r}.csv" for r in runs)}
-    page = folder.joinpath("readme.txt" if kind else "generic_readme.txt").read_text("utf-8")
-    write_text(place / "README.md", Template(page).substitute(words))
+    page = _filled_template("readme" if kind else "generic_readme", words)
+    write_text(place / "README.md", page)
     rng = np.random.default_rng(_SEED)
     true = problem.true_model()
     for experiment in problem.experiments.values():
         record = simulate(true, experiment, rng=rng)
         write_csv(record, place / "data" / f"{record.name}.csv")
+
+
+def _filled_template(name: str, words: dict[str, str]) -> str:
+    """Text of a starter file with its words filled in."""
+    file = files("oed_sysid.experiments").joinpath("starter_files", f"{name}.txt")
+    return Template(file.read_text("utf-8")).substitute(words)
 
 
 def _identifier(text: str) -> str:
@@ -172,3 +193,208 @@ def _identifier(text: str) -> str:
     """
     name = re.sub(r"\W+", "_", text).strip("_") or "problem"
     return name if name[0].isalpha() else f"problem_{name}"
+
+
+# -- from a log -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Signal:
+    """One column of the log in SI."""
+
+    name: str
+    column: str
+    unit: str
+    values: np.ndarray
+
+    def declared(self, kind: str, extra: str = "") -> str:
+        column = "" if self.column == self.name else f", column={self.column!r}"
+        return f'{kind}("{self.name}", "{self.unit}"{column}{extra}),'
+
+
+def write_from_log(place: Path, log: Path, inputs: tuple[str, ...], words: dict[str, str]) -> None:
+    """Write a problem folder around a log.
+
+    Parameters
+    ----------
+    place : Path
+        The folder to make.
+    log : Path
+        CSV file with units in its headers.
+    inputs : tuple of str
+        Columns that are commands; empty lets their names decide.
+    words : dict of str to str
+        ``name``, ``title`` and ``folder`` of the problem.
+    """
+    times, signals = _signals(log)
+    commands = _commands(log, signals, inputs)
+    measured = [s for s in signals if s not in commands]
+    if not measured:
+        raise ProblemError(f"All columns of {log.name} are commands; at least one is an output.")
+    parts = _parts(times, commands, measured, safe(log.name))
+    code = _filled_template("from_log", words | parts)
+    make_folder(place / "data")
+    shutil.copyfile(log, place / "data" / f"{log.stem}.csv")
+    write_text(place / FILE, code)
+    listed = ", ".join(f"`{s.name}` [{s.unit}]" for s in (*commands, *measured))
+    write_text(
+        place / "README.md",
+        f"# {words['title']}\n\n"
+        f"Written from `{log.name}`: {listed}. Commands: "
+        f"{', '.join(s.name for s in commands) or 'none'}. The model is linear and a beginning "
+        "only: put in what you know of the vehicle.\n\n"
+        f"```\noed-sysid problems {words['folder']}\n"
+        f"oed-sysid fit {words['folder']} {words['folder']}/data/{log.stem}.csv\n```\n",
+    )
+
+
+def _signals(log: Path) -> tuple[np.ndarray, list[_Signal]]:
+    table = read_table(log)
+    times: np.ndarray | None = None
+    found: list[_Signal] = []
+    without: list[str] = []
+    for header, column in zip(table.headers, table.values.T, strict=True):
+        name, unit = parse_header(header)
+        if times is None and name in (*TIME_NAMES, "Time", "TIME"):
+            times = to_si(column, unit or "s")[0]
+        elif unit is None:
+            without.append(header)
+        elif np.isfinite(column).sum() > 2:
+            values, si = to_si(column, unit)
+            found.append(_Signal(_column_name(name, found), name, si, values))
+    if times is None:
+        raise DataError(f"{log.name} has no time column. Call it 't [s]'.")
+    if without and not found:
+        raise DataError(
+            f"{log.name} has no units: {', '.join(without)}. Write them as '{without[0]} [deg]'."
+        )
+    return times, found
+
+
+def _column_name(name: str, before: list[_Signal]) -> str:
+    """Name of a column as an identifier that nothing else has."""
+    text = re.sub(r"\W+", "_", name).strip("_") or "signal"
+    text = text if text[0].isalpha() else f"s_{text}"
+    taken = {signal.name for signal in before} | _TAKEN
+    while text in taken or keyword.iskeyword(text):
+        text += "_"
+    return text
+
+
+def _commands(log: Path, signals: list[_Signal], inputs: tuple[str, ...]) -> list[_Signal]:
+    if inputs:
+        known = {s.column: s for s in signals} | {s.name: s for s in signals}
+        if unknown := [name for name in inputs if name not in known]:
+            raise ProblemError(
+                f"{log.name} has no column {unknown[0]!r} with a unit. It has {', '.join(known)}."
+            )
+        return [known[name] for name in inputs]
+    found = [s for s in signals if _COMMAND.search(s.name) and np.isfinite(s.values).all()]
+    if not found:
+        raise ProblemError(
+            f"No column of {log.name} looks like a command: "
+            f"{', '.join(s.column for s in signals)}. Name them with inputs=(...), or "
+            "--input on the command line."
+        )
+    return found
+
+
+def _without_gaps(times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """A signal without gaps, for start values only."""
+    good = np.isfinite(values)
+    return np.interp(times, times[good], values[good])
+
+
+def _parts(
+    times: np.ndarray, commands: list[_Signal], measured: list[_Signal], log: str
+) -> dict[str, str]:
+    """What the template of a first model is filled with."""
+    names = [s.name for s in measured]
+    integral = {a: r for a, r in _INTEGRALS.items() if a in names and r in names}
+    # Positions and headings do not act on the motion; everything else may.
+    acting = [s for s in measured if s.name not in ("x", "y", "z", "psi") or len(measured) == 1]
+    scales = {s.name: float(np.std(_without_gaps(times, s.values))) or 1.0 for s in measured}
+    kinematics, parameters = _dynamics(times, measured, acting, commands, integral)
+    step = float(np.median(np.diff(times)))
+    lists = {
+        "states": [f'State("{s.name}", "{s.unit}", scale={scales[s.name]:.3g}),' for s in measured],
+        "inputs": [s.declared("Input") for s in commands],
+        "outputs": [s.declared("Output") for s in measured],
+        "kinematics": kinematics,
+        "parameters": parameters,
+        "effects": _candidates(acting, commands, integral, scales, 5 * step),
+        "limits": [
+            f'"{s.name}": ({np.min(s.values):.4g}, {np.max(s.values):.4g}),' for s in commands
+        ],
+    }
+    indents = {"effects": 4, "limits": 12}
+    text = {name: _indented(lines, indents.get(name, 8)) for name, lines in lists.items()}
+    return text | {"log": log, "step": f"{step:.4g}"}
+
+
+def _indented(lines: list[str], width: int) -> str:
+    return "\n".join(" " * width + line for line in lines)
+
+
+def _dynamics(
+    times: np.ndarray,
+    measured: list[_Signal],
+    acting: list[_Signal],
+    commands: list[_Signal],
+    integral: dict[str, str],
+) -> tuple[list[str], list[str]]:
+    """Rates of all signals, and the parameters in them."""
+    kinematics, parameters = [], []
+    for signal in measured:
+        if signal.name in integral:
+            kinematics.append(f'"{signal.name}": "{integral[signal.name]}",')
+        else:
+            rate, own = _linear_rate(times, signal, acting, commands)
+            kinematics.append(rate)
+            parameters += own
+    return kinematics, parameters
+
+
+def _candidates(
+    acting: list[_Signal],
+    commands: list[_Signal],
+    integral: dict[str, str],
+    scales: dict[str, float],
+    lag: float,
+) -> list[str]:
+    """Quadratic damping of every motion, and a lag of every command."""
+    found = [
+        f'Force("{s.name}_quadratic", {{"{s.name}": "-E_{s.name}*{s.name}*abs({s.name})"}}, '
+        f'(Parameter("E_{s.name}", 0.0, scale={0.1 / scales[s.name]:.3g}),),\n'
+        f'        description="damping that grows with {s.name}"),'
+        for s in acting
+        if s.name not in integral
+    ]
+    lags = [f'actuator_lag("{s.name}_lag", "{s.name}", scale={lag:.3g}),' for s in commands]
+    return found + lags
+
+
+def _linear_rate(
+    times: np.ndarray, signal: _Signal, acting: list[_Signal], commands: list[_Signal]
+) -> tuple[str, list[str]]:
+    """Rate of a signal, linear in what acts on it, and parameters by regularised least squares."""
+    factors = [*acting, *commands]
+    columns = np.column_stack([_without_gaps(times, s.values) for s in factors])
+    means, sizes = columns.mean(axis=0), columns.std(axis=0)
+    sizes[sizes == 0.0] = 1.0
+    rows = np.column_stack([(columns - means) / sizes, np.ones(len(times))])
+    clean = _without_gaps(times, signal.values)
+    scale = float(np.std(clean)) or 1.0
+    ridge = 1e-3 * len(times) * np.eye(rows.shape[1])
+    slope = np.linalg.solve(rows.T @ rows + ridge, rows.T @ np.gradient(clean, times))
+    terms, parameters = [], []
+    for factor, size, value in zip(factors, sizes, slope[:-1], strict=True):
+        unit = scale / (size * float(np.ptp(times)) / len(times) * 20)
+        terms.append(f"{signal.name}_{factor.name}*{factor.name}")
+        parameters.append(
+            f'Parameter("{signal.name}_{factor.name}", {value / size:.4g}, '
+            f"scale={max(abs(unit), 1e-9):.3g}),"
+        )
+    constant = slope[-1] - float(np.sum(slope[:-1] * means / sizes))
+    parameters.append(f'Parameter("{signal.name}_0", {constant:.4g}, scale={scale:.3g}),')
+    return f'"{signal.name}": "{" + ".join([*terms, f"{signal.name}_0"])}",', parameters

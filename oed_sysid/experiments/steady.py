@@ -125,60 +125,99 @@ def equilibrium(
     _check(model, names, given, wanted, (*(steady or ()), *(guess or {})))
     function = _rates(graph, model.step)
     depended = _depended(function, names)
-    target = tuple(steady) if steady is not None else tuple(n for n in names if n in depended)
-    unknowns = tuple(
-        name for name in names if name not in given and (name in depended or name in wanted)
-    )
-    unknowns += tuple(name for name in model.input_names if name in wanted)
+    target = tuple(steady) if steady is not None else depended
     order = (*names, *model.input_names)
-    columns = [order.index(name) for name in unknowns]
-    rows = [names.index(name) for name in target]
-    scales = np.array([*_scales(model, names), *np.ones(len(model.input_names))])
-    point = np.array([given.get(name, (guess or {}).get(name, 0.0)) for name in order])
-    values = model.value_vector
+    unknowns = tuple(n for n in order if n not in given and n in (*depended, *wanted))
+    known = {**dict.fromkeys(order, 0.0), **(guess or {}), **given}
+    point = np.array([known[name] for name in order])
+    search = _Search(model, function, names, [names.index(n) for n in target],
+                     [order.index(n) for n in unknowns], point)  # fmt: skip
+    full = search.solved(_bounds(limits or Limits(), unknowns))
+    return _described(model, search, full, target, unknowns)
 
-    def evaluate(trial: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        full = point.copy()
-        full[columns] = trial
-        rates, jacobian = function(full[: len(names)], full[len(names) :], values)
-        return np.array(rates).ravel(), np.array(jacobian)
 
-    def residuals(trial: np.ndarray) -> np.ndarray:
-        return evaluate(trial)[0][rows] / scales[rows]
-
-    def derivatives(trial: np.ndarray) -> np.ndarray:
-        return evaluate(trial)[1][np.ix_(rows, columns)] / scales[rows, np.newaxis]
-
-    bounds = _bounds(limits or Limits(), unknowns)
-    best = point[columns]
-    for push in (0.0, 0.1, 1.0, -1.0) if unknowns and target else ():
-        # Zero is often a singular start: |u|u has no slope there.
-        start = np.clip(point[columns] + push * scales[columns], *bounds)
-        if not np.isfinite(residuals(start)).all():
-            continue
-        found = least_squares(
-            residuals, start, derivatives, bounds, x_scale=scales[columns], xtol=1e-15, ftol=1e-15,
-            gtol=1e-15, max_nfev=500,
-        )  # fmt: skip
-        if np.linalg.norm(found.fun) < np.linalg.norm(residuals(best)) or not push:
-            best = found.x
-        if np.abs(residuals(best)).max() < _STEADY:
-            break
-    full = point.copy()
-    full[columns] = best
-    rates = evaluate(best)[0]
-    misses = np.abs(rates[rows] / scales[rows])
+def _described(
+    model: Model,
+    search: _Search,
+    full: np.ndarray,
+    target: tuple[str, ...],
+    unknowns: tuple[str, ...],
+) -> Equilibrium:
+    """The point that a search has ended at, and whether it is an equilibrium."""
+    misses, names = search.misses(full), search.names
     ok = bool(np.isfinite(misses).all() and (misses < _STEADY).all())
     worst = target[int(np.argmax(misses))] if len(misses) else ""
+    rates = dict(zip(names, search.rates(full).tolist(), strict=True))
     return Equilibrium(
         states=dict(zip(names, full[: len(names)].tolist(), strict=True)),
         inputs=dict(zip(model.input_names, full[len(names) :].tolist(), strict=True)),
-        rates=dict(zip(names, rates.tolist(), strict=True)),
+        rates=rates,
         steady=target,
         solved=unknowns,
         ok=ok,
-        status=_status(model, ok, worst, rates[names.index(worst)] if worst else 0.0, unknowns),
+        status=_status(model, ok, worst, rates.get(worst, 0.0), unknowns),
     )
+
+
+class _Search:
+    """Zero of chosen rates, in units of their states' scales, by least squares within bounds."""
+
+    def __init__(
+        self,
+        model: Model,
+        function: ca.Function,
+        names: tuple[str, ...],
+        rows: list[int],
+        columns: list[int],
+        point: np.ndarray,
+    ) -> None:
+        self.function, self.values = function, model.value_vector
+        self.names, self.n = names, len(names)
+        self.rows, self.columns, self.point = rows, columns, point
+        self.scales = np.array([*_scales(model, names), *np.ones(len(model.input_names))])
+
+    def full(self, trial: np.ndarray) -> np.ndarray:
+        """States and inputs with the unknowns in their places."""
+        full = self.point.copy()
+        full[self.columns] = trial
+        return full
+
+    def rates(self, full: np.ndarray) -> np.ndarray:
+        """Rate of every state."""
+        return np.array(self.function(full[: self.n], full[self.n :], self.values)[0]).ravel()
+
+    def residuals(self, trial: np.ndarray) -> np.ndarray:
+        """Rates that should vanish, in scales per second."""
+        return self.rates(self.full(trial))[self.rows] / self.scales[self.rows]
+
+    def derivatives(self, trial: np.ndarray) -> np.ndarray:
+        """Their derivatives by the unknowns."""
+        full = self.full(trial)
+        jacobian = np.array(self.function(full[: self.n], full[self.n :], self.values)[1])
+        return jacobian[np.ix_(self.rows, self.columns)] / self.scales[self.rows, np.newaxis]
+
+    def misses(self, full: np.ndarray) -> np.ndarray:
+        """How far each rate is from zero."""
+        return np.abs(self.residuals(full[self.columns]))
+
+    def solved(self, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """States and inputs at the best point found from several starts."""
+        first, sizes = self.point[self.columns], self.scales[self.columns]
+        best = first
+        for push in (0.0, 0.1, 1.0, -1.0) if self.columns and self.rows else ():
+            # Zero is often a singular start: |u|u has no slope there.
+            start = np.clip(first + push * sizes, *bounds)
+            if not np.isfinite(self.residuals(start)).all():
+                continue
+            found = least_squares(
+                self.residuals, start, self.derivatives, bounds, x_scale=sizes, xtol=1e-15,
+                ftol=1e-15, gtol=1e-15, max_nfev=500,
+            )  # fmt: skip
+            if np.linalg.norm(found.fun) < np.linalg.norm(self.residuals(best)) or not push:
+                best = found.x
+            if np.abs(self.residuals(best)).max() < _STEADY:
+                break
+        return self.full(best)
 
 
 def linearise(
@@ -279,10 +318,10 @@ def _readings(graph: Graph, step: float) -> ca.Function:
     return ca.Function("readings", [x, u, p], [ca.densify(ca.jacobian(y, ca.vertcat(x, u)))])
 
 
-def _depended(function: ca.Function, names: tuple[str, ...]) -> set[str]:
+def _depended(function: ca.Function, names: tuple[str, ...]) -> tuple[str, ...]:
     """States on which some rate depends; a position usually is not among them."""
     used = {column for _, column in zip(*function.sparsity_out(1).get_triplet(), strict=True)}
-    return {name for index, name in enumerate(names) if index in used}
+    return tuple(name for index, name in enumerate(names) if index in used)
 
 
 def _scales(model: Model, names: tuple[str, ...]) -> np.ndarray:

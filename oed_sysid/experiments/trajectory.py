@@ -1,14 +1,23 @@
-"""Trajectories of a model for inputs that are known in advance."""
+"""Trajectories of a model for inputs that are known in advance: one, many at once, a reference.
+
+Many at once run over threads, because the compiled kernel leaves Python's lock; the reference
+controls its error, and the fixed step is judged against it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from oed_sysid.compiled import graph as graph_module
+from oed_sysid.compiled.graph import Graph
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import SimulationError
 from oed_sysid.physics.model import Model
@@ -263,3 +272,234 @@ def _fastest_mode(model: Model, trajectory: Trajectory) -> float:
     jacobian = graph.rates.jacobian()(trajectory.states[0], signals, values, time, 0)[0]
     matrix = np.array(jacobian)
     return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else 0.0
+
+
+# -- many at once -----------------------------------------------------------------------
+
+
+def simulate_batch(
+    model: Model,
+    times: ArrayLike,
+    *,
+    inputs: Mapping[str, ArrayLike] | ArrayLike,
+    values: ArrayLike,
+    initials: Mapping[str, float] | ArrayLike | None = None,
+    n_workers: int | None = None,
+) -> np.ndarray:
+    """Simulate a model for many parameter sets, start states or inputs.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    times : array_like (n_times,)
+        Increasing times, s, the same for all.
+    inputs : array_like (n_times, n_inputs) or (n_batch, n_times, n_inputs), or mapping
+        Commands, the same for all or one set each.
+    values : array_like (n_batch, n_parameters)
+        All parameters in the order of ``model.parameter_names``.
+    initials : mapping, or array_like (n_own,) or (n_batch, n_own)
+        Start values of the model's own states, the same for all or one each.
+    n_workers : int, optional
+        Threads; by default as many as there are cores.
+
+    Returns
+    -------
+    ndarray (n_batch, n_times, n_outputs)
+        Noise-free outputs; NaN from where a trajectory diverged.
+
+    Raises
+    ------
+    SimulationError
+        If the shapes do not fit together.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics.channels import Output, State
+    >>> from oed_sysid.physics.parameters import Parameter
+    >>> decay = Model(
+    ...     "decay", (State("x", "m"),), (), (Output("x", "m"),), {"x": "-a*x"},
+    ...     parameters=(Parameter("a", 1.0, "1/s"),),
+    ... )
+    >>> y = simulate_batch(
+    ...     decay, [0.0, 0.5, 1.0], inputs={}, values=[[1.0], [2.0]], initials={"x": 1.0}
+    ... )
+    >>> print(y[:, -1, 0].round(4))
+    [0.3679 0.1353]
+    """
+    moments = np.asarray(times, dtype=float)
+    table = np.ascontiguousarray(np.atleast_2d(np.asarray(values, dtype=float)))
+    n_batch, n_parameters = table.shape
+    if n_parameters != len(model.all_parameters):
+        raise SimulationError(
+            f"Values have {n_parameters} columns; model {model.name!r} has the "
+            f"{len(model.all_parameters)} parameters {', '.join(model.parameter_names)}."
+        )
+    commands = [
+        input_array(model, len(moments), one) for one in _each(inputs, 3, n_batch, "sets of inputs")
+    ]
+    starts = [start_array(model, one) for one in _each(initials, 2, n_batch, "start states")]
+    runner = kernel(model)
+    outputs = np.full((n_batch, len(moments), len(model.outputs)), np.nan)
+
+    def run(member: int) -> None:
+        own_inputs = commands[member if len(commands) > 1 else 0]
+        own = starts[member if len(starts) > 1 else 0]
+        z, _ = runner.start(own, own_inputs[0], table[member], moments[0])
+        outputs[member] = runner.run(moments, own_inputs, table[member], z).outputs
+
+    def run_all(members: Iterable[int]) -> None:
+        for member in members:
+            run(member)
+
+    # The interpreter keeps Python's lock; threads would only get in each other's way.
+    workers = (n_workers or os.cpu_count() or 1) if runner.is_compiled else 1
+    if workers == 1 or n_batch == 1:
+        run_all(range(n_batch))
+        return outputs
+    # A few chunks per worker: short runs cost less than handing them over one by one.
+    chunks = np.array_split(np.arange(n_batch), min(n_batch, 4 * workers))
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(run_all, chunks))
+    return outputs
+
+
+def _each(given: Any, n_dimensions: int, n_batch: int, words: str) -> list[Any]:
+    """One part of an array for each member, or all of it for all."""
+    if given is None or isinstance(given, Mapping):
+        return [given]
+    array = np.asarray(given, dtype=float)
+    if array.ndim < n_dimensions:
+        return [given]
+    if len(array) != n_batch:
+        raise SimulationError(
+            f"There are {len(array)} {words} but {n_batch} sets of values. Give as many of both, "
+            f"or one of {words} for all."
+        )
+    return list(array)
+
+
+# -- with error control -----------------------------------------------------------------
+
+
+def reference_trajectory(
+    model: Model,
+    times: ArrayLike,
+    *,
+    inputs: Mapping[str, ArrayLike] | ArrayLike,
+    initial: Mapping[str, float] | ArrayLike | None = None,
+    tolerance: float = 1e-13,
+) -> Trajectory:
+    """Simulate with SUNDIALS CVODES, which controls its own error.
+
+    Actuators with memory are sampled maps and keep the model's step; the motion
+    between is integrated to the tolerance. Without them the result does not
+    depend on the step at all. It is hundreds of times slower than
+    :func:`simulate_inputs`.
+
+    Parameters
+    ----------
+    model, times, inputs, initial
+        As in :func:`simulate_inputs`.
+    tolerance : float
+        Relative tolerance, and absolute in units of each state's size.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    SimulationError
+        If the integrator gives up.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics.channels import Output, State
+    >>> decay = Model("decay", (State("x", "m"),), (), (Output("x", "m"),), {"x": "-x"})
+    >>> exact = reference_trajectory(decay, [0.0, 1.0], inputs={}, initial={"x": 1.0})
+    >>> print(f"{exact.signal('x')[-1]:.9f}")
+    0.367879441
+    """
+    moments = np.asarray(times, dtype=float)
+    commands = input_array(model, len(moments), inputs)
+    graph = graph_module.build(model)
+    values = model.value_vector
+    advance = _integrator(graph, tolerance)
+    linear = np.array(graph.linear_inputs, dtype=float)
+    z = np.array(graph.start(start_array(model, initial), commands[0], values, moments[0])).ravel()
+    states = np.empty((len(moments), graph.n_states))
+    outputs = np.empty((len(moments), len(model.outputs)))
+    steps_to = np.diff(moments)
+    longest = model.step if _is_sampled(graph) else np.inf
+    for k, time in enumerate(moments):
+        states[k] = z[: graph.n_states]
+        since = steps_to[max(k - 1, 0)] if len(moments) > 1 else 1.0
+        y, after = graph.sample(z, commands[k], values, time, since)
+        outputs[k], z = np.array(y).ravel(), np.array(after).ravel()
+        if k + 1 == len(moments):
+            break
+        n_steps = max(1, int(np.ceil(steps_to[k] / longest - 1e-9)))
+        h = steps_to[k] / n_steps
+        slope = linear * (commands[k + 1] - commands[k]) / n_steps
+        for i in range(n_steps):
+            begin = commands[k] + i * slope
+            z = _step(graph, advance, z, (begin, begin + slope, values, time + i * h, h))
+    return Trajectory(
+        times=moments,
+        inputs=commands,
+        states=states,
+        outputs=outputs,
+        input_names=model.input_names,
+        state_names=graph.state_names,
+        output_names=model.output_names,
+    )
+
+
+def _is_sampled(graph: Graph) -> bool:
+    """Whether actuators depend on memory, time or step, and so on the length of the step."""
+    return any(graph.actuate.jac_sparsity(0, index).nnz() for index in (0, 3, 4))
+
+
+def _integrator(graph: Graph, tolerance: float) -> ca.Function:
+    """Integrator over one step, in time from 0 to 1, so that it is built once."""
+    model, n_inputs = graph.model, len(graph.model.inputs)
+    x = ca.SX.sym("x", graph.n_states)
+    memory = ca.SX.sym("memory", graph.n_actuator_memory)
+    begin, end = ca.SX.sym("begin", n_inputs), ca.SX.sym("end", n_inputs)
+    p = ca.SX.sym("p", len(model.all_parameters))
+    start, h, fraction = ca.SX.sym("start"), ca.SX.sym("h"), ca.SX.sym("fraction")
+    linear = ca.DM([float(flag) for flag in graph.linear_inputs])
+    command = begin + fraction * linear * (end - begin) if n_inputs else begin
+    signals, _ = graph.actuate(memory, command, p, start, h)
+    ode = h * graph.rates(x, signals, p, start + fraction * h)
+    problem = {"x": x, "t": fraction, "p": ca.vertcat(memory, begin, end, p, start, h), "ode": ode}
+    sizes = [*(state.scale for state in model.states)]
+    sizes += [1.0] * (graph.n_states - len(sizes))
+    options: dict[str, Any] = {
+        "linear_multistep_method": "adams",
+        "reltol": tolerance,
+        "abstol": tolerance * min(sizes),
+        "max_num_steps": 100_000,
+    }
+    return ca.integrator("reference", "cvodes", problem, 0.0, 1.0, options)
+
+
+def _step(
+    graph: Graph, advance: ca.Function, z: np.ndarray, step: tuple[np.ndarray, ...]
+) -> np.ndarray:
+    """Full state after one step; the actuators' memory moves as in the kernel."""
+    begin, end, values, time, h = step
+    first, second = graph.n_states, graph.n_states + graph.n_actuator_memory
+    memory = z[first:second]
+    middle = (begin + end) / 2 if any(graph.linear_inputs) else begin
+    _, memory_next = graph.actuate(memory, middle, values, time, h)
+    try:
+        x = advance(x0=z[:first], p=np.concatenate([memory, begin, end, values, [time, h]]))["xf"]
+    except RuntimeError as error:
+        raise SimulationError(
+            f"The reference integrator gave up at t = {time:g} s, with "
+            f"{dict(zip(graph.state_names, z[:first].tolist(), strict=True))}. Look at the "
+            f"model there, or ask for a wider tolerance. ({str(error).splitlines()[-1]})"
+        ) from None
+    return np.concatenate([np.array(x).ravel(), np.array(memory_next).ravel(), z[second:]])

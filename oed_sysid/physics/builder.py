@@ -96,15 +96,10 @@ def rigid_body(
     """
     active = _active(dof)
     oriented = _oriented(attitude, active)
-    constants = _Constants()
-    constants.add("m", mass, "kg", "mass")
-    for letter, value in zip("xyz", _three("centre_of_gravity", centre_of_gravity), strict=True):
-        constants.add(f"{letter}_G", value, "m", "centre of gravity", optional=True)
-    for pair, value in _moments(inertia, active).items():
-        constants.add(f"I_{pair}", value, "kg m^2", "inertia about the origin", optional=True)
+    constants = _masses(mass, centre_of_gravity, inertia, active)
     rigid = frames.rigid_matrix(constants.names)
     added = frames.added_matrix(_added_mass(constants, added_mass, active))
-    axes = {axis: v for axis, v in zip(AXES, VELOCITIES, strict=True) if v in active}
+    axes = {AXES[VELOCITIES.index(v)]: v for v in active}
     # Rigid-body forces go with the velocity over ground, those of the water with the velocity
     # through it; a steady current turns in body axes.
     velocity = [v if v in active else "0" for v in VELOCITIES]
@@ -114,13 +109,11 @@ def rigid_body(
         *_coriolis("rigid_body", rigid, velocity, "PH", axes),
         *_coriolis("added_mass", added, through, "AB", axes, drift),
     ]
-    down = oriented.rotation[2]
     if metacentric_height is not None or heave_stiffness is not None:
         effects += _floating(constants, weight, metacentric_height, heave_stiffness, active)
-    elif weight is not None:
+    else:
+        down = oriented.rotation[2]
         effects += _submerged(constants, weight, buoyancy, centre_of_buoyancy, down, axes)
-    elif buoyancy is not None:
-        raise ModelError("This body has a buoyancy and no weight. Give both, or none.")
     return RigidBody(
         velocities=active,
         axes=axes,
@@ -134,6 +127,22 @@ def rigid_body(
         rigid=rigid,
         added=added,
     )
+
+
+def _masses(
+    mass: Number,
+    centre: Sequence[Number],
+    inertia: Sequence[Number] | Mapping[str, Number] | Number,
+    active: Sequence[str],
+) -> _Constants:
+    """Mass, centre of gravity and moments of inertia under their standard names."""
+    constants = _Constants()
+    constants.add("m", mass, "kg", "mass")
+    for letter, value in zip("xyz", _three("centre_of_gravity", centre), strict=True):
+        constants.add(f"{letter}_G", value, "m", "centre of gravity", optional=True)
+    for pair, value in _moments(inertia, active).items():
+        constants.add(f"I_{pair}", value, "kg m^2", "inertia about the origin", optional=True)
+    return constants
 
 
 def _oriented(attitude: str, active: Sequence[str]) -> Attitude:
@@ -306,13 +315,17 @@ def _coriolis(
 
 def _submerged(
     constants: _Constants,
-    weight: Number,
+    weight: Number | None,
     buoyancy: Number | None,
     centre: Sequence[Number],
     down: Sequence[str],
     axes: Mapping[str, str],
 ) -> list[Effect]:
-    """Weight and buoyancy at their centres."""
+    """Weight and buoyancy at their centres, if it has a weight."""
+    if weight is None:
+        if buoyancy is not None:
+            raise ModelError("This body has a buoyancy and no weight. Give both, or none.")
+        return []
     heavy = constants.add("W", weight, "N", "weight")
     light = heavy if buoyancy is None else constants.add("B", buoyancy, "N", "buoyancy")
     levers = []

@@ -96,19 +96,13 @@ class Parameter:
         who = f"Parameter {self.name!r}"
         for field in ("value", "lower", "upper", "prior_mean", "prior_std", "scale"):
             given = getattr(self, field)
-            if given is None and field not in ("value", "lower", "upper"):
-                continue
-            if isinstance(given, bool) or not isinstance(given, int | float | np.number):
-                raise ModelError(f"{who} has {field} {given!r:.40}. Expected a number.")
-            bound = field in ("lower", "upper")
-            if math.isnan(given) or not (bound or field == "scale" or math.isfinite(given)):
-                shown = "NaN" if math.isnan(given) and bound else given
-                raise ModelError(f"{who} has {field} {shown}. Give a number.")
+            if given is not None or field in ("value", "lower", "upper"):
+                _check_number(who, field, given)
         for field in ("fixed", "log", "per_record"):
             given = getattr(self, field)
             if not isinstance(given, bool | np.bool_):
                 raise ModelError(f"{who} has {field} {given!r:.40}. Expected True or False.")
-        if self.prior_std is not None and self.prior_std <= 0:
+        if self.prior_std is not None and not 0 < self.prior_std < math.inf:
             raise ModelError(
                 f"{who} has prior_std {self.prior_std}. Give a positive number, or fixed=True for "
                 "a known value."
@@ -154,6 +148,16 @@ class Parameter:
         """Return the same parameter at another value; the prior stays."""
         same = isinstance(self.value, float) and value == self.value
         return self if same else replace(self, value=float(value))
+
+
+def _check_number(who: str, field: str, given: Any) -> None:
+    """Refuse what is no number; only bounds may be infinite. Sizes are judged by their sign."""
+    if isinstance(given, bool) or not isinstance(given, int | float | np.number):
+        raise ModelError(f"{who} has {field} {given!r:.40}. Expected a number.")
+    if math.isnan(given) and field in ("value", "lower", "upper"):
+        raise ModelError(f"{who} has {field} NaN. Give a number.")
+    if field in ("value", "prior_mean") and not math.isfinite(given):
+        raise ModelError(f"{who} has {field} {given}. Give a number.")
 
 
 def with_parameters(part: Part, parameters: tuple[Parameter, ...], **changes: Any) -> Part:

@@ -13,7 +13,7 @@ from oed_sysid.data.dataset import Record
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information, autocorrelation, effective_sample_size
-from oed_sysid.likelihood.profile import Profile
+from oed_sysid.likelihood.multistart import Profile
 from oed_sysid.results.style import (
     DATA,
     NEUTRAL,
@@ -378,7 +378,7 @@ def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
     Parameters
     ----------
     profile : Profile
-        From :func:`~oed_sysid.likelihood.profile`.
+        From :func:`~oed_sysid.likelihood.multistart`.
     ax : Axes, optional
         Where to draw.
     """

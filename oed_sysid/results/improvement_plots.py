@@ -1,8 +1,8 @@
 """Pictures of a search for missing physics: candidates, the fall of the error, residual forces.
 
-Of a force that a model lacks, what is drawn is the part that the free parameters could not absorb, not the
-missing force itself; a candidate's signature has been through the same
-projection and may be compared with it.
+Of a force that a model lacks, what is drawn is the part that the free parameters could not absorb,
+not the missing force itself; a candidate's signature has been through the same projection and may
+be compared with it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 r"""Estimates on their way: parameters against time, and the starts of a multistart.
 
-The waterfall shows how many starts found the optimum, and what the others found. Starts are sorted by their objective
+The waterfall shows how many starts found the optimum, and what the others found. Starts are
+sorted by their objective
 
 .. math:: J_i = -2 \log L_i - 2 \log \pi(p_i), \qquad \Delta_i = J_i - \min_j J_j
 

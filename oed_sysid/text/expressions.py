@@ -39,57 +39,36 @@ from oed_sysid.text.callables import numeric_library, symbolic_library
 # -- the grammar of expressions --------------------------------------------------------
 
 
-SYMBOLIC: dict[str, Callable[..., Any]] = {
-    "sin": ca.sin,
-    "cos": ca.cos,
-    "tan": ca.tan,
-    "asin": ca.asin,
-    "acos": ca.acos,
-    "atan": ca.atan,
-    "atan2": ca.atan2,
-    "sinh": ca.sinh,
-    "cosh": ca.cosh,
-    "tanh": ca.tanh,
-    "sqrt": ca.sqrt,
-    "exp": ca.exp,
-    "log": ca.log,
-    "abs": ca.fabs,
-    "sign": ca.sign,
-    "floor": ca.floor,
-    "min": lambda *x: reduce(ca.fmin, x),
-    "max": lambda *x: reduce(ca.fmax, x),
-    "clip": lambda x, low, high: ca.fmin(ca.fmax(x, low), high),
-    "where": ca.if_else,
-    "and": lambda *x: reduce(ca.logic_and, x),
-    "or": lambda *x: reduce(ca.logic_or, x),
-    "not": ca.logic_not,
+# Every function: on CasADi symbols, and on NumPy arrays.
+_LIBRARY: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
+    **{
+        name: (getattr(ca, name), getattr(np, name))
+        for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt", "exp", "log")
+    },
+    "asin": (ca.asin, np.arcsin),
+    "acos": (ca.acos, np.arccos),
+    "atan": (ca.atan, np.arctan),
+    "atan2": (ca.atan2, np.arctan2),
+    "abs": (ca.fabs, np.abs),
+    "sign": (ca.sign, np.sign),
+    "floor": (ca.floor, np.floor),
+    "min": (lambda *x: reduce(ca.fmin, x), lambda *x: reduce(np.minimum, x)),
+    "max": (lambda *x: reduce(ca.fmax, x), lambda *x: reduce(np.maximum, x)),
+    "clip": (
+        lambda x, low, high: ca.fmin(ca.fmax(x, low), high),
+        lambda x, low, high: np.minimum(np.maximum(x, low), high),
+    ),
+    "where": (ca.if_else, np.where),
+    "and": (lambda *x: reduce(ca.logic_and, x), lambda *x: reduce(np.logical_and, x)),
+    "or": (lambda *x: reduce(ca.logic_or, x), lambda *x: reduce(np.logical_or, x)),
+    "not": (ca.logic_not, np.logical_not),
 }
-NUMERIC: dict[str, Callable[..., Any]] = {
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "atan2": np.arctan2,
-    "sinh": np.sinh,
-    "cosh": np.cosh,
-    "tanh": np.tanh,
-    "sqrt": np.sqrt,
-    "exp": np.exp,
-    "log": np.log,
-    "abs": np.abs,
-    "sign": np.sign,
-    "floor": np.floor,
-    "min": lambda *x: reduce(np.minimum, x),
-    "max": lambda *x: reduce(np.maximum, x),
-    "clip": lambda x, low, high: np.minimum(np.maximum(x, low), high),
-    "where": np.where,
-    "and": lambda *x: reduce(np.logical_and, x),
-    "or": lambda *x: reduce(np.logical_or, x),
-    "not": np.logical_not,
-}
-FUNCTIONS = tuple(name for name in SYMBOLIC if name not in ("and", "or", "not"))
+SYMBOLIC = {name: symbolic for name, (symbolic, _) in _LIBRARY.items()}
+NUMERIC = {name: numeric for name, (_, numeric) in _LIBRARY.items()}
+FUNCTIONS = (
+    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "sqrt"),
+    *("exp", "log", "abs", "sign", "floor", "min", "max", "clip", "where"),
+)
 CONSTANTS = {"pi": math.pi}
 MANY = ("min", "max")  # two arguments or more
 ARGUMENT_COUNT = {"atan2": 2, "min": 2, "max": 2, "where": 3, "clip": 3}
