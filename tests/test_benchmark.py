@@ -21,9 +21,9 @@ from oed_sysid.baselines.benchmark import (
     load_scenario,
     measure,
     run_cell,
+    verdict_table,
     verdicts,
 )
-from oed_sysid.baselines.comparison import verdict_table
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.errors import ModelError, ProblemError
 from oed_sysid.results.benchmark_plots import figure_benchmark
@@ -73,7 +73,7 @@ def test_finished_runs_are_not_run_again(
         ran.append(cell)
         return run_cell(cell)
 
-    monkeypatch.setattr("oed_sysid.baselines.comparison.run_cell", counted)
+    monkeypatch.setattr("oed_sysid.baselines.benchmark.run_cell", counted)
     again = benchmark(["nomoto_sparse_heading"], TWO, noise=[0.0, 1.0], seeds=2, store=folder)
     assert ran == []
     assert [row.rmse for row in again.rows] == [row.rmse for row in small.rows]

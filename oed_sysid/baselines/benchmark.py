@@ -9,20 +9,25 @@
 ['multiple_shooting', 'heading_differences']
 """
 
-from oed_sysid.baselines.comparison import (
-    PROBLEMS,
-    Benchmark,
-    Row,
-    Verdict,
-    as_csv,
-    as_markdown,
-    benchmark,
-    measure,
-    verdicts,
-)
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from itertools import groupby, product
+from pathlib import Path
+
+import numpy as np
+
 from oed_sysid.baselines.contest import (
+    BELIEVERS,
     CONTESTANTS,
     OURS,
+    OURS_BELIEVING,
     POPULATIONS,
     QUICK,
     UNITS,
@@ -30,10 +35,14 @@ from oed_sysid.baselines.contest import (
     Contestant,
     Outcome,
     Scenario,
+    contestant_by_name,
     load_scenario,
     run_cell,
 )
-from oed_sysid.baselines.world import WORLDS, World
+from oed_sysid.baselines.world import IDEAL, WORLDS, World, world_by_name
+from oed_sysid.errors import ProblemError
+from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.parallel import CellProgress, run_cells
 
 __all__ = [
     "CONTESTANTS",
@@ -59,3 +68,507 @@ __all__ = [
     "run_cell",
     "verdicts",
 ]
+
+# A parameter counts as determined where the data allow a standard error below this share.
+DETERMINED = 0.25
+
+
+# Two estimators are not told apart where their errors differ by less than this share.
+EQUAL = 0.05
+
+
+# They are called alike where even the scatter of the runs leaves no room for more than this.
+ALIKE = 0.1
+
+
+# From so many runs on their scatter is known well enough to be used.
+MANY = 5
+
+
+# Less than this no measurement is about.
+EXACT = 1e-6
+
+
+@dataclass(frozen=True)
+class Row:
+    """One estimator on one problem at one noise level and sampling, over all seeds.
+
+    Attributes
+    ----------
+    problem, estimator, noise, noise_unit, sampling
+        As in :class:`~oed_sysid.baselines.contest.Cell`.
+    n_runs, n_failed, n_without : int
+        Runs; those that did not converge; those without any estimate.
+    refused : str
+        Why the estimator cannot treat the problem; empty if it can.
+    rmse_determined : float
+        Relative root mean square error over seeds and the parameters that the
+        data determine to 25 % or better. Runs without estimates count as 100 %.
+    n_determined, n_parameters : int
+        How many these are, of how many.
+    rmse : float
+        The same over all parameters: mostly about those that nobody can know.
+    median_rmse : float
+        Median over all parameters of their root mean square errors.
+    bound : float
+        Root mean square of the Cramér-Rao bounds of the determined parameters:
+        what an unbiased estimator with unknown start states can reach.
+    bias : float
+        Median over parameters of the absolute mean error, relative; with few
+        seeds it contains much scatter.
+    coverage : float
+        Share of stated 95 % intervals that hold the truth; NaN without noise.
+    prediction : float
+        Median over seeds of the error on the validation run, units of noise.
+    seconds, iterations : float
+        Medians over seeds.
+    reason : str
+        What the failures said, the commonest of them.
+    by_seed : tuple of float
+        ``rmse_determined`` of each run alone.
+    world : str
+        What the records hold that no model says.
+    """
+
+    problem: str
+    estimator: str
+    noise: float
+    noise_unit: str
+    sampling: int
+    n_runs: int
+    n_failed: int
+    n_without: int
+    refused: str
+    rmse_determined: float
+    n_determined: int
+    n_parameters: int
+    rmse: float
+    median_rmse: float
+    bound: float
+    bias: float
+    coverage: float
+    prediction: float
+    seconds: float
+    iterations: float
+    reason: str
+    by_seed: tuple[float, ...]
+    world: str = IDEAL
+
+    @property
+    def setting(self) -> tuple[str, float, str, int, str]:
+        """Problem, noise, its unit, sampling and world."""
+        return self.problem, self.noise, self.noise_unit, self.sampling, self.world
+
+    to_dict = as_dict()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One estimator against another in one setting.
+
+    ``outcome`` is ``better`` or ``worse`` if the errors of determined parameters
+    differ by more than 5 % and the runs agree about it. Fewer than five runs agree
+    if none says the contrary by more than 5 %; more do if the mean logarithm of the
+    ratio, run by run, is two standard errors from zero. ``equal`` means shown to be
+    so: no run, or of five and more that mean with its two standard errors, leaves
+    the range of 10 %. What is neither is ``undecided``. ``ratio`` is the other's
+    error over ours.
+    """
+
+    problem: str
+    noise: float
+    sampling: int
+    ours: str
+    other: str
+    outcome: str
+    ratio: float
+
+    to_dict = as_dict()
+
+
+def measure(outcomes: Iterable[Outcome]) -> tuple[Row, ...]:
+    """Aggregate runs over seeds; rows keep the order of settings, the best first in each."""
+    order: dict[tuple[str, int, float, str], int] = {}
+    for outcome in (several := tuple(outcomes)):
+        order.setdefault(_setting(outcome.cell), len(order))
+    several = tuple(sorted(several, key=lambda one: order[_setting(one.cell)]))
+    rows = []
+    for _, group in groupby(several, key=lambda one: order[_setting(one.cell)]):
+        by_name: dict[str, list[Outcome]] = {}
+        for outcome in group:
+            by_name.setdefault(outcome.cell.estimator, []).append(outcome)
+        rows += sorted((_row(runs) for runs in by_name.values()), key=_rank)
+    return tuple(rows)
+
+
+def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
+    """Compare one estimator with all others that can treat the problem."""
+    mine = {row.setting: row for row in rows if row.estimator == ours and not row.refused}
+    found = []
+    for row in rows:
+        if row.estimator == ours or row.refused or row.setting not in mine:
+            continue
+        own = mine[row.setting]
+        ratio = max(row.rmse_determined, EXACT) / max(own.rmse_determined, EXACT)
+        logs = np.log(np.maximum(row.by_seed, EXACT) / np.maximum(own.by_seed, EXACT))
+        outcome = "equal" if _alike(logs) else "undecided"
+        if abs(np.log(ratio)) > np.log(1 + EQUAL) and _told_apart(logs):
+            outcome = "better" if ratio > 1 else "worse"
+        found.append(
+            Verdict(row.problem, row.noise, row.sampling, ours, row.estimator, outcome, ratio)
+        )
+    return tuple(found)
+
+
+def _told_apart(logs: np.ndarray) -> bool:
+    """Whether paired runs on the same data, as logarithms of ratios, say who is better."""
+    if len(logs) >= MANY:
+        return bool(abs(np.mean(logs)) > _two_errors(logs))
+    slack = np.log(1 + EQUAL)
+    return bool((logs >= -slack).all() or (logs <= slack).all())
+
+
+def _alike(logs: np.ndarray) -> bool:
+    """Whether paired runs say that nobody is ahead by more than :data:`ALIKE`."""
+    if len(logs) >= MANY:
+        return bool(abs(np.mean(logs)) + _two_errors(logs) < np.log(1 + ALIKE))
+    return bool((np.abs(logs) < np.log(1 + ALIKE)).all())
+
+
+def _two_errors(logs: np.ndarray) -> float:
+    return 2.0 * float(np.std(logs, ddof=1)) / np.sqrt(len(logs))
+
+
+def _setting(cell: Cell) -> tuple[str, int, float, str]:
+    return cell.problem, cell.sampling, cell.noise, cell.world
+
+
+def _rank(row: Row) -> tuple[bool, float]:
+    return bool(row.refused), row.rmse_determined
+
+
+def _row(runs: Sequence[Outcome]) -> Row:
+    cell = runs[0].cell
+    names = tuple(runs[0].bounds)
+    # One run without estimates is as wrong as knowing nothing.
+    errors = np.array([[run.errors.get(name, -1.0) for name in names] for run in runs])
+    bounds = np.sqrt(np.mean([[run.bounds[n] ** 2 for n in names] for run in runs], axis=0))
+    known = bounds < DETERMINED
+    each = np.sqrt(np.mean(errors**2, axis=0))
+    covered = [held for run in runs for held in run.covered.values()]
+    # Only an estimator that refuses throughout cannot; otherwise a refusal is a failure.
+    refused = runs[0].message if all(run.status == "refused" for run in runs) else ""
+    failures = [f"{run.status}: {run.message}".rstrip(": ") for run in runs if run.failed]
+    return Row(
+        problem=cell.problem,
+        estimator=cell.estimator,
+        noise=cell.noise,
+        noise_unit=cell.noise_unit,
+        sampling=cell.sampling,
+        n_runs=len(runs),
+        n_failed=len(failures),
+        n_without=sum(not run.errors for run in runs),
+        refused=refused,
+        rmse_determined=_root_mean_square(each[known]),
+        n_determined=int(known.sum()),
+        n_parameters=len(names),
+        rmse=_root_mean_square(each),
+        median_rmse=float(np.median(each)),
+        bound=_root_mean_square(bounds[known]),
+        bias=float(np.median(np.abs(errors.mean(axis=0)))),
+        coverage=float(np.mean(covered)) if covered else float("nan"),
+        prediction=_over(runs, lambda run: run.prediction),
+        seconds=_over(runs, lambda run: run.seconds),
+        iterations=_over(runs, lambda run: float(run.iterations)),
+        reason="" if refused else max(failures, key=failures.count, default=""),
+        by_seed=tuple(_root_mean_square(run[known]) for run in errors),
+        world=cell.world,
+    )
+
+
+def _over(runs: Sequence[Outcome], value: Callable[[Outcome], float]) -> float:
+    return float(np.median([value(run) for run in runs]))
+
+
+def _root_mean_square(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
+
+
+HEADERS = (
+    "estimator",
+    "RMSE of determined, %",
+    "median, %",
+    "RMSE of all, %",
+    "bias, %",
+    "95 % interval holds, %",
+    "prediction",
+    "failed",
+    "time, s",
+    "iterations",
+)
+
+
+LEGEND = (
+    "How many times larger the other's error of determined parameters is; **bold** where the other "
+    "wins, = where the runs show that they are within 10 %, in brackets where they do not decide."
+)
+
+
+def as_markdown(results: Sequence[Row], ours: str = OURS) -> str:
+    """Return all tables: one per problem, noise level and sampling, then the verdicts."""
+    lines: list[str] = []
+    for problem, of_problem in groupby(results, key=lambda row: row.problem):
+        rows = list(of_problem)
+        lines += [f"## {problem}", ""]
+        for _, group in groupby(rows, key=lambda row: row.setting):
+            lines += [*_setting_table([row for row in group if not row.refused]), ""]
+        lines += _said(rows, "cannot", lambda row: row.refused)
+        lines += _said(rows, "failed", lambda row: row.reason)
+    if found := verdicts(results, ours):
+        lines += [
+            f"## {ours} against each of the others",
+            "",
+            LEGEND,
+            "",
+            *verdict_table(found),
+            "",
+        ]
+    fair = [one for one in verdicts(results, OURS_BELIEVING) if one.other in BELIEVERS]
+    if fair:
+        lines += [f"## {OURS_BELIEVING} against those that believe start values too", ""]
+        lines += [*verdict_table(fair), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def verdict_table(found: Sequence[Verdict]) -> list[str]:
+    """How many times smaller the error is: one line per problem and estimator."""
+    levels = sorted({one.noise for one in found})
+    lines = markdown_row(("problem", "other", *(f"noise {level:g}" for level in levels)))
+    table = [lines, markdown_row(["---"] * (2 + len(levels)))]
+    groups: dict[tuple[str, int, str], dict[float, Verdict]] = {}
+    for one in found:
+        groups.setdefault((one.problem, one.sampling, one.other), {})[one.noise] = one
+    for (problem, sampling, other), cells in groups.items():
+        shown = [_ratio(cells.get(level)) for level in levels]
+        table.append(markdown_row((_sampled(problem, sampling), other, *shown)))
+    return table
+
+
+def as_csv(rows: Iterable[Row]) -> str:
+    """Return one line per row with all its numbers."""
+    buffer = io.StringIO()
+    names = [field.name for field in fields(Row)]
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(names)
+    for row in rows:
+        writer.writerow([getattr(row, name) for name in names])
+    return buffer.getvalue()
+
+
+def markdown_row(cells: Iterable[str]) -> str:
+    """One line of a Markdown table."""
+    return "| " + " | ".join(cells) + " |"
+
+
+def _setting_table(rows: Sequence[Row]) -> list[str]:
+    if not rows:
+        return []
+    first = rows[0]
+    runs = "one run" if first.n_runs == 1 else f"{first.n_runs} runs"
+    title = (
+        f"{_sampled('Noise', first.sampling)} {first.noise:g} {UNITS[first.noise_unit]}, "
+        f"{runs} each; the data determine {first.n_determined} of {first.n_parameters} parameters, "
+        f"at best to {_percent(first.bound)} %:"
+    )
+    table = [title, "", markdown_row(HEADERS), markdown_row(["---"] * len(HEADERS))]
+    for row in rows:
+        name = f"**{row.estimator}**" if row.estimator == OURS else row.estimator
+        cells = (
+            name,
+            _percent(row.rmse_determined),
+            _percent(row.median_rmse),
+            _percent(row.rmse),
+            _percent(row.bias),
+            "-" if math.isnan(row.coverage) else f"{100 * row.coverage:.0f}",
+            _short(row.prediction),
+            f"{row.n_failed} of {row.n_runs}" if row.n_failed else "",
+            _short(row.seconds),
+            f"{row.iterations:.0f}",
+        )
+        table.append(markdown_row(cells))
+    return table
+
+
+def _said(rows: Sequence[Row], word: str, why: Callable[[Row], str]) -> list[str]:
+    """Who cannot treat the problem, or failed, and what was said about it, each said once."""
+    names: dict[str, dict[str, None]] = {}
+    for row in rows:
+        if text := why(row).rstrip("."):
+            names.setdefault(text, {})[row.estimator] = None
+    lines = [f"- {word}: {', '.join(who)}: {text}." for text, who in names.items()]
+    return [*lines, ""] if lines else []
+
+
+def _ratio(verdict: Verdict | None) -> str:
+    if verdict is None:
+        return ""
+    shown = f"{verdict.ratio:.2g}" if verdict.ratio < 1000 else "> 1000"
+    marks = {"worse": f"**{shown}**", "equal": f"= {shown}", "undecided": f"({shown})"}
+    return marks.get(verdict.outcome, shown)
+
+
+def _sampled(text: str, sampling: int) -> str:
+    return text if sampling == 1 else f"{text}, {sampling} x sample time"
+
+
+def _percent(share: float) -> str:
+    return _short(100.0 * share)
+
+
+def _short(value: float) -> str:
+    """Three digits, without exponents where numbers are ordinary."""
+    if not math.isfinite(value):
+        return "diverges" if math.isinf(value) else "-"
+    if value == 0.0 or value < 1e-6:
+        return "0"
+    if 1e-3 <= value < 1e5:
+        return f"{float(f'{value:.3g}'):g}"
+    return f"{value:.1e}"
+
+
+PROBLEMS = (
+    "auv_diving_plane",
+    "nomoto_sparse_heading",
+    "online_ship",
+    "torpedo",
+    "sailboat",
+    "remus_diving_plane",
+)
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Outcomes of a grid, and what they say.
+
+    Attributes
+    ----------
+    outcomes : tuple of Outcome
+        In the order of the grid.
+    """
+
+    outcomes: tuple[Outcome, ...]
+
+    @cached_property
+    def rows(self) -> tuple[Row, ...]:
+        """One row per problem, noise, sampling and estimator, best first."""
+        return measure(self.outcomes)
+
+    def verdicts(self, ours: str = OURS) -> tuple[Verdict, ...]:
+        """Where one estimator is better than each of the others, and where not."""
+        return verdicts(self.rows, ours)
+
+    @property
+    def answer(self) -> str:
+        """Who has the smallest errors, in how many settings."""
+        settings: dict[object, str] = {}
+        for row in self.rows:  # best first in each setting
+            if not row.refused:
+                settings.setdefault(row.setting, row.estimator)
+        wins = Counter(settings.values()).most_common(3)
+        return (
+            "Smallest errors of the parameters that the data determine: "
+            + ", ".join(f"{name} in {n} of {len(settings)} settings" for name, n in wins)
+            + "."
+        )
+
+    def report(self) -> str:
+        """Return the tables as Markdown."""
+        return as_markdown(self.rows)
+
+    def to_csv(self) -> str:
+        """Return one line per row, for a spreadsheet."""
+        return as_csv(self.rows)
+
+    to_dict = as_dict("rows", verdicts=lambda self: self.verdicts())
+
+
+def benchmark(
+    problems: Sequence[str] = PROBLEMS,
+    estimators: Sequence[str] = QUICK,
+    *,
+    noise: Sequence[float] = (0.0, 0.5, 1.0, 3.0),
+    noise_unit: str = "peak",
+    sampling: Sequence[int] = (1,),
+    seeds: int = 3,
+    worlds: Sequence[str] = (IDEAL,),
+    store: str | Path | None = None,
+    n_jobs: int = 1,
+    progress: Callable[[CellProgress], None] | None = None,
+) -> Benchmark:
+    """Run estimators on problems whose truth is known.
+
+    Parameters
+    ----------
+    problems : sequence of str
+        Shipped names, or folders of your own.
+    estimators : sequence of str
+        See :data:`oed_sysid.baselines.contest.CONTESTANTS`; by default all
+        that do not search by whole populations.
+    noise : sequence of float
+        Levels, per cent of each output's peak, or multiples of declared noise.
+    noise_unit : str
+        ``"peak"`` or ``"declared"``.
+    sampling : sequence of int
+        Multiples of the problem's sample time.
+    seeds : int
+        Repetitions, with other noise and other start values.
+    worlds : sequence of str
+        What the records hold that no model says, of :data:`oed_sysid.baselines.world.WORLDS`.
+    store : path, optional
+        Folder that keeps finished runs; they are never run again.
+    n_jobs : int
+        Processes.
+    progress : callable, optional
+        Called after every run.
+
+    Raises
+    ------
+    OedSysidError
+        If a name is unknown, or a problem cannot be benchmarked.
+    """
+    if noise_unit not in UNITS:
+        raise ProblemError(f"The unit of noise is {noise_unit!r}. Choose {' or '.join(UNITS)}.")
+    if seeds < 1 or min(sampling, default=0) < 1:
+        raise ProblemError("Give at least one seed, and sampling factors of 1 or more.")
+    for name in estimators:
+        contestant_by_name(name)
+    for name in worlds:
+        world_by_name(name)
+    for name in problems:
+        scenario = load_scenario(name)
+        for level in noise:
+            scenario.noise(level, noise_unit)
+    cells = {
+        cell.key: cell
+        for cell in _cells(problems, estimators, noise, noise_unit, sampling, seeds, worlds)
+    }
+    outcomes = run_cells(run_cell, cells, store=store, n_jobs=n_jobs, progress=progress)
+    return Benchmark(tuple(outcomes.values()))
+
+
+def _cells(
+    problems: Sequence[str],
+    estimators: Sequence[str],
+    noise: Sequence[float],
+    unit: str,
+    sampling: Sequence[int],
+    seeds: int,
+    worlds: Sequence[str],
+) -> Iterator[Cell]:
+    """First seed of everything first: a grid that is cut short is a smaller grid."""
+    for seed in range(seeds):
+        for problem in problems:
+            for factor in sampling:
+                for level, world in product(noise, worlds):
+                    for name in estimators:
+                        yield Cell(problem, name, float(level), unit, factor, seed, world=world)

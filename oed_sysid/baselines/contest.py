@@ -167,15 +167,16 @@ def _default(problem: Problem) -> tuple[tuple[Experiment, ...], Experiment]:
 
 def _without_priors(model: Model) -> Model:
     """Start values say nothing about the truth, so priors would be wrong or a gift."""
+    return _changed(model, lambda p: replace(p, prior_mean=None, prior_std=None))
 
-    def bare(parameter: Parameter) -> Parameter:
-        return replace(parameter, prior_mean=None, prior_std=None)
 
+def _changed(model: Model, change: Callable[[Parameter], Parameter]) -> Model:
+    """The model with all its parameters changed, wherever they are declared."""
     effects = tuple(
-        replace(effect, parameters=tuple(bare(p) for p in effect.parameters))
+        replace(effect, parameters=tuple(map(change, effect.parameters)))
         for effect in model.effects
     )
-    return replace(model, effects=effects, parameters=tuple(bare(p) for p in model.parameters))
+    return replace(model, effects=effects, parameters=tuple(map(change, model.parameters)))
 
 
 def _auv(problem: Problem) -> tuple[tuple[Experiment, ...], Experiment]:
@@ -317,25 +318,17 @@ def contestant_by_name(name: str) -> Contestant:
 
 def with_beliefs(model: Model) -> Model:
     """Return the model whose free parameters have their values as prior means."""
-    beliefs = {
-        p.name: replace(p, prior_mean=p.value, prior_std=RELATIVE_PRIOR * p.magnitude)
-        for p in model.free_parameters
-    }
-    effects = tuple(
-        replace(effect, parameters=tuple(beliefs.get(p.name, p) for p in effect.parameters))
-        for effect in model.effects
-    )
-    return replace(
-        model,
-        effects=effects,
-        parameters=tuple(beliefs.get(p.name, p) for p in model.parameters),
-    )
+
+    def believed(p: Parameter) -> Parameter:
+        free = p.name in model.free_names
+        std = RELATIVE_PRIOR * p.magnitude
+        return replace(p, prior_mean=p.value, prior_std=std) if free else p
+
+    return _changed(model, believed)
 
 
 # Raised whenever the same cell would give another result.
 FORMAT, WORLD_FORMAT = 1, 3
-
-
 # What numerical methods end with on hard data; everything else is a fault of a program, which
 # has no place in a table of methods.
 GAVE_UP = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)

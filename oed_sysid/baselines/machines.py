@@ -28,7 +28,49 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
 
 
-class RecursiveLSSVM:
+class OnlineMachine:
+    """What machines on board have in common: they learn samples and say what these amount to."""
+
+    def update(self, features: np.ndarray, target: float) -> None:
+        """Learn one sample, features ``(n_features,)``."""
+        raise NotImplementedError
+
+    def linear(self) -> tuple[np.ndarray, float]:
+        """Coefficients ``(n_features,)`` and bias, at the cost of one solution."""
+        raise NotImplementedError
+
+    def forget(self) -> None:
+        """Forget all samples, where a batch is a beginning."""
+
+    def start(self, features: np.ndarray, targets: np.ndarray) -> None:
+        """Begin with some samples, features ``(n, n_features)`` and targets ``(n,)``."""
+        features = np.atleast_2d(np.asarray(features, dtype=float))
+        targets = np.asarray(targets, dtype=float).ravel()
+        if len(features) != len(targets) or not len(targets):
+            raise ModelError(
+                f"Got {len(features)} features and {len(targets)} targets. Give one of each."
+            )
+        self.forget()
+        for row, target in zip(features, targets, strict=True):
+            self.update(row, float(target))
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """Coefficients of the features, shape ``(n_features,)``."""
+        return self.linear()[0]
+
+    @property
+    def bias(self) -> float:
+        """The constant."""
+        return self.linear()[1]
+
+    def predict(self, features: np.ndarray) -> np.ndarray:
+        """Values ``(n,)`` at features ``(n, n_features)``."""
+        coefficients, bias = self.linear()
+        return np.atleast_2d(features) @ coefficients + bias
+
+
+class RecursiveLSSVM(OnlineMachine):
     r"""The linear LS-SVM, bias included, as an exact recursion of flat cost.
 
     The primal normal matrix of :math:`z = (x, 1)`,
@@ -82,15 +124,11 @@ class RecursiveLSSVM:
         self._kept: deque[tuple[np.ndarray, float]] = deque()
         self.n_samples = 0
 
-    def start(self, features: np.ndarray, targets: np.ndarray) -> None:
-        """Begin with some samples, features ``(n, n_features)`` and targets ``(n,)``."""
+    def forget(self) -> None:
+        """Forget all samples."""
         self._inverse = self._normal = None
         self._kept.clear()
         self.n_samples = 0
-        for row, target in zip(
-            np.atleast_2d(np.asarray(features, float)), np.ravel(targets), strict=True
-        ):
-            self.update(row, float(target))
 
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
@@ -139,7 +177,7 @@ class RecursiveLSSVM:
         self._values = np.zeros(z.size)
         self._values[-1] = target
 
-    def solution(self) -> tuple[np.ndarray, float]:
+    def linear(self) -> tuple[np.ndarray, float]:
         """Coefficients and bias, at the cost of one solution."""
         if self._normal is not None:
             scale = 1.0 / np.sqrt(np.diag(self._normal))
@@ -152,34 +190,19 @@ class RecursiveLSSVM:
         return values[:-1].copy(), float(values[-1])
 
     @property
-    def coefficients(self) -> np.ndarray:
-        """Coefficients of the features, shape ``(n_features,)``."""
-        return self.solution()[0]
-
-    @property
-    def bias(self) -> float:
-        """The constant."""
-        return self.solution()[1]
-
-    @property
     def inverse(self) -> np.ndarray:
         """Inverse of the normal matrix of ``[features, 1]``.
 
         Times the variance of the errors it is the covariance of the estimates.
         """
-        self.solution()
+        self.linear()
         if self._normal is not None:
             return np.linalg.inv(self._normal)
         assert self._inverse is not None
         return self._inverse.copy()
 
-    def predict(self, features: np.ndarray) -> np.ndarray:
-        """Values ``(n,)`` at features ``(n, n_features)``."""
-        coefficients, bias = self.solution()
-        return np.atleast_2d(features) @ coefficients + bias
 
-
-class RecursiveLeastSquares:
+class RecursiveLeastSquares(OnlineMachine):
     r"""Least squares with exponential forgetting, for parameters that drift.
 
     A sample that is ``n`` samples old counts :math:`\lambda^n`.
@@ -226,13 +249,6 @@ class RecursiveLeastSquares:
         self.forgetting, self.largest_std = forgetting, largest_std
         self.n_samples = 0
 
-    def start(self, features: np.ndarray, targets: np.ndarray) -> None:
-        """Learn some samples, features ``(n, n_features)`` and targets ``(n,)``."""
-        for row, target in zip(
-            np.atleast_2d(np.asarray(features, float)), np.ravel(targets), strict=True
-        ):
-            self.update(row, float(target))
-
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
         x = np.asarray(features, dtype=float)
@@ -248,19 +264,14 @@ class RecursiveLeastSquares:
                 self._inverse /= excess
         self.n_samples += 1
 
-    @property
-    def coefficients(self) -> np.ndarray:
-        """Present values, shape ``(n_features,)``."""
-        return self._values.copy()
+    def linear(self) -> tuple[np.ndarray, float]:
+        """Present values; there is no constant but one among the features."""
+        return self._values.copy(), 0.0
 
     @property
     def inverse(self) -> np.ndarray:
         """Times the variance of errors, the covariance of the estimates."""
         return self._inverse.copy()
-
-    def predict(self, features: np.ndarray) -> np.ndarray:
-        """Values ``(n,)`` at features ``(n, n_features)``."""
-        return np.atleast_2d(features) @ self._values
 
 
 # Relative residual of the dual system above which the solution is announced as lost. Rounding
@@ -268,7 +279,7 @@ class RecursiveLeastSquares:
 LOST = 1e-3
 
 
-class IncrementalLSSVM:
+class IncrementalLSSVM(OnlineMachine):
     r"""Least-squares support vector machine that learns one sample at a time.
 
     With :math:`\Gamma_t = K_t + I/C` and :math:`P_t = \Gamma_t^{-1}`, a new sample
@@ -339,27 +350,14 @@ class IncrementalLSSVM:
         self.C, self.bias_wanted, self.method = C, bias, method
         self.kernel = kernel or LinearKernel()
         self.window, self.refresh = window, refresh
-        self._n = 0
-        self._dropped = 0
         self._warned = False
-        self._matrix = np.empty((0, 0))
-        self._features = np.empty((0, 0))
-        self._targets = np.empty(0)
+        self.forget()
 
-    def start(self, features: np.ndarray, targets: np.ndarray) -> None:
-        """Begin with some samples, features ``(n, n_features)`` and targets ``(n,)``."""
-        features = np.atleast_2d(np.asarray(features, dtype=float))
-        targets = np.asarray(targets, dtype=float).ravel()
-        if len(features) != len(targets) or not len(targets):
-            raise ModelError(
-                f"Got {len(features)} features and {len(targets)} targets. Give one of each."
-            )
+    def forget(self) -> None:
+        """Forget all samples."""
         self._n = self._dropped = 0
-        self._features = np.empty((0, features.shape[1]))
+        self._features = self._matrix = np.empty((0, 0))
         self._targets = np.empty(0)
-        self._matrix = np.empty((0, 0))
-        for row, target in zip(features, targets, strict=True):
-            self.update(row, target)
 
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
@@ -394,7 +392,7 @@ class IncrementalLSSVM:
 
     @property
     def bias(self) -> float:
-        """The constant."""
+        """The constant, of any kernel."""
         return self.solution()[1]
 
     @property
@@ -402,12 +400,12 @@ class IncrementalLSSVM:
         """Lagrange multipliers of the samples kept, shape ``(n_samples,)``."""
         return self.solution()[0]
 
-    @property
-    def coefficients(self) -> np.ndarray:
-        """Coefficients of the features, shape ``(n_features,)``; linear kernel only."""
+    def linear(self) -> tuple[np.ndarray, float]:
+        """Coefficients of the features, of the linear kernel only, and the bias."""
+        multipliers, bias = self.solution()
         if not isinstance(self.kernel, LinearKernel):
             raise ModelError("Only the linear kernel has coefficients. Use predict.")
-        return self._features[: self._n].T @ self.multipliers
+        return self._features[: self._n].T @ multipliers, bias
 
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Values ``(n,)`` at features ``(n, n_features)``."""
@@ -589,7 +587,7 @@ class OnlineRegression:
 
     def _solve(self, features: np.ndarray, targets: np.ndarray, bias: bool) -> SeparateSolution:
         columns = features
-        machine: RecursiveLSSVM | IncrementalLSSVM | RecursiveLeastSquares
+        machine: OnlineMachine
         if self.method == "recursive":
             machine = RecursiveLSSVM(C=self.C, window=self.window)
         elif self.method == "incremental":
@@ -604,16 +602,8 @@ class OnlineRegression:
         for k in range(first - 1, len(targets)):
             if k >= first:
                 machine.update(columns[k], targets[k])
-            if isinstance(machine, IncrementalLSSVM):
-                multipliers, track[k, n] = machine.solution()
-                kept = columns[k + 1 - len(multipliers) : k + 1]
-                track[k, :n] = kept.T @ multipliers
-                continue
-            if isinstance(machine, RecursiveLSSVM):
-                track[k, :n], track[k, n] = machine.solution()
-                continue
-            values = machine.coefficients
-            track[k, :n], track[k, n] = values[:n], values[n] if bias else 0.0
+            # A machine that forgets has the constant among its coefficients.
+            track[k] = np.append(*machine.linear())[: n + 1]
         ridge = 0.0 if self.method == "forgetting" else 1.0 / self.C
         age = np.arange(len(targets))[::-1]
         weights = self.forgetting**age if self.method == "forgetting" else np.ones(len(targets))

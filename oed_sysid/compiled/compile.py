@@ -17,10 +17,11 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -47,7 +48,6 @@ def _compiler() -> str | None:
 # What the code of a model is generated from.
 _GENERATOR = (
     "compiled/graph.py",
-    "text/expressions.py",
     "text/expressions.py",
     "text/callables.py",
     "physics/structure.py",
@@ -149,14 +149,20 @@ def load_source(
         return None
 
 
-def call(function: Callable[..., int], sizes: Sequence[int], *arrays: np.ndarray) -> int:
-    """Call compiled code with whole numbers, then the addresses of arrays of doubles.
+def call(function: Callable[..., int], *arguments: Any) -> int:
+    """Call compiled code: arrays by their address, floats as doubles, None as NULL."""
+    passed: list[Any] = []
+    for value in arguments:
+        if isinstance(value, np.ndarray):
+            passed.append(ctypes.c_void_p(value.ctypes.data))
+        else:
+            passed.append(ctypes.c_double(value) if isinstance(value, float) else value)
+    return function(*passed)
 
-    Arrays that are not contiguous doubles are copied first; those that receive
-    results have to be.
-    """
-    kept = [np.ascontiguousarray(array, dtype=float) for array in arrays]
-    return function(*sizes, *(ctypes.c_void_p(array.ctypes.data) for array in kept))
+
+def doubles(*arrays: np.ndarray) -> list[np.ndarray]:
+    """Arrays as compiled code reads them: contiguous, of doubles."""
+    return [np.ascontiguousarray(array, dtype=float) for array in arrays]
 
 
 def _intact(library: Path) -> bool:

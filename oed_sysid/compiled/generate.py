@@ -14,29 +14,8 @@ from oed_sysid.compiled.graph import (
     NEWTON_STEP,
     STAGES,
     Graph,
+    differentiated,
 )
-
-
-def _jacobian(
-    function: ca.Function, arguments: tuple[int, ...], free: tuple[int, ...], p: int
-) -> tuple[ca.Function, list[ca.Sparsity]]:
-    """Function that returns all results and, sparse, their derivatives.
-
-    For each result in turn the derivatives by ``arguments`` follow, where the
-    argument ``p`` stands for its free entries only.
-    """
-    symbols = [
-        ca.SX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in())
-    ]
-    results = function.call(symbols)
-    jacobians = []
-    for result in results:
-        for index in arguments:
-            jacobian = ca.jacobian(result, symbols[index])
-            jacobians.append(jacobian[:, list(free)] if index == p else jacobian)
-    sparsities = [jacobian.sparsity() for jacobian in jacobians]
-    name = f"{function.name()}_jac"
-    return ca.Function(name, symbols, [*results, *jacobians], {"cse": True}), sparsities
 
 
 def _update(sparsity: ca.Sparsity, *, parameter: bool) -> str:
@@ -59,9 +38,9 @@ def _fill(sparsity: ca.Sparsity) -> str:
 def source(graph: Graph) -> str:
     """Return the complete C source of a model's kernel."""
     free = graph.free_indices
-    actuate, sparsity_actuate = _jacobian(graph.actuate, (0, 2), free, 2)
-    rates, sparsity_rates = _jacobian(graph.rates, (0, 1, 2), free, 2)
-    observe, sparsity_observe = _jacobian(graph.observe, (0, 1, 2, 3), free, 3)
+    actuate = differentiated(graph.actuate, (0, 2), 2, free, "jac")
+    rates = differentiated(graph.rates, (0, 1, 2), 2, free, "jac")
+    observe = differentiated(graph.observe, (0, 1, 2, 3), 3, free, "jac")
     generator = ca.CodeGenerator("kernel.c", {"with_header": False})
     for function in (graph.actuate, graph.rates, graph.observe, actuate, rates, observe):
         generator.add(function)
@@ -95,16 +74,17 @@ def source(graph: Graph) -> str:
         sizes[f"IW_{name}"] = max(f.sz_iw() for f in pair)
     updates: dict[str, str] = {}
     groups = (
-        (("DDA", "DDP", "DAA", "DAP"), sparsity_actuate),
-        (("JXX", "JXD", "JXP"), sparsity_rates),
-        (("JYX", "JYD", "JYS", "JYP", "JSX", "JSD", "JSS", "JSP"), sparsity_observe),
+        (("DDA", "DDP", "DAA", "DAP"), actuate),
+        (("JXX", "JXD", "JXP"), rates),
+        (("JYX", "JYD", "JYS", "JYP", "JSX", "JSD", "JSS", "JSP"), observe),
     )
-    for labels, sparsities in groups:
-        for label, sparsity in zip(labels, sparsities, strict=True):
+    for labels, function in groups:
+        for index, label in enumerate(labels, start=function.n_out() - len(labels)):
+            sparsity = function.sparsity_out(index)
             sizes[f"NNZ_{label}"] = sparsity.nnz()
             updates[f"UPDATE_{label}"] = _update(sparsity, parameter=label.endswith("P"))
     if model.integrator == "implicit":
-        updates["FILL_JXX"] = _fill(sparsity_rates[0])
+        updates["FILL_JXX"] = _fill(rates.sparsity_out(1))
         sizes |= {
             "IMPLICIT": 1,
             "STAGE_WEIGHTS": _braces(_braces(map(repr, row)) for row in STAGES),

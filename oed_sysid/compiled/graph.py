@@ -160,6 +160,25 @@ def build(model: Model) -> Graph:
     return _CACHE[key]
 
 
+def differentiated(
+    function: ca.Function, arguments: Iterable[int], p: int, free: tuple[int, ...], name: str
+) -> ca.Function:
+    """Function with, behind its results, the sparse derivatives of each by some arguments.
+
+    The argument ``p``, of all parameters, stands for its ``free`` entries only.
+    """
+    symbols = [
+        ca.SX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in())
+    ]
+    results = function.call(symbols)
+    jacobians = []
+    for result in results:
+        for index in arguments:
+            jacobian = ca.jacobian(result, symbols[index])
+            jacobians.append(jacobian[:, list(free)] if index == p else jacobian)
+    return ca.Function(f"{function.name()}_{name}", symbols, [*results, *jacobians], {"cse": True})
+
+
 def _chain(effects: Iterable[Effect], stage: str) -> list[Effect]:
     return [effect for effect in effects if effect.stage == stage]
 
@@ -179,53 +198,147 @@ def _vertcat(items: Iterable[ca.SX]) -> ca.SX:
 
 def _build(model: Model) -> Graph:
     tables = model.library
-    own = {name: ca.SX.sym(name) for name in model.state_names}
-    extra = {s.name: ca.SX.sym(s.name) for effect in model.effects for s in effect.states}
-    states = own | extra
+    added = [state.name for effect in model.effects for state in effect.states]
+    states = {name: ca.SX.sym(name) for name in (*model.state_names, *added)}
     inputs = {name: ca.SX.sym(name) for name in model.input_names}
     parameters = {name: ca.SX.sym(name) for name in model.parameter_names}
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
-    p = _vertcat(parameters.values())
-    clock = {"t": t, "h": h}
+    always = parameters | {"t": t, "h": h}
+    p, x, command = (_vertcat(part.values()) for part in (parameters, states, inputs))
 
-    # Actuators: sampled, with memory.
-    scope: Scope = inputs | parameters | clock
-    ideal = {name: to_casadi(text, scope, tables) for name, text in model.actuator_signals.items()}
-    signals = dict(ideal)
-    settled = dict(ideal)  # the same chain, at rest at the first command
-    actuator_memory: list[ca.SX] = []
-    actuator_next: list[ca.SX] = []
-    actuator_initial: list[ca.SX] = []
+    # Actuators: sampled, with memory; those with states of their own move with the vehicle.
     actuators = _chain(model.effects, "actuator")
-    for effect in actuators:
-        if not is_sampled(model, effect):
-            continue
-        memory = {m.name: ca.SX.sym(f"{effect.name}.{m.name}") for m in effect.memory}
-        local, new = _apply(effect, scope | signals | memory, tables)
-        actuator_memory += memory.values()
-        actuator_next += [to_casadi(m.update, local, tables) for m in effect.memory]
-        begin = {m.name: to_casadi(m.initial, scope | settled, tables) for m in effect.memory}
-        actuator_initial += begin.values()
-        settled |= _apply(effect, scope | settled | begin, tables)[1]
-        signals |= new
-    command = _vertcat(inputs.values())
-    memory_a = _vertcat(actuator_memory)
+    sampled = [effect for effect in actuators if is_sampled(model, effect)]
+    scope = inputs | always
+    ideal = {name: to_casadi(text, scope, tables) for name, text in model.actuator_signals.items()}
+    acting = _Sampled.of(sampled, scope, ideal, tables)
     actuate = ca.Function(
         "actuate",
-        [memory_a, command, p, t, h],
-        [_vertcat(signals.values()), _vertcat(actuator_next)],
+        [acting.memory, command, p, t, h],
+        [_vertcat(acting.signals.values()), acting.following],
         {"cse": True},
     )
 
     # Motion between the samples.
-    drive = {name: ca.SX.sym(name) for name in signals}
-    scope = states | drive | parameters | clock
-    rates: dict[str, ca.SX] = {}
-    for effect in actuators:
-        if not is_sampled(model, effect):
+    drive = {name: ca.SX.sym(name) for name in acting.signals}
+    lasting = [effect for effect in actuators if not is_sampled(model, effect)]
+    motion = _Motion.of(model, states, states | drive | always, lasting)
+    d = _vertcat(drive.values())
+    speeds = _vertcat(motion.speeds.values())
+    move = ca.Function("rates", [x, d, p, t], [_vertcat(motion.rates.values())], {"cse": True})
+    balance = ca.Function("balance", [x, speeds, d, p, t], [_vertcat(motion.balance.values())])
+
+    # Sensors: sampled, with memory.
+    scope = motion.scope
+    measured = {o.name: to_casadi(o.source, scope, tables) for o in model.outputs}
+    sensing = _Sampled.of(_chain(model.effects, "sensor"), scope, measured, tables)
+    observe = ca.Function(
+        "observe",
+        [x, d, sensing.memory, p, t, h],
+        [_vertcat(sensing.signals.values()), sensing.following],
+        {"cse": True},
+    )
+
+    # Start: what the model's own states imply for everything else.
+    own = {name: states[name] for name in model.state_names}
+    ready = own | inputs | always | acting.settled
+    extra = [to_casadi(s.initial, ready, tables) for e in model.effects for s in e.states]
+    x_start = _vertcat([*own.values(), *extra])
+    first = ca.Function("first", [x, d, p, t, h], [sensing.initial], {"allow_free": False})
+    full = ca.vertcat(
+        x_start, acting.initial, first(x_start, _vertcat(acting.settled.values()), p, t, 1.0)
+    )
+    # The step length is not known before the first sample; nothing may depend on it.
+    full = ca.densify(ca.substitute(full, h, 1.0))
+    start = ca.Function("start", [_vertcat(own.values()), command, p, t], [full], {"cse": True})
+    free = set(model.free_names)
+    return Graph(
+        model=model,
+        actuate=actuate,
+        rates=move,
+        balance=balance,
+        observe=observe,
+        start=start,
+        state_names=tuple(states),
+        n_own=len(own),
+        n_states=len(states),
+        n_actuator_memory=acting.memory.numel(),
+        n_sensor_memory=sensing.memory.numel(),
+        free_indices=tuple(i for i, name in enumerate(model.parameter_names) if name in free),
+    )
+
+
+@dataclass(frozen=True)
+class _Sampled:
+    """A chain of signals with memory, effect by effect: of actuators, or of sensors.
+
+    ``memory``, ``following`` and ``initial`` stack what is remembered, the same a sample later
+    and at the first one; ``signals`` leave the chain, ``settled`` do so where every memory is at
+    its initial value.
+    """
+
+    memory: ca.SX
+    following: ca.SX
+    initial: ca.SX
+    signals: Scope
+    settled: Scope
+
+    @classmethod
+    def of(
+        cls, effects: Iterable[Effect], scope: Scope, signals: Scope, tables: Mapping
+    ) -> _Sampled:
+        signals, settled = dict(signals), dict(signals)
+        memory, following, initial = list[ca.SX](), list[ca.SX](), list[ca.SX]()
+        for effect in effects:
+            kept = {m.name: ca.SX.sym(f"{effect.name}.{m.name}") for m in effect.memory}
+            local, new = _apply(effect, scope | signals | kept, tables)
+            memory += kept.values()
+            following += [to_casadi(m.update, local, tables) for m in effect.memory]
+            begin = {m.name: to_casadi(m.initial, scope | settled, tables) for m in effect.memory}
+            initial += begin.values()
+            settled |= _apply(effect, scope | settled | begin, tables)[1]
+            signals |= new
+        return cls(_vertcat(memory), _vertcat(following), _vertcat(initial), signals, settled)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Rates of all states, the equations they come from, and all that a sensor may see."""
+
+    rates: Scope
+    balance: Scope
+    speeds: Scope
+    scope: Scope
+
+    @classmethod
+    def of(cls, model: Model, states: Scope, scope: Scope, lasting: Iterable[Effect]) -> _Motion:
+        """Forces from ``scope``, in which ``lasting`` actuators act before everything else."""
+        tables = model.library
+        rates: Scope = {}
+        for effect in lasting:
             local, new = _apply(effect, scope, tables)
             rates |= {state.name: to_casadi(state.rate, local, tables) for state in effect.states}
-            scope |= new
+            scope = scope | new
+        scope = _with_flow(model, scope)
+        rates |= {name: to_casadi(text, scope, tables) for name, text in model.kinematics.items()}
+        forces, sensed = _forces(model, scope, rates)
+        for name in model.kinematics:
+            rates[name] = rates[name] + forces.get(name, ca.SX(0))
+        speeds = {name: ca.SX.sym(f"{name}_rate") for name in states}
+        balance = {name: speeds[name] - rates[name] for name in rates}
+        accelerations, momentum = _momentum(model, scope, forces, tables, speeds)
+        rates |= accelerations
+        balance |= momentum
+        for key in (*model.axes, *model.kinematics):
+            sensed[f"force({key})"] = forces.get(key, ca.SX(0))
+        sensed |= {f"dot({name})": rate for name, rate in rates.items()}
+        rates, balance = ({name: part[name] for name in states} for part in (rates, balance))
+        return cls(rates, balance, speeds, scope | sensed)
+
+
+def _with_flow(model: Model, scope: Scope) -> Scope:
+    """Signals of the model, each as the effects of the environment leave it."""
+    scope, tables = dict(scope), model.library
     for signal, text in model.signals.items():
         scope[signal] = to_casadi(text, scope, tables)
         for effect in _chain(model.effects, "environment"):
@@ -235,9 +348,12 @@ def _build(model: Model) -> Graph:
                     if names(definition) <= local.keys():
                         local[name] = to_casadi(definition, local, tables)
                 scope[signal] = to_casadi(effect.terms[signal], local, tables)
-    added: dict[str, ca.SX] = {}
-    rates |= {name: to_casadi(text, scope, tables) for name, text in model.kinematics.items()}
-    sensed: Scope = {}  # what only sensors see
+    return scope
+
+
+def _forces(model: Model, scope: Scope, rates: Scope) -> tuple[Scope, Scope]:
+    """Sum of the terms of each equation, and each of them; ``rates`` of added states are filled."""
+    tables, total, single = model.library, Scope(), Scope()
     for effect in model.effects:
         if effect.stage == "actuator":
             continue
@@ -245,92 +361,11 @@ def _build(model: Model) -> Graph:
         if effect.stage == "force":
             local, new = _apply(effect, scope, tables)
             for key, term in new.items():
-                added[key] = added.get(key, ca.SX(0)) + term
-                sensed[f"force({key}, {effect.name})"] = term
+                total[key] = total.get(key, ca.SX(0)) + term
+                single[f"force({key}, {effect.name})"] = term
         for state in effect.states:
             rates[state.name] = to_casadi(state.rate, local, tables)
-    for name in model.kinematics:
-        rates[name] = rates[name] + added.get(name, ca.SX(0))
-    speeds = {name: ca.SX.sym(f"{name}_rate") for name in states}
-    balance = {name: speeds[name] - rates[name] for name in rates}
-    accelerations, momentum = _momentum(model, scope, added, tables, speeds)
-    rates |= accelerations
-    balance |= momentum
-    sensed |= {
-        f"force({key})": added.get(key, ca.SX(0)) for key in (*model.axes, *model.kinematics)
-    }
-    sensed |= {f"dot({name})": rate for name, rate in rates.items()}
-    scope |= sensed
-    x = _vertcat(states.values())
-    d = _vertcat(drive.values())
-    move = ca.Function(
-        "rates", [x, d, p, t], [_vertcat(rates[name] for name in states)], {"cse": True}
-    )
-    balanced = ca.Function(
-        "balance",
-        [x, _vertcat(speeds.values()), d, p, t],
-        [_vertcat(balance[name] for name in states)],
-    )
-
-    # Sensors: sampled, with memory.
-    measured = {o.name: to_casadi(o.source, scope, tables) for o in model.outputs}
-    first = dict(measured)  # the first measurement, each memory at its initial value
-    sensor_memory: list[ca.SX] = []
-    sensor_next: list[ca.SX] = []
-    sensor_initial: list[ca.SX] = []
-    for effect in _chain(model.effects, "sensor"):
-        memory = {m.name: ca.SX.sym(f"{effect.name}.{m.name}") for m in effect.memory}
-        local, new = _apply(effect, scope | measured | memory, tables)
-        sensor_memory += memory.values()
-        sensor_next += [to_casadi(m.update, local, tables) for m in effect.memory]
-        begin = {m.name: to_casadi(m.initial, scope | first, tables) for m in effect.memory}
-        sensor_initial += begin.values()
-        first |= _apply(effect, scope | first | begin, tables)[1]
-        measured |= new
-    memory_s = _vertcat(sensor_memory)
-    observe = ca.Function(
-        "observe",
-        [x, d, memory_s, p, t, h],
-        [_vertcat(measured.values()), _vertcat(sensor_next)],
-        {"cse": True},
-    )
-
-    # Start: what the model's own states imply for everything else.
-    ready = own | inputs | parameters | clock | settled
-    extra_initial = [
-        to_casadi(s.initial, ready, tables) for effect in model.effects for s in effect.states
-    ]
-    own_vector = _vertcat(own.values())
-    x_start = _vertcat([*own.values(), *extra_initial])
-    raw = ca.Function(
-        "raw",
-        [x, d, p, t, h],
-        [_vertcat(sensor_initial)],
-        {"allow_free": False},
-    )(x_start, _vertcat(settled.values()), p, t, 1.0)
-    full = ca.vertcat(x_start, _vertcat(actuator_initial), raw)
-    # The step length is not known before the first sample; nothing may depend on it.
-    start = ca.Function(
-        "start",
-        [own_vector, command, p, t],
-        [ca.densify(ca.substitute(full, h, 1.0))],
-        {"cse": True},
-    )
-    free = set(model.free_names)
-    return Graph(
-        model=model,
-        actuate=actuate,
-        rates=move,
-        balance=balanced,
-        observe=observe,
-        start=start,
-        state_names=tuple(states),
-        n_own=len(own),
-        n_states=len(states),
-        n_actuator_memory=len(actuator_memory),
-        n_sensor_memory=len(sensor_memory),
-        free_indices=tuple(i for i, name in enumerate(model.parameter_names) if name in free),
-    )
+    return total, single
 
 
 def _momentum(

@@ -17,8 +17,12 @@ from oed_sysid.compiled.graph import (
     STAGES,
     Graph,
     build,
+    differentiated,
 )
 from oed_sysid.physics.model import Model
+
+# Times and inputs of a record.
+Commands = tuple[np.ndarray, np.ndarray]
 
 
 class Interpreted:
@@ -27,37 +31,69 @@ class Interpreted:
     def __init__(self, graph: Graph, step: float) -> None:
         self.graph = graph
         self.step = step  # not the graph's: models of one structure share a graph
-        free = list(graph.free_indices)
 
-        def differentiated(function: ca.Function, z_index: int, p_index: int) -> ca.Function:
-            symbols = [
-                ca.SX.sym(function.name_in(i), function.sparsity_in(i))
-                for i in range(function.n_in())
-            ]
-            results = function.call(symbols)
-            blocks = []
-            for result in results:
-                by_p = ca.jacobian(result, symbols[p_index])[:, free]
-                blocks.append(ca.densify(ca.horzcat(ca.jacobian(result, symbols[z_index]), by_p)))
-            return ca.Function(
-                f"{function.name()}_dense", symbols, [*results, *blocks], {"cse": True}
-            )
+        def dense(function: ca.Function, arguments: tuple[int, ...], p: int) -> Callable[..., Any]:
+            count = function.n_out()
+            found = differentiated(function, arguments, p, graph.free_indices, "rows")
 
-        self._advance: Callable[..., tuple[Any, Any]] = self._implicit
+            def call(*values: Any) -> list[np.ndarray]:
+                """Results, then of each its derivatives by all arguments side by side."""
+                out = [np.array(part) for part in found(*values)]
+                n = len(arguments)
+                blocks = [np.hstack(out[count + n * i : count + n * (i + 1)]) for i in range(count)]
+                return [*(part.ravel() for part in out[:count]), *blocks]
+
+            return call
+
         if graph.model.integrator == "explicit":
-            self._advance = differentiated(graph.advance, 0, 3)  # type: ignore[assignment]
+            self._advance = dense(graph.advance, (0, 3), 3)
         else:
-            self._actuate = differentiated(graph.actuate, 0, 2)
-            self._rates = _with_all_derivatives(graph, free)
-        self._sample = differentiated(graph.sample, 0, 2)
-        self._start = differentiated(graph.start, 0, 2)
+            self._advance = self._implicit
+            self._actuate = dense(graph.actuate, (0, 2), 2)
+            self._rates = dense(graph.rates, (0, 1, 2), 2)
+        self._sample = dense(graph.sample, (0, 2), 2)
+        self._start = dense(graph.start, (0, 2), 2)
 
     def start(
         self, own: np.ndarray, inputs: np.ndarray, values: np.ndarray, time: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`oed_sysid.compiled.kernels.Kernel.start`."""
         z, dz = self._start(own, inputs, values, time)
-        return np.array(z).ravel(), np.array(dz)
+        return z, dz
+
+    def sample(
+        self, z: np.ndarray, record: Commands, k: int, values: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Outputs and state after a measurement, and the derivatives of both ``[d/dz, d/dp]``."""
+        times, inputs = record
+        before = max(k, 1)
+        since = times[before] - times[before - 1] if len(times) > 1 else 1.0
+        y, after, dy, dafter = self._sample(z, inputs[k], values, times[k], since)
+        return y, after, dy, dafter
+
+    def move(
+        self,
+        z: np.ndarray,
+        s: np.ndarray | None,
+        record: Commands,
+        k: int,
+        values: np.ndarray,
+        part: tuple[int, int] = (0, 1),
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """State and sensitivities after one of several equal parts of the time to sample k + 1."""
+        times, inputs = record
+        (step, steps), interval = part, times[k + 1] - times[k]
+        inner = max(1, int(np.ceil(interval / steps / self.step - 1e-9)))
+        change = np.array(self.graph.linear_inputs, dtype=float) * (inputs[k + 1] - inputs[k])
+        h = interval / steps / inner
+        for j in range(inner):
+            begin, end = (step + j / inner) / steps, (step + (j + 1) / inner) / steps
+            t = times[k] + begin * interval
+            z, dz = self._advance(
+                z, inputs[k] + begin * change, inputs[k] + end * change, values, t, h
+            )
+            s = None if s is None else chained(dz, s)
+        return z, s
 
     def _implicit(
         self,
@@ -76,7 +112,7 @@ class Interpreted:
 
         def actuated(fraction: float) -> list[np.ndarray]:
             held = np.where(linear, start + fraction * (np.asarray(end) - start), start)
-            return [np.array(part) for part in self._actuate(z[memory], held, values, t, h)]
+            return self._actuate(z[memory], held, values, t, h)
 
         def widened(block: np.ndarray) -> np.ndarray:
             """Columns by actuator memory and parameters as columns by state and parameters."""
@@ -93,14 +129,14 @@ class Interpreted:
             for weight, slope, by in zip(weights, slopes, by_unknowns, strict=False):
                 base, s_base = base + h * weight * slope, s_base + h * weight * by
             d, _, dd, _ = actuated(fraction)
-            x, matrix, by_d, by_p = self._stage(x, base, d.ravel(), values, t + fraction * h, h)
+            x, matrix, by_d, by_p = self._stage(x, base, d, values, t + fraction * h, h)
             right = s_base + h * GAMMA * (by_d @ widened(dd))
             right[:, n_full:] += h * GAMMA * by_p
             s = np.linalg.solve(matrix, right) if np.isfinite(x).all() else np.full_like(s, np.nan)
             slopes.append((x - base) / (h * GAMMA))
             by_unknowns.append((s - s_base) / (h * GAMMA))
         _, after, _, d_after = actuated(0.5)
-        moved = np.concatenate([x, after.ravel(), z[memory.stop :]])
+        moved = np.concatenate([x, after, z[memory.stop :]])
         total = np.eye(n_full, n_full + n_free)
         total[:nx], total[memory] = s, widened(d_after)
         return moved, total
@@ -116,9 +152,11 @@ class Interpreted:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Solution of a stage, ``I - h gamma f_x`` there, and its other derivatives."""
         identity, arrived = np.eye(len(x)), False
+        columns = np.cumsum([len(x), len(d)])
         for _ in range(NEWTON_MOST):
-            rate, by_x, by_d, by_p = (np.array(part) for part in self._rates(x, d, values, t))
-            move = h * GAMMA * rate.ravel()
+            rate, by_all = self._rates(x, d, values, t)
+            by_x, by_d, by_p = np.hsplit(by_all, columns)
+            move = h * GAMMA * rate
             matrix = identity - h * GAMMA * by_x
             if arrived:
                 return x, matrix, by_d, by_p
@@ -145,58 +183,28 @@ class Interpreted:
     ) -> int:
         """Fill the results as the compiled loop does; return -1 or the failing sample."""
         z_out, y_out, dy_out, ends, dends = results
-        n, n_full = len(times), self.graph.n_full
-        linear = np.array(self.graph.linear_inputs, dtype=float)
-        derive = dy_out is not None
-        z = nodes[0]
-        s = np.eye(n_full, dy_out.shape[2]) if dy_out is not None else np.empty((0, 0))
+        n, n_full, record = len(times), self.graph.n_full, (times, inputs)
+        z, identity = nodes[0], None if dy_out is None else np.eye(n_full, dy_out.shape[2])
         for segment, first in enumerate(starts):
             stop = starts[segment + 1] if segment + 1 < len(starts) else n
-            z = z if carry else nodes[segment]
-            if derive:
-                s = np.eye(n_full, s.shape[1])
+            z, s = z if carry else nodes[segment], identity
             for k in range(first, stop):
                 if not np.isfinite(z).all():
                     return k
                 z_out[k] = z
-                since = times[k] - times[k - 1] if k else (times[1] - times[0] if n > 1 else 1.0)
-                y, after, dy, dafter = self._sample(z, inputs[k], values, times[k], since)
-                y_out[k] = np.array(y).ravel()
-                z = np.array(after).ravel()
-                if dy_out is not None:
-                    dy_out[k] = _chain_rule(np.array(dy), s)
-                    s = _chain_rule(np.array(dafter), s)
+                y_out[k], z, dy, dafter = self.sample(z, record, k, values)
+                if dy_out is not None and s is not None:
+                    dy_out[k], s = chained(dy, s), chained(dafter, s)
                 if k + 1 == n:
                     break
-                interval = times[k + 1] - times[k]
-                steps = max(1, int(np.ceil(interval / self.step - 1e-9)))
-                slope = linear * (inputs[k + 1] - inputs[k]) / steps
-                for i in range(steps):
-                    begin, end = inputs[k] + i * slope, inputs[k] + (i + 1) * slope
-                    t, h = times[k] + i * interval / steps, interval / steps
-                    moved, dmoved = self._advance(z, begin, end, values, t, h)
-                    z = np.array(moved).ravel()
-                    if derive:
-                        s = _chain_rule(np.array(dmoved), s)
+                z, s = self.move(z, s, record, k, values)
             ends[segment] = z
             if dends is not None:
                 dends[segment] = s
         return -1
 
 
-def _with_all_derivatives(graph: Graph, free: list[int]) -> ca.Function:
-    """Rates with their dense derivatives by states, actuator signals and free parameters."""
-    function = graph.rates
-    symbols = [
-        ca.SX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in())
-    ]
-    (rate,) = function.call(symbols)
-    blocks = [ca.jacobian(rate, symbols[i]) for i in (0, 1, 2)]
-    blocks[2] = blocks[2][:, free]
-    return ca.Function("rates_all", symbols, [rate, *map(ca.densify, blocks)], {"cse": True})
-
-
-def _chain_rule(jacobian: np.ndarray, s: np.ndarray) -> np.ndarray:
+def chained(jacobian: np.ndarray, s: np.ndarray) -> np.ndarray:
     """Combine a dense ``[d/dz, d/dp]`` with the sensitivities ``s`` of ``z``."""
     n_full = len(s)
     with np.errstate(over="ignore", invalid="ignore"):  # an explosion is told by the states

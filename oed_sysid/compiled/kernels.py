@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.compile import load
+from oed_sysid.compiled.compile import call, doubles, load
 from oed_sysid.compiled.interpreter import interpreted
 from oed_sysid.errors import ModelError
 from oed_sysid.physics.model import Model
@@ -68,9 +68,17 @@ class Kernel:
         The model; only its structure matters, values are arguments.
     compiled : bool or None
         Force (True) or refuse (False) compiled code; None takes what is there.
+    library : CDLL, optional
+        That of the model's filter, which runs without sensitivities only.
     """
 
-    def __init__(self, model: Model, *, compiled: bool | None = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        *,
+        compiled: bool | None = None,
+        library: ctypes.CDLL | None = None,
+    ) -> None:
         self.model = model
         self.n_parameters = len(model.all_parameters)
         self.n_inputs = len(model.inputs)
@@ -81,7 +89,7 @@ class Kernel:
         n_memory = sum(len(effect.memory) for effect in model.effects)
         self.n_full = self.n_own + n_extra + n_memory
         self.n_columns = self.n_full + self.n_free
-        self._library = None if compiled is False else load(model)
+        self._library = library or (None if compiled is False else load(model))
         if compiled is True and self._library is None:
             raise ModelError(
                 "Compiled code was asked for, but no C compiler was found. Install gcc or clang, "
@@ -123,20 +131,12 @@ class Kernel:
         dz : ndarray (n_full, n_own + n_free)
             Derivatives by own states and free parameters.
         """
-        own, inputs, values = (np.ascontiguousarray(a, dtype=float) for a in (own, inputs, values))
+        own, inputs, values = doubles(own, inputs, values)
         if self._library is None:
-            z, dense = interpreted(self.model).start(own, inputs, values, time)
-            return z, dense
+            return interpreted(self.model).start(own, inputs, values, time)
         z = np.empty(self.n_full)
         dz = np.empty((self.n_full, self.n_own + self.n_free))
-        self._library.kernel_start(
-            _pointer(own),
-            _pointer(inputs),
-            _pointer(values),
-            ctypes.c_double(time),
-            _pointer(z),
-            _pointer(dz),
-        )
+        call(self._library.kernel_start, own, inputs, values, float(time), z, dz)
         return z, dz
 
     def run(
@@ -171,10 +171,8 @@ class Kernel:
         sensitivities : bool
             Also return derivatives.
         """
-        times = np.ascontiguousarray(times, dtype=float)
-        inputs = np.ascontiguousarray(inputs, dtype=float).reshape(len(times), self.n_inputs)
-        values = np.ascontiguousarray(values, dtype=float)
-        nodes = np.ascontiguousarray(nodes, dtype=float).reshape(-1, self.n_full)
+        times, inputs, values, nodes = doubles(times, inputs, values, nodes)
+        inputs, nodes = inputs.reshape(len(times), self.n_inputs), nodes.reshape(-1, self.n_full)
         starts = np.ascontiguousarray([0] if starts is None else starts, dtype=np.intc)
         n, n_segments = len(times), len(starts)
         if values.shape != (self.n_parameters,):
@@ -195,22 +193,11 @@ class Kernel:
                 times, inputs, values, nodes, starts, carry, (z, y, dy, ends, dends)
             )
         else:
-            failed = self._library.kernel_run(
-                n,
-                _pointer(times),
-                _pointer(inputs),
-                _pointer(values),
-                ctypes.c_double(self.model.step),
-                n_segments,
-                starts.ctypes.data_as(ctypes.c_void_p),
-                _pointer(nodes),
-                int(carry),
-                _pointer(z),
-                _pointer(y),
-                _pointer(dy),
-                _pointer(ends),
-                _pointer(dends),
-            )
+            h_max = float(self.model.step)
+            failed = call(
+                self._library.kernel_run, n, times, inputs, values, h_max, n_segments,
+                starts, nodes, int(carry), z, y, dy, ends, dends,
+            )  # fmt: skip
         if failed >= 0 and dy is not None:
             dy[failed:] = np.nan
         return Run(y, z, dy, ends, dends, failed)
@@ -225,7 +212,3 @@ def kernel(model: Model) -> Kernel:
     if key not in _CACHE:
         _CACHE[key] = Kernel(model)
     return _CACHE[key]
-
-
-def _pointer(array: np.ndarray | None) -> ctypes.c_void_p | None:
-    return None if array is None else ctypes.c_void_p(array.ctypes.data)

@@ -8,11 +8,11 @@ the same sums from :meth:`oed_sysid.compiled.kernels.Kernel.run`.
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
 
 import numpy as np
 
+from oed_sysid.compiled.compile import call, doubles
 from oed_sysid.compiled.kernels import Kernel
 
 
@@ -101,30 +101,17 @@ def gather(
         return _gather_numpy(
             kernel, times, inputs, values, nodes, measured, sigma, starts=starts, linked=linked
         )
-    arrays = [
-        np.ascontiguousarray(a, dtype=float)
-        for a in (times, inputs, values, nodes, measured, 1.0 / sigma)
-    ]
     starts = np.ascontiguousarray(starts, dtype=np.intc)
     gram = np.empty((n_segments, size, size))
     ends = np.empty((n_segments, kernel.n_full)) if linked else None
     dends = np.empty((n_segments, kernel.n_full, kernel.n_columns)) if linked else None
-    at_times, at_inputs, at_values, at_nodes, at_measured, at_weight = map(_pointer, arrays)
-    failed = kernel.library.kernel_gather(
-        len(times),
-        at_times,
-        at_inputs,
-        at_values,
-        ctypes.c_double(kernel.model.step),
-        n_segments,
-        _pointer(starts),
-        at_nodes,
-        at_measured,
-        at_weight,
-        _pointer(gram),
-        _pointer(ends),
-        _pointer(dends),
+    times, inputs, values, nodes, measured, weight = doubles(
+        times, inputs, values, nodes, measured, 1.0 / sigma
     )
+    failed = call(
+        kernel.library.kernel_gather, len(times), times, inputs, values, float(kernel.model.step),
+        n_segments, starts, nodes, measured, weight, gram, ends, dends,
+    )  # fmt: skip
     if failed >= 0 or not np.isfinite(gram).all():
         return None
     return Blocks(gram, ends, dends)
@@ -178,19 +165,13 @@ def eliminate(
     n_segments, n_full, n_free = len(gram), kernel.n_full, kernel.n_free
     if kernel.library is None:
         return _eliminate_numpy(gram, away, weight, damping)
-    gram, away, weight = (np.ascontiguousarray(a, dtype=float) for a in (gram, away, weight))
+    gram, away, weight = doubles(gram, away, weight)
     solved = np.empty((n_segments, n_full, n_free + 1))
     reduced, gain = np.empty((n_free, n_free + 1)), np.empty(1)
-    failed = kernel.library.kernel_eliminate(
-        n_segments,
-        _pointer(gram),
-        _pointer(away),
-        _pointer(weight),
-        ctypes.c_double(damping),
-        _pointer(solved),
-        _pointer(reduced),
-        _pointer(gain),
-    )
+    failed = call(
+        kernel.library.kernel_eliminate, n_segments, gram, away, weight, float(damping), solved,
+        reduced, gain,
+    )  # fmt: skip
     if failed:  # rounding; a factorization with pivoting still finds its way
         return _eliminate_numpy(gram, away, weight, damping)
     return Elimination(reduced[:, :-1], reduced[:, -1], solved, float(gain[0]))
@@ -212,7 +193,3 @@ def _eliminate_numpy(
     )
     gain = float(np.vdot(both[:, :, -1], solved[:, :, -1]))
     return Elimination(reduced[:, :-1], reduced[:, -1], solved, gain)
-
-
-def _pointer(array: np.ndarray | None) -> ctypes.c_void_p | None:
-    return None if array is None else ctypes.c_void_p(array.ctypes.data)

@@ -22,13 +22,14 @@ from oed_sysid.text.units import dimension, parse_header, to_si
 # -- columns of a table on their way to channels ---------------------------------------
 
 
+DAY = 86_400.0
 TIME_NAMES = ("t", "time", "times", "timestamp")
 # Seconds since 1970 of the years 2000 to 2100: a time there counts from 1970.
 EPOCH = (946_684_800.0, 4_102_444_800.0)
 # A log that steps by more seconds may count milliseconds.
 SUSPICIOUS_STEP = 20.0
 # What no vehicle reaches, by SI unit.
-SUSPICIOUS_SIZE = {"rad/s": 50.0, "m/s": 500.0, "m/s^2": 1e4, "m": 1e8}
+SUSPICIOUS_SIZE = {"rad": 20.0, "rad/s": 50.0, "m/s": 500.0, "m/s^2": 1e4, "m": 1e8}
 # Beyond this a number is no measurement, and its square soon no number.
 LARGEST = 1e50
 # Numbers that loggers write where they have no sample.
@@ -37,17 +38,9 @@ SENTINELS = (
     *(9999999.0, -999.25, -32768.0, 32767.0, 65535.0, -2147483648.0, 2147483647.0),
     *(4294967295.0, 1e20, -1e20, 1e30, -1e30, 1e35, 1e37, 9.969209968386869e36, -1e34),
 )
-# Headers that a message lists.
-SHOWN = 30
 # Days of the years 1970 to 2100 since 1900 (spreadsheets) and since the year 0 (MATLAB), and the
 # step below which a log in seconds is none.
-DAYS, DAY_STEP = ((25569.0, 73051.0, 25569.0), (719529.0, 767011.0, 719529.0)), 0.01
-# A clock that jumps by more, s, was set: ten years.
-CLOCK_SET = 3.156e8
-# An angle beyond three turns that is declared in rad is most likely in degrees.
-SUSPICIOUS_ANGLE = 20.0
-# Names that are so alike count as a slip: psi and phsi, not psi and phi.
-ALIKE = 0.8
+DAYS = ((25569.0, 73051.0, 25569.0), (719529.0, 767011.0, 719529.0))
 
 
 class Columns:
@@ -86,8 +79,8 @@ class Columns:
     @property
     def found(self) -> str:
         """Sentence that lists the headers, for messages."""
-        shown = ", ".join(repr(header) for header in self.table.headers[:SHOWN])
-        rest = len(self.table.headers) - SHOWN
+        shown = ", ".join(repr(header) for header in self.table.headers[:30])
+        rest = len(self.table.headers) - 30
         return f"Columns found: {shown}{f' and {rest} more' if rest > 0 else ''}."
 
     def times(self, time: str | None) -> np.ndarray:
@@ -152,20 +145,21 @@ class Columns:
                 )
         step = float(np.median(np.diff(times))) if times.size > 1 else 0.0
         for low, high, origin in DAYS:
-            if unit == "s" and low < first < high and 0.0 < step < DAY_STEP and times[-1] < high:
-                moment = datetime.fromtimestamp((first - origin) * 86400.0, UTC)
+            if unit == "s" and low < first < high and 0.0 < step < 0.01 and times[-1] < high:
+                moment = datetime.fromtimestamp((first - origin) * DAY, UTC)
                 raise DataError(
                     f"Column {header!r} of {self.path.name} starts at {first:.12g} and steps by "
                     f"{step:.3g}: it seems to count days ({moment:%Y-%m-%d %H:%M}). Write seconds "
                     f"since the first row, 86400*({header} - {first:.12g})."
                 )
-        jumps = np.flatnonzero(np.diff(times) > CLOCK_SET)
+        jumps = np.flatnonzero(np.diff(times) > 3652.5 * DAY)
         if jumps.size:
             row = int(jumps[0]) + 1
             raise DataError(
                 f"Row {self.table.row_numbers[row]} of {self.path.name}: time "
                 f"{self._cell(row, index)} after {self._cell(row - 1, index)} is "
-                f"{(times[row] - times[row - 1]) / 3.156e7:.0f} years later: the clock was set. "
+                f"{(times[row] - times[row - 1]) / (365.25 * DAY):.0f} years later: the clock was "
+                "set. "
                 "Cut the log there, and read both parts."
             )
         if step >= SUSPICIOUS_STEP and unit == "s" and "time" not in self.units:
@@ -262,7 +256,8 @@ class Columns:
         found = next(same, None)
         if found is None:
             lower = {name.lower(): header for name, header in names.items()}
-            alike = difflib.get_close_matches(wanted.lower(), list(lower), n=1, cutoff=ALIKE)
+            # So alike is a slip: psi and phsi, not psi and phi.
+            alike = difflib.get_close_matches(wanted.lower(), list(lower), n=1, cutoff=0.8)
             found = lower[alike[0]] if alike else None
         return found
 
@@ -355,14 +350,15 @@ class Columns:
         self, channel: Input | Output, where: str, name: str, unit: str, si_unit: str, size: float
     ) -> None:
         """Note what is larger than a vehicle makes it."""
-        if si_unit == unit == "rad" and size > SUSPICIOUS_ANGLE:
+        if size <= SUSPICIOUS_SIZE.get(si_unit, np.inf):
+            return
+        if si_unit == unit == "rad":
             self._suspect_unit(
                 f"{where} reaches {size:.3g} rad, more than three turns. If it is in degrees, "
                 f"write the header as '{name} [deg]'."
             )
-        if si_unit == "rad/s" and isinstance(channel, Input):
-            return  # a propeller turns as fast as it likes
-        if size > SUSPICIOUS_SIZE.get(si_unit, np.inf):
+        # A compass may count many turns in degrees, and a propeller turns as fast as it likes.
+        elif si_unit != "rad" and not (si_unit == "rad/s" and isinstance(channel, Input)):
             self._suspect_unit(
                 f"{where} reaches {size:.3g} {si_unit}, which no vehicle does. Check that "
                 f"[{unit}] is its unit."
@@ -411,9 +407,6 @@ def _first_word(name: str) -> str:
 
 
 # -- words for a column of times that cannot be used -----------------------------------
-
-
-DAY = 86_400.0
 
 
 def time_complaint(table: Table, column: int, times: np.ndarray) -> str | None:

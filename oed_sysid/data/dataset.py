@@ -462,16 +462,27 @@ def _read_record(columns: Columns, name: str, channels: Channels, time: str | No
 # -- whether two records hold the same measurement -------------------------------------
 
 
-# Of the span of a signal: what conversions of units and decimal digits leave different,
-# and what rounding to four digits does.
-EXACT, ROUNDED = 1e-8, 2e-4
-# Share of the span above which what a cubic does not explain is noise: it tells copies apart.
-NOISE_EXACT, NOISE_ROUNDED = 1e-6, 1e-3
-# Rows that have to agree, of those that have a partner, and as a part of the shorter record.
-N_ROWS, AGREEING, PART = 10, 0.9, 0.5
-# Without noise, or with noise below the last digit of a coarse sensor, only this is a copy.
-AGREEING_SMOOTH = 0.995
-_N_ANCHORS, _N_SHIFTS = 32, 6
+@dataclass(frozen=True)
+class _Comparison:
+    """What makes two records one measurement.
+
+    Of the span of a signal, conversions of units and decimal digits leave 1e-8 different and
+    rounding to four digits 2e-4. What a cubic does not explain is noise, and tells copies apart,
+    above ``noise``; without, or below the last digit of a coarse sensor, inputs and nearly all
+    rows have to agree.
+    """
+
+    tolerance: float
+    noise: float | None
+    part: float  # of the shorter record that has to have a partner
+    agreeing: float  # share of those that have to agree
+
+
+_COMPARISONS = (
+    _Comparison(1e-8, 1e-6, 0.0, 0.9),
+    _Comparison(2e-4, 1e-3, 0.5, 0.9),
+    _Comparison(1e-8, None, 0.5, 0.995),
+)
 # Times are the same within this part of a sampling interval.
 _CLOCK = 0.02
 
@@ -557,17 +568,12 @@ def overlap(a: Record, b: Record) -> Overlap | None:
         return None
     span = _span(np.vstack([a.outputs, b.outputs]))
     noise = np.maximum(_noise(a.outputs, span), _noise(b.outputs, span))
-    for tolerance, needed, share in (
-        (EXACT, NOISE_EXACT, 0.0),
-        (ROUNDED, NOISE_ROUNDED, PART),
-        (EXACT, None, PART),
-    ):
-        if needed is not None and not noise > needed:
+    for how in _COMPARISONS:
+        if how.noise is not None and not noise > how.noise:
             continue
-        smooth = needed is None
-        for shift in _shifts(a, b, span, tolerance):
-            found = _compared(a, b, shift, span, tolerance, with_inputs=smooth)
-            if found is not None and found.n_rows >= share * min(_moving(a), _moving(b)):
+        for shift in _shifts(a, b, span, how.tolerance):
+            found = _compared(a, b, shift, span, how)
+            if found is not None and found.n_rows >= how.part * min(_moving(a), _moving(b)):
                 return found
     return None
 
@@ -617,7 +623,7 @@ def _shifts(a: Record, b: Record, span: np.ndarray, tolerance: float) -> list[fl
             return []
         count = np.isfinite(other.outputs[moving]).sum(axis=1)
         best = moving[count == count.max()]
-        anchors = best[np.unique(np.linspace(0, best.size - 1, _N_ANCHORS).astype(int))]
+        anchors = best[np.unique(np.linspace(0, best.size - 1, 32).astype(int))]
         for row in anchors:
             measured = np.isfinite(other.outputs[row])
             near = np.abs(one.outputs[:, measured] - other.outputs[row, measured])
@@ -629,12 +635,12 @@ def _shifts(a: Record, b: Record, span: np.ndarray, tolerance: float) -> list[fl
     step = max(_CLOCK * min(a.sample_time, b.sample_time), 1e-12)
     found = np.array(votes)
     bins, first, counts = np.unique(np.round(found / step), return_index=True, return_counts=True)
-    order = np.argsort(-counts, kind="stable")[:_N_SHIFTS]
+    order = np.argsort(-counts, kind="stable")[:6]
     return [float(found[first[i]]) for i in order if bins.size]
 
 
 def _compared(
-    a: Record, b: Record, shift: float, span: np.ndarray, tolerance: float, *, with_inputs: bool
+    a: Record, b: Record, shift: float, span: np.ndarray, how: _Comparison
 ) -> Overlap | None:
     """Compare all rows at one shift; None if they are not the same."""
     wanted = b.times + shift
@@ -646,17 +652,16 @@ def _compared(
     both = np.isfinite(first) & np.isfinite(second)
     compared = (np.abs(a.times[partner] - wanted) <= clock) & both.any(axis=1) & _moves(b)
     with np.errstate(invalid="ignore"):
-        equal = np.all(~both | (np.abs(first - second) <= tolerance * span), axis=1)
-    if with_inputs and b.inputs.shape[1]:
+        equal = np.all(~both | (np.abs(first - second) <= how.tolerance * span), axis=1)
+    if how.noise is None and b.inputs.shape[1]:
         width = _span(np.vstack([a.inputs, b.inputs]))
-        equal &= np.all(np.abs(a.inputs[partner] - b.inputs) <= tolerance * width, axis=1)
+        equal &= np.all(np.abs(a.inputs[partner] - b.inputs) <= how.tolerance * width, axis=1)
     equal &= compared
     n_rows, n_equal = int(compared.sum()), int(equal.sum())
     safe = np.where(span > 0, span, 1.0)
     different = np.unique(np.round(np.where(both, second, 0.0)[equal] / safe, 7), axis=0)
-    needed = min(N_ROWS, max(4, min(_moving(a), _moving(b)) // 2))
-    share = AGREEING_SMOOTH if with_inputs else AGREEING
-    if n_rows and n_equal >= share * n_rows and len(different) >= needed:
+    needed = min(10, max(4, min(_moving(a), _moving(b)) // 2))
+    if n_rows and n_equal >= how.agreeing * n_rows and len(different) >= needed:
         return Overlap(n_equal, n_rows, shift)
     return None
 

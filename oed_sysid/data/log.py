@@ -275,8 +275,6 @@ _QUATERNIONS = (
 )
 _ROS = ("orientation.w", "orientation.x", "orientation.y", "orientation.z")
 _FIXES = (("lat", "lon"), ("Lat", "Lng"), ("latitude", "longitude"), ("Lat", "Lon"))
-# Logs that hold whole numbers of 1e-7 degrees.
-_WHOLE = 1e-7
 _AXIS, _FLATTENING = 6378137.0, 1.0 / 298.257223563  # WGS 84, NIMA TR8350.2
 
 
@@ -396,7 +394,7 @@ def _degrees(series: Series) -> np.ndarray:
     values = series.values.astype(float)
     finite = values[np.isfinite(values)]
     if finite.size and np.abs(finite).max() > 400.0:
-        values = values * _WHOLE
+        values = values * 1e-7  # whole numbers of that many degrees
     return np.where((np.abs(values) > 1e-9) & (np.abs(values) <= 180.0), values, np.nan)
 
 

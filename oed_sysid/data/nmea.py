@@ -14,15 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from oed_sysid.data.csv_columns import DAY
 from oed_sysid.data.log import Log, assemble, library
 from oed_sysid.errors import DataError
 from oed_sysid.text.csv_table import text_lines
 
 _SENTENCE = re.compile(r"[$!][A-Z][A-Z0-9]{2,}[,*].*")
 _TAG = re.compile(r"\\[^\\]*?c:(\d{9,16})[^\\]*\\")
-DAY = 86400.0
-# Times of day that go back by more are those of the next day.
-MIDNIGHT = 43200.0
 
 
 def read_nmea(path: Path) -> Log:
@@ -139,7 +137,8 @@ def _times(
             "says when. Log with a time in front of each line."
         )
     moments = np.array([of_day[index] for index in known], dtype=float)
-    back = np.flatnonzero(np.diff(moments) < -MIDNIGHT)
+    # Times of day that go back by more than half a day are those of the next.
+    back = np.flatnonzero(np.diff(moments) < -0.5 * DAY)
     for index in back:
         moments[index + 1 :] += DAY
     # Sentences of one moment come after each other: the first of them has the time.

@@ -17,7 +17,6 @@ METHODS = ("spiral", "cubic", "pchip", "linear")
 TANGENTS = ("chord", "exact")
 # Turns of the direction below this are straight lines.
 STRAIGHT = 1e-9
-NEWTON_STEPS = 60
 
 
 def densify(times: np.ndarray, values: np.ndarray, factor: int, *, method: str) -> np.ndarray:
@@ -149,7 +148,7 @@ def _piece(
     k = float(np.hypot(*chord)) / last
     angle = last * (wanted - start[0]) / chord[0]
     low, high = np.zeros_like(angle), np.full_like(angle, last)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(60):
         phase = sense * angle + direction
         error = start[0] + k * angle * np.cos(phase) - wanted
         slope = k * (np.cos(phase) - sense * angle * np.sin(phase))

@@ -40,16 +40,15 @@ from oed_sysid.runtime.display import as_html
 TURN = 2.0 * np.pi
 # The period of a jump: 2 pi, or 360 where degrees passed as radians.
 PERIODS = (TURN, 360.0)
-# A wrapped signal stays within one turn, up to its noise and filtering.
-RANGE_MARGIN = 0.04
-# A jump is a clear wrap if what remains of it after adding the turn is this share of a turn.
+# A jump is a clear wrap if what remains of it after adding the turn is this share of a turn;
+# a signal that moves more than that between samples is too sparse to tell.
 CLEAR = 0.08
 # ... and is not faster than this multiple of what the signal does around it.
 FASTER = 8.0
-# A gap is so many usual steps long; the rate beside it is from so many samples, at least LEAST.
-GAP, BESIDE, LEAST = 4.0, 12, 5
-# A signal that moves by more than this share of a turn between samples is too sparse to tell.
-SPARSE = 0.08
+# A gap is so many usual steps long.
+GAP = 4.0
+# Fewer samples say nothing of a motion, or of a rate beside a gap.
+MINIMUM_SAMPLES = 5
 
 
 def on_circle(difference: np.ndarray) -> np.ndarray:
@@ -101,7 +100,7 @@ def unwrapped(
 def _with_turns_in_gaps(times: np.ndarray, series: np.ndarray, period: float) -> np.ndarray:
     """Add the full turns that a steady motion makes while nothing is logged."""
     steps = np.diff(times)
-    if steps.size < 2 * LEAST:
+    if steps.size < 2 * MINIMUM_SAMPLES:
         return series
     gaps = np.flatnonzero(steps > GAP * np.median(steps))
     edges = [0, *(gaps + 1), times.size]
@@ -109,10 +108,10 @@ def _with_turns_in_gaps(times: np.ndarray, series: np.ndarray, period: float) ->
     for number, last in enumerate(gaps):
         rates = []
         for piece in (
-            slice(max(edges[number], last + 1 - BESIDE), last + 1),
-            slice(last + 1, min(edges[number + 2], last + 1 + BESIDE)),
+            slice(max(edges[number], last + 1 - 12), last + 1),
+            slice(last + 1, min(edges[number + 2], last + 1 + 12)),
         ):
-            if piece.stop - piece.start >= LEAST:
+            if piece.stop - piece.start >= MINIMUM_SAMPLES:
                 rates.append(float(np.polyfit(times[piece], series[piece], 1)[0]))
         if len(rates) < 2:
             continue
@@ -157,7 +156,7 @@ def clear_wraps(values: np.ndarray) -> tuple[float, np.ndarray] | None:
     reach = float(series.max() - series.min())
     steps = np.diff(series)
     for period in PERIODS:
-        if not period * (1.0 - 2.0 * CLEAR) < reach < period * (1.0 + RANGE_MARGIN):
+        if not period * (1.0 - 2.0 * CLEAR) < reach < period * (1.0 + 0.5 * CLEAR):
             continue
         jumps = np.flatnonzero(np.abs(np.abs(steps) - period) < CLEAR * period)
         if not jumps.size:
@@ -165,7 +164,7 @@ def clear_wraps(values: np.ndarray) -> tuple[float, np.ndarray] | None:
         rest = np.abs(steps - period * np.round(steps / period))
         usual = np.delete(rest, jumps)
         pace = float(np.quantile(usual, 0.9)) if usual.size else np.inf
-        if pace > SPARSE * period or rest[jumps].max() > FASTER * max(pace, 0.002 * period):
+        if pace > CLEAR * period or rest[jumps].max() > FASTER * max(pace, 0.002 * period):
             continue
         return period, present[jumps + 1]
     return None
@@ -174,7 +173,6 @@ def clear_wraps(values: np.ndarray) -> tuple[float, np.ndarray] | None:
 # -- a measured record -----------------------------------------------------------------
 
 
-MINIMUM_SAMPLES = 5
 # Sampling counts as uniform within this share of the median step.
 UNIFORM_TOLERANCE = 1e-3
 TIME_ADVICE = (
@@ -606,16 +604,12 @@ def closest(name: str, names: Iterable[str]) -> str:
 # -- records that were sampled alike ---------------------------------------------------
 
 
-# Share by which sample times may differ that are one.
-SAME_SAMPLING = 0.01
-
-
 def sampled_alike(records: Sequence[Record]) -> list[list[int]]:
     """Places of the records, grouped by sample time: colour is estimated in samples."""
     groups: list[tuple[float, list[int]]] = []
     for index, record in enumerate(records):
         for sample_time, members in groups:
-            if abs(record.sample_time - sample_time) < SAME_SAMPLING * sample_time:
+            if abs(record.sample_time - sample_time) < 0.01 * sample_time:
                 members.append(index)
                 break
         else:

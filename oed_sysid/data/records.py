@@ -18,7 +18,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.log import Log
 from oed_sysid.data.mapping import Cut, LogMapping, Source
-from oed_sysid.data.record import MINIMUM_SAMPLES, Record, clear_wraps, closest, unwrapped
+from oed_sysid.data.record import GAP, MINIMUM_SAMPLES, Record, clear_wraps, closest, unwrapped
 from oed_sysid.errors import DataError
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.units import dimension, to_si
@@ -27,8 +27,6 @@ from oed_sysid.text.units import dimension, to_si
 TOLERANCE = 0.1
 # Switching times of a held command become rows if there are fewer of them than this share of rows.
 RARE = 0.2
-# A gap of an input is said from this multiple of its median step on.
-GAP = 5.0
 
 
 @dataclass(frozen=True, eq=False)

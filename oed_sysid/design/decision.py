@@ -439,23 +439,16 @@ def decide(
     checked: tuple[float | None, int] = (None, 0)
     chosen = None
     if needs_check or not outlook.is_met:
-        vehicles = _possible(expected, rng)
+        vehicles = (expected.model, *_possible(expected, rng))
         while chosen is None and (best := outlook.best(check=needs_check)) is not None:
-            run = outlook.runs[best]
-            bounds = LimitBounds.of(expected.model, limits or run.experiment.limits)
-            kept = kept_on(run.experiment, (expected.model, *vehicles), bounds, certainty)
+            kept = _kept(outlook.runs[best], vehicles, limits, certainty)
             if kept is None:
-                refused.append(run.name)
+                refused.append(outlook.runs[best].name)
                 outlook = outlook.without(best)
-                continue
-            chosen = best
-            if bounds.names and vehicles:
-                checked = kept, 1 + len(vehicles)
-    steps = [] if chosen is None else [chosen] if needs_check else outlook.path()
-    then = outlook.now if chosen is None else outlook.deviations(outlook.told[chosen])
-    next_run = None if chosen is None else outlook.runs[chosen]
-    late = next_run is not None and hours is not None and next_run.cost > 3600.0 * hours
-    action = _action(outlook.is_met, needs_check, contradiction is not None, next_run, late)
+            else:
+                chosen, checked = best, kept
+    next_run, then, steps = outlook.after(chosen, check=needs_check)
+    action = _action(outlook.is_met, needs_check, contradiction is not None, next_run, hours)
     return Decision(
         model=expected.model,
         action=action,
@@ -475,15 +468,33 @@ def decide(
     )
 
 
+def _kept(
+    run: Candidate, vehicles: Sequence[Model], limits: Limits | None, certainty: float
+) -> tuple[float | None, int] | None:
+    """Share of the vehicles on which a run keeps its limits, and their number; None: too few.
+
+    No share is stated where there are no limits, or no vehicle but the nominal one.
+    """
+    bounds = LimitBounds.of(vehicles[0], limits or run.experiment.limits)
+    kept = kept_on(run.experiment, vehicles, bounds, certainty)
+    if kept is None:
+        return None
+    return (kept, len(vehicles)) if bounds.names and len(vehicles) > 1 else (None, 0)
+
+
 def _action(
-    is_met: bool, needs_check: bool, contradicted: bool, next_run: Candidate | None, late: bool
+    is_met: bool,
+    needs_check: bool,
+    contradicted: bool,
+    next_run: Candidate | None,
+    hours: float | None,
 ) -> str:
     """What to do; see :class:`Decision`."""
     if is_met and not needs_check:
         return "contradicted" if contradicted else "enough"
     if next_run is None:
         return "unchecked" if needs_check else "useless"
-    return "no time" if late else "go on"
+    return "no time" if hours is not None and next_run.cost > 3600.0 * hours else "go on"
 
 
 def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
@@ -590,6 +601,15 @@ class _Outlook:
         meets = (then > self.wanted).sum(axis=-1) < (now > self.wanted).sum()
         order = np.argsort(-brought / self.costs, kind="stable")
         return next((int(i) for i in order if brought[i] > WORTH or meets[i]), None)
+
+    def after(
+        self, chosen: int | None, *, check: bool
+    ) -> tuple[Candidate | None, np.ndarray, list[int]]:
+        """The next run, the deviations after it, and the runs until the goals are met."""
+        if chosen is None:
+            return None, self.now, []
+        steps = [chosen] if check else self.path()
+        return self.runs[chosen], self.deviations(self.told[chosen]), steps
 
     def path(self) -> list[int]:
         """Runs, one after the other, until the goals are met, or nothing helps."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset, read_csv
 from oed_sysid.design.decision import Decision, decide, goals_of
 from oed_sysid.design.library import Candidate
+from oed_sysid.design.result import write_commands
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate
@@ -24,11 +25,16 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import plain
 from oed_sysid.runtime.files import write_bytes, write_text
-from oed_sysid.text.csv_table import write_table
 
 NAME = "journal.json"
 _FIT = "fit.json"
+# What the journal holds of a logbook.
+_KEPT = (
+    "problem", "variant", "goals", "hours", "sea", "records", "runs", "proposed", "seed",
+    "candidates",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +72,8 @@ class Logbook:
     goals: Mapping[str, float]
     hours: float | None
     sea: NoiseModel | None
-    records: tuple[str, ...] = ()
-    runs: tuple[str, ...] = ()
+    records: Sequence[str] = ()
+    runs: Sequence[str] = ()
     proposed: str | None = None
     seed: int = 0
     model: Model | None = field(default=None, repr=False)
@@ -119,25 +125,13 @@ class Logbook:
         place = Path(folder) / NAME
         try:
             data = json.loads(place.read_text(encoding="utf-8"))
-            return cls(
-                folder=Path(folder),
-                problem=data["problem"],
-                variant=data["variant"],
-                candidates=tuple(
-                    Candidate(
-                        Experiment.from_dict(one["experiment"]), one["kind"], one["cost"],
-                        one["kept"],
-                    )
-                    for one in data["candidates"]
-                ),
-                goals=data["goals"],
-                hours=data["hours"],
-                sea=None if data["sea"] is None else _noise(data["sea"]),
-                records=tuple(data["records"]),
-                runs=tuple(data["runs"]),
-                proposed=data["proposed"],
-                seed=data["seed"],
-            )  # fmt: skip
+            data = {name: data[name] for name in _KEPT}
+            data["candidates"] = tuple(
+                Candidate(**(one | {"experiment": Experiment.from_dict(one["experiment"])}))
+                for one in data["candidates"]
+            )
+            data["sea"] = None if data["sea"] is None else _noise(data["sea"])
+            return cls(Path(folder), **data)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise FileError(
                 f"{str(place)!r} is no journal of a campaign ({error}). Begin another one, or "
@@ -152,7 +146,7 @@ class Logbook:
             if stored.is_file():
                 fit = Fit.load(stored)
             if fit is None or len(tuple(fit.dataset)) != len(self.records):
-                fit = _estimated(model, self.dataset(model))
+                fit = MultipleShooting().fit(model, self.dataset(model))
         return replace(self, model=model, fit=fit)
 
     def dataset(self, model: Model) -> Dataset:
@@ -195,7 +189,7 @@ class Logbook:
             self, records=(*self.records, name), runs=(*self.runs, self.proposed or ""),
             proposed=None,
         )  # fmt: skip
-        fit = _estimated(model, longer.dataset(model))
+        fit = MultipleShooting().fit(model, longer.dataset(model))
         fit.save(self.folder / _FIT)
         longer = replace(longer, fit=fit)
         longer.write()
@@ -227,58 +221,19 @@ class Logbook:
         if run is None:
             return None
         record = simulate(decision.model, run.experiment, noise=False)
-        columns = {"t [s]": record.times}
-        for channel, values in zip(decision.model.inputs, record.inputs.T, strict=True):
-            columns[f"{channel.name} [{channel.unit or '-'}]"] = values
-        path = self.folder / "next.csv"
-        write_table(path, list(columns), np.column_stack(list(columns.values())))
-        return path
+        return write_commands(self.folder / "next.csv", decision.model, record, predicted=False)
 
     def write(self) -> None:
         """Write the journal, whole or not at all."""
-        data: dict[str, Any] = {
-            "problem": self.problem,
-            "variant": self.variant,
-            "goals": dict(self.goals),
-            "hours": self.hours,
-            "sea": None if self.sea is None else _plain(self.sea),
-            "records": list(self.records),
-            "runs": list(self.runs),
-            "proposed": self.proposed,
-            "seed": self.seed,
-            "candidates": [
-                {
-                    "experiment": run.experiment.to_dict(),
-                    "kind": run.kind,
-                    "cost": run.cost,
-                    "kept": run.kept,
-                }
-                for run in self.candidates
-            ],
-        }
-        write_text(self.folder / NAME, json.dumps(data, indent=1) + "\n")
+        data = {name: getattr(self, name) for name in _KEPT}
+        data["sea"] = None if self.sea is None else asdict(self.sea)
+        write_text(self.folder / NAME, json.dumps(plain(data), indent=1) + "\n")
 
     @property
     def _model(self) -> Model:
         if self.model is None:
             raise DesignError("The logbook has no model yet. Give it with Logbook.of(model).")
         return self.model
-
-
-def _estimated(model: Model, dataset: Dataset) -> Fit:
-    return MultipleShooting().fit(model, dataset)
-
-
-def _plain(noise: NoiseModel) -> dict[str, Any]:
-    return {
-        "white": noise.white.tolist(),
-        "colour": noise.colour.tolist(),
-        "force": noise.force.tolist(),
-        "colour_time": noise.colour_time.tolist(),
-        "force_time": noise.force_time.tolist(),
-        "outputs": list(noise.outputs),
-        "places": list(noise.places),
-    }
 
 
 def _noise(data: Mapping[str, Any]) -> NoiseModel:

@@ -26,24 +26,24 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oed_sysid.data.log import library
-from oed_sysid.design.assurance import TRUSTED, Assurance
-from oed_sysid.design.library import Reference
+from oed_sysid.design.assurance import TRUSTED
 from oed_sysid.design.limits import quantity, span, units_of
-from oed_sysid.design.missing_effects import Detection, missing_physics
+from oed_sysid.design.missing_effects import missing_physics
 from oed_sysid.errors import DesignError, FileError
-from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import Trajectory
 from oed_sysid.information.noise import sea_words
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import Table
 from oed_sysid.runtime.files import make_folder
 from oed_sysid.text.csv_table import write_table
+
+if TYPE_CHECKING:
+    from oed_sysid.design.result import Design
 
 _MOST_ORDERS = 40
 _WIDTH = 92
@@ -51,61 +51,7 @@ _WIDTH = 92
 _GOOD, _USABLE = 0.05, 0.5
 
 
-class Planned(Protocol):
-    """What the card is written from: a :class:`~oed_sysid.design.result.Design`."""
-
-    @property
-    def experiment(self) -> Experiment:
-        """The run."""
-
-    @property
-    def model(self) -> Model:
-        """The nominal vehicle."""
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """What it is expected to do."""
-
-    @property
-    def active(self) -> tuple[str, ...]:
-        """Limits that are reached, in words."""
-
-    @property
-    def assurance(self) -> Assurance | None:
-        """How surely limits are kept."""
-
-    @property
-    def sea(self) -> NoiseModel | None:
-        """Random forces and coloured sensors, if any."""
-
-    @property
-    def misfits(self) -> dict[tuple[str, str], float]:
-        """Expected misfit of each rival."""
-
-    @property
-    def chances(self) -> tuple[Detection, ...]:
-        """How surely each candidate effect would show."""
-
-    @property
-    def references(self) -> tuple[Reference, ...]:
-        """Standard manoeuvres beside it."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Parameters."""
-
-    @property
-    def relative_errors(self) -> np.ndarray:
-        """Expected standard errors as shares of the values."""
-
-    def gain(self, reference: Reference) -> tuple[float, float]:
-        """How much larger a reference's errors are."""
-
-    def accuracy(self, *, sort: bool = False) -> Table:
-        """A row about every parameter."""
-
-
-def sea_trial_card(design: Planned) -> str:
+def sea_trial_card(design: Design) -> str:
     """Return what to run, for how long, what to watch and what to expect.
 
     Parameters
@@ -146,7 +92,7 @@ def sea_trial_card(design: Planned) -> str:
     return "\n".join(lines)
 
 
-def _danger(design: Planned) -> list[str]:
+def _danger(design: Design) -> list[str]:
     """First lines where limits are likely to be left."""
     found = design.assurance
     if found is None or found.is_safe:
@@ -154,7 +100,7 @@ def _danger(design: Planned) -> list[str]:
     return wrap(f"{found.danger} Read WATCH before anything else.", _WIDTH)
 
 
-def _start(design: Planned, units: dict[str, str]) -> str:
+def _start(design: Design, units: dict[str, str]) -> str:
     initial = design.experiment.initial
     given = [f"{n} = {quantity(v, units[n])}" for n, v in initial.items() if v]
     speeds = [s.name for s in design.model.states if s.name in ("u", "v", "w")]
@@ -196,7 +142,7 @@ def _orders(model: Model, trajectory: Trajectory, units: dict[str, str]) -> list
     return lines
 
 
-def _motion(design: Planned, units: dict[str, str]) -> list[str]:
+def _motion(design: Design, units: dict[str, str]) -> list[str]:
     """Predicted ranges, what other vehicles would do, and where to stop."""
     model, assurance = design.model, design.assurance
     head = f"  {'':<10} {'predicted':<24}"
@@ -220,7 +166,7 @@ def _between(lower: float, upper: float, unit: str) -> str:
     return f"{quantity(lower, unit).split(' ')[0]} to {quantity(upper, unit)}"
 
 
-def _watch(design: Planned) -> list[str]:
+def _watch(design: Design) -> list[str]:
     limits = design.experiment.limits.signals
     words = []
     if not limits:
@@ -251,7 +197,7 @@ def _watch(design: Planned) -> list[str]:
     return lines + abort_lines(design)
 
 
-def abort_lines(design: Planned) -> list[str]:
+def abort_lines(design: Design) -> list[str]:
     """When to stop, and how often that is to be expected."""
     found = design.assurance
     if found is None or not found.rules:
@@ -271,7 +217,7 @@ def abort_lines(design: Planned) -> list[str]:
     return [*lines, f"  Any of these fires on {found.any_fires:.1%} of {found.n_checked} vehicles."]
 
 
-def _accuracy(design: Planned) -> list[str]:
+def _accuracy(design: Design) -> list[str]:
     kind = "white noise" if design.sea is None else "noise and random forces"
     lines = [f"ACCURACY TO EXPECT (standard error / value; {kind} as below)"]
     for reference in design.references:

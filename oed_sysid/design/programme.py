@@ -180,43 +180,35 @@ def design_programme(
         durations=search.durations, turnaround=budget.turnaround, kinds=search.kinds,
         kept=certainty,
     )  # fmt: skip
-    planner = _Planner(expected, (nominal, *vehicles[: search.n_draws]), limits, budget)
+    planner = _Planner(expected, (nominal, *vehicles[: search.n_draws]), limits, budget, certainty)
     tell(f"information of {len(runs)} candidate runs")
     options = {subset: planner.solve(runs, subset) for subset in _subsets(budget.sensors)}
     subset = max(options, key=lambda key: options[key].chosen.value)
     plan = options[subset]
     for number in range(search.n_rounds):
         tell(f"refining commands, round {number + 1}")
-        fresh = planner.refined(plan, vehicles, certainty, rng, number)
-        if not fresh:
-            break
-        # What was chosen before stays among the starts, so that nothing is lost.
-        better = planner.solve((*plan.runs, *fresh), subset, begin=plan.chosen.counts)
+        better = planner.refined(plan, subset, vehicles, rng, number)
         gained = better.chosen.value - plan.chosen.value
         plan = better
         if gained < 1e-3:
             break
-    safe: dict[str, Assurance] = {}
-    # All runs are judged on the same fresh vehicles, so that it can be said on how many of them
-    # every run keeps its limits.
-    judges = draw_models(nominal, spread, _CHECKED, known, rng)
-    while True:
-        tell("checking limits on other vehicles")
-        picked = plan.picked
-        for run in picked:
-            if run.name not in safe:
-                found = assess_limits(
-                    nominal, run.experiment, rng=rng, limits=limits, wanted=certainty,
-                    sea=expected.sea, vehicles=judges,
-                )  # fmt: skip
-                safe[run.name] = replace(found, spread=spread)
-        leaves = _leaving(picked, safe, certainty)
-        kept = [run for run in plan.runs if run.name not in leaves]
-        if len(kept) == len(plan.runs) or not kept:
-            break
-        plan = planner.solve(kept, subset)
+    tell("checking limits on other vehicles")
+    plan, safe = planner.kept_within(plan, subset, spread, rng)
+    return _result(planner, plan, safe, options, subset, time.perf_counter() - began)
+
+
+def _result(
+    planner: _Planner,
+    plan: _Plan,
+    safe: Mapping[str, Assurance],
+    options: Mapping[tuple[str, ...], _Plan],
+    subset: tuple[str, ...],
+    seconds: float,
+) -> Programme:
+    """What was planned, with all that is stated about it."""
     plain = [run for run in plan.runs if run.kind != "designed"]
     first = plan if len(plain) == len(plan.runs) else planner.solve(plain, subset)
+    expected, budget = planner.expected, planner.budget
     library, chosen = plan.library, plan.chosen
     sequence = [plan.runs[i] for i in order(library, [int(n) for n in chosen.counts])]
     joint = library.total(chosen.counts.astype(float))
@@ -226,13 +218,13 @@ def design_programme(
     sizes = {key: option.chosen.value - options[subset].chosen.value
              for key, option in options.items()}  # fmt: skip
     return Programme(
-        model=nominal,
+        model=expected.model,
         runs=tuple(sequence),
         candidates=plan.runs,
         weights=plan.shares.repetitions,
         information=Information.from_matrix(names, totals[0] / scales[:, None] / scales, scales),
-        prior=known,
-        criterion=criterion.name,
+        prior=expected.prior,
+        criterion=expected.criterion.name,
         value=chosen.value,
         bound=plan.shares.bound,
         relaxed=plan.shares.value,
@@ -258,7 +250,7 @@ def design_programme(
         budget=(budget.hours, budget.n_runs),
         misfits=expected.misfits(joint[0]),
         chances=expected.detections(joint[0]),
-        seconds=time.perf_counter() - began,
+        seconds=seconds,
     )
 
 
@@ -310,9 +302,10 @@ class _Planner:
         vehicles: Sequence[Model],
         limits: Limits,
         budget: Budget,
+        certainty: float,
     ) -> None:
         self.expected, self.vehicles = expected, tuple(vehicles)
-        self.limits, self.budget = limits, budget
+        self.limits, self.budget, self.certainty = limits, budget, certainty
         model = expected.model
         # Errors count relative to the values, on all vehicles alike.
         self.scales = np.array([model.parameter(name).reference for name in expected.names])
@@ -381,31 +374,57 @@ class _Planner:
         chosen = select(library, shares, budget=budget, n_runs=n_runs, begin=before)
         return _Plan(kept, library, shares, chosen)
 
+    def kept_within(
+        self, plan: _Plan, subset: tuple[str, ...], spread: float | None, rng: np.random.Generator
+    ) -> tuple[_Plan, dict[str, Assurance]]:
+        """Leave out runs that leave their limits, until all together keep them often enough.
+
+        All runs are judged on the same fresh vehicles, so that it can be said on how many of
+        them every run keeps its limits.
+        """
+        expected, safe = self.expected, dict[str, Assurance]()
+        judges = draw_models(expected.model, spread, _CHECKED, expected.prior, rng)
+        while True:
+            for run in plan.picked:
+                if run.name not in safe:
+                    found = assess_limits(
+                        expected.model, run.experiment, rng=rng, limits=self.limits,
+                        wanted=self.certainty, sea=expected.sea, vehicles=judges,
+                    )  # fmt: skip
+                    safe[run.name] = replace(found, spread=spread)
+            leaves = _leaving(plan.picked, safe, self.certainty)
+            kept = [run for run in plan.runs if run.name not in leaves]
+            if len(kept) == len(plan.runs) or not kept:
+                return plan, safe
+            plan = self.solve(kept, subset)
+
     def refined(
         self,
         plan: _Plan,
+        subset: tuple[str, ...],
         vehicles: Sequence[Model],
-        certainty: float,
         rng: np.random.Generator,
         number: int,
-    ) -> list[Candidate]:
-        """Commands in place of those of the three runs that take most time, if found."""
+    ) -> _Plan:
+        """Refine commands of the three runs that take most time, and choose anew."""
         counts = plan.chosen.counts
         most = min(3, int(np.count_nonzero(counts)))
         fresh = []
         for j in np.argsort(-counts * plan.library.costs)[:most]:
             name = f"designed {number + 1}{chr(97 + int(j) % 26)}"
-            found = self._completing(plan, int(j), vehicles, certainty, rng, name)
+            found = self._completing(plan, int(j), vehicles, rng, name)
             if found is not None:
                 fresh.append(found)
-        return fresh
+        if not fresh:
+            return plan
+        # What was chosen before stays among the starts, so that nothing is lost.
+        return self.solve((*plan.runs, *fresh), subset, begin=counts)
 
     def _completing(
         self,
         plan: _Plan,
         j: int,
         vehicles: Sequence[Model],
-        certainty: float,
         rng: np.random.Generator,
         name: str,
     ) -> Candidate | None:
@@ -431,7 +450,7 @@ class _Planner:
                 manoeuvre=_ramped(found, self.limits, pattern.sample_time),
                 name=f"{name} {_ending(run.name)}".strip(),
             )  # fmt: skip
-            kept = kept_on(experiment, (expected.model, *vehicles), bounds, certainty)
+            kept = kept_on(experiment, (expected.model, *vehicles), bounds, self.certainty)
             if kept is not None:
                 return Candidate(experiment, "designed", run.cost, kept)
         return None

@@ -1,17 +1,19 @@
-"""A designed experiment: what to run, what it will tell, what it respects.
+r"""What is designed: a run or a programme of runs, what it will tell, what it respects.
 
-A designed programme: which runs in which order, what they will tell, how near the optimum.
+Accuracy is the bound :math:`s_i = \sqrt{[F^{-1}]_{ii}}` of the information after the runs, prior
+knowledge included, as a share :math:`s_i / |\theta_i|` of the values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import wrap
 
 import numpy as np
 
+from oed_sysid.data.dataset import Record
 from oed_sysid.design.assurance import TRUSTED, AccuracyRange, Assurance, PredictedTracks, stated
 from oed_sysid.design.library import Candidate, Reference
 from oed_sysid.design.limits import percent
@@ -22,6 +24,7 @@ from oed_sysid.experiments.simulation import Trajectory, simulate
 from oed_sysid.information.noise import sea_words
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
@@ -39,8 +42,64 @@ from oed_sysid.runtime.files import make_folder
 from oed_sysid.text.csv_table import write_table
 
 
+class _Accuracy:
+    """What a designed run and a designed programme say of accuracy alike."""
+
+    model: Model
+    information: Information
+    prior: Information | None
+    sea: NoiseModel | None
+    spread: AccuracyRange | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters."""
+        return self.information.names
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Absolute values (or scales of zeros) that make errors relative, ``(n,)``."""
+        return np.array([self.model.parameter(name).reference for name in self.names])
+
+    @property
+    def relative_errors(self) -> np.ndarray:
+        """Expected standard errors as shares of the values, ``(n,)``."""
+        return self.information.std_errors / self.sizes
+
+    @property
+    def prior_errors(self) -> np.ndarray:
+        """The same before the experiment; infinite where nothing is known."""
+        if self.prior is None:
+            return np.full(len(self.names), np.inf)
+        return self.prior.std_errors / self.sizes
+
+    def _table(self, title: str, others: Mapping[str, np.ndarray]) -> Table:
+        """Expected relative errors: before, after, on other vehicles, of other runs."""
+        columns: dict[str, Sequence[str]] = {}
+        if np.isfinite(self.prior_errors).any():
+            columns["before"] = [percent(error) for error in self.prior_errors]
+        columns[title] = [stated(error, self.sea) for error in self.relative_errors]
+        if self.spread is not None:
+            columns["other vehicles"] = [self.spread.words(name) for name in self.names]
+        for name, errors in others.items():
+            columns[name] = [stated(error, self.sea) for error in errors]
+        values = [f"{self.model.values[name]:.4g}" for name in self.names]
+        rows = list(zip(self.names, values, *columns.values(), strict=True))
+        return Table(("parameter", "value", *columns), rows)
+
+
+def write_commands(path: Path, model: Model, run: Trajectory | Record, *, predicted: bool) -> Path:
+    """Write the commands of a run, and its outputs where wanted, with units in the header."""
+    columns = {"t [s]": run.times}
+    channels: list[Input | Output] = [*model.inputs, *(model.outputs if predicted else ())]
+    for channel, values in zip(channels, np.hstack([run.inputs, run.outputs]).T, strict=False):
+        columns[f"{channel.name} [{channel.unit or '-'}]"] = values
+    write_table(path, list(columns), np.column_stack(list(columns.values())))
+    return path
+
+
 @dataclass(frozen=True, eq=False)
-class Design:
+class Design(_Accuracy):
     """Result of :func:`~oed_sysid.design.design_experiment`.
 
     Attributes
@@ -110,30 +169,6 @@ class Design:
             f"+/- {1.96 * self.relative_errors[worst]:.2%} (95 %)>"
         )
 
-    # -- accuracy ------------------------------------------------------------------
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Parameters."""
-        return self.information.names
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """Absolute values (or scales of zeros) that make errors relative, ``(n,)``."""
-        return np.array([self.model.parameter(name).reference for name in self.names])
-
-    @property
-    def relative_errors(self) -> np.ndarray:
-        """Expected standard errors as shares of the values, shape ``(n,)``."""
-        return self.information.std_errors / self.sizes
-
-    @property
-    def prior_errors(self) -> np.ndarray:
-        """The same before the experiment; infinite where nothing is known."""
-        if self.prior is None:
-            return np.full(len(self.names), np.inf)
-        return self.prior.std_errors / self.sizes
-
     def gain(self, reference: Reference) -> tuple[float, float]:
         """How much larger a reference's errors are.
 
@@ -150,8 +185,6 @@ class Design:
             return float("inf"), float("inf")
         mean = float(np.exp(np.mean(np.log(theirs / ours))))
         return mean, float(theirs.max() / ours.max())
-
-    # -- words ---------------------------------------------------------------------
 
     def document(self, *, title: str = "") -> Report:
         """Return what the design will tell, commands, motion and the sea-trial card."""
@@ -232,20 +265,11 @@ class Design:
 
     def accuracy(self, *, sort: bool = False) -> Table:
         """Expected relative standard errors; sorted, the best first."""
-        columns: dict[str, Sequence[str]] = {}
-        if np.isfinite(self.prior_errors).any():
-            columns["before"] = [percent(error) for error in self.prior_errors]
-        columns["this run"] = [stated(error, self.sea) for error in self.relative_errors]
-        if self.spread is not None:
-            columns["other vehicles"] = [self.spread.words(name) for name in self.names]
-        for one in self.references:
-            errors = one.information.std_errors / self.sizes
-            columns[one.name] = [stated(error, self.sea) for error in errors]
-        values = [f"{self.model.values[name]:.4g}" for name in self.names]
-        rows = list(zip(self.names, values, *columns.values(), strict=True))
-        if sort:
-            rows = [rows[i] for i in np.argsort(self.relative_errors)]
-        return Table(("parameter", "value", *columns), rows)
+        others = {one.name: one.information.std_errors / self.sizes for one in self.references}
+        table = self._table("this run", others)
+        if not sort:
+            return table
+        return replace(table, rows=[table.rows[i] for i in np.argsort(self.relative_errors)])
 
     def card(self, tracks: PredictedTracks | None = None, *, title: str = "") -> Report:
         """Return the sea-trial card as a page: danger first, then what to run and where it goes.
@@ -325,13 +349,7 @@ class Design:
             Also write the outputs that the model predicts, to watch against;
             the file can then be read as a record.
         """
-        columns = {"t [s]": self.trajectory.times}
-        for channel, values in zip(self.model.inputs, self.trajectory.inputs.T, strict=True):
-            columns[f"{channel.name} [{channel.unit or '-'}]"] = values
-        if predicted:
-            for output, values in zip(self.model.outputs, self.trajectory.outputs.T, strict=True):
-                columns[f"{output.name} [{output.unit or '-'}]"] = values
-        write_table(Path(path), list(columns), np.column_stack(list(columns.values())))
+        write_commands(Path(path), self.model, self.trajectory, predicted=predicted)
 
 
 _WIDTH = 92
@@ -372,7 +390,7 @@ class Standard:
 
 
 @dataclass(frozen=True, eq=False)
-class Programme:
+class Programme(_Accuracy):
     """Result of :func:`~oed_sysid.design.design_programme`.
 
     Attributes
@@ -462,21 +480,6 @@ class Programme:
     def gap(self) -> float:
         """How far the weights may be below the best weights, in units of the criterion."""
         return self.bound - self.relaxed
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Parameters."""
-        return self.information.names
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """Values that make errors relative, ``(n,)``."""
-        return np.array([self.model.parameter(name).reference for name in self.names])
-
-    @property
-    def relative_errors(self) -> np.ndarray:
-        """Expected standard errors as shares of the values, ``(n,)``."""
-        return self.information.std_errors / self.sizes
 
     @property
     def limited(self) -> bool:
@@ -661,18 +664,11 @@ class Programme:
 
     def accuracy(self) -> Table:
         """Expected relative standard errors of every parameter."""
-        columns: dict[str, Sequence[str]] = {}
-        if self.prior is not None:
-            columns["before"] = [percent(e) for e in self.prior.std_errors / self.sizes]
-        columns["after"] = [stated(error, self.sea) for error in self.relative_errors]
-        if self.spread is not None:
-            columns["other vehicles"] = [self.spread.words(name) for name in self.names]
+        others = {}
         if self.standard is not None:
-            errors = self.standard.errors
-            columns["standard trials"] = [stated(errors[name], self.sea) for name in self.names]
-        values = [f"{self.model.values[name]:.4g}" for name in self.names]
-        rows = list(zip(self.names, values, *columns.values(), strict=True))
-        return Table(("parameter", "value", *columns), rows)
+            errors = [self.standard.errors[name] for name in self.names]
+            others["standard trials"] = np.array(errors)
+        return self._table("after", others)
 
     to_dict = as_dict(
         "hours", "runs", "criterion", "value", "relaxed", "bound", "gap", "greedy_share",
@@ -722,11 +718,7 @@ class Programme:
         written = []
         for number, run in enumerate(self.runs, start=1):
             record = simulate(self.model, run.experiment, noise=False)
-            columns = {"t [s]": record.times}
-            for channel, values in zip(self.model.inputs, record.inputs.T, strict=True):
-                columns[f"{channel.name} [{channel.unit or '-'}]"] = values
             word = "".join(c if c.isalnum() else "_" for c in run.name)
             path = place / f"{number:02d}_{word}.csv"
-            write_table(path, list(columns), np.column_stack(list(columns.values())))
-            written.append(path)
+            written.append(write_commands(path, self.model, record, predicted=False))
         return tuple(written)

@@ -539,18 +539,9 @@ def search_zigzags(
 
     best: Score | None = None
     nearest: Score | None = None
-    # Regular zigzags of all sizes first: swings of their own pay only near a good one.
-    regular = [np.repeat(pair, n) for pair in product(_SIZES, _SIZES)]
-    n_random = len(regular) + family.n_trials // 4
     width = 0.3
     for trial in range(family.n_trials):
-        if trial < len(regular):
-            numbers = regular[trial]
-        elif trial < n_random or best is None:
-            numbers = rng.uniform(0.05, 1.0, 2 * n)
-        else:
-            moved = rng.random(2 * n) < max(0.3, 1.0 / n)
-            numbers = np.clip(best.numbers + width * moved * rng.standard_normal(2 * n), 0.02, 1.0)
+        numbers, is_local = _tried(family, trial, best, width, rng)
         score = judge(numbers)
         if score is None:
             continue
@@ -558,10 +549,27 @@ def search_zigzags(
         better = score.feasible and (best is None or score.value > best.value)
         if better and _is_safe(plan(numbers), objective.scenarios):
             best = score
-            width = min(0.4, 1.3 * width) if trial >= n_random else width
-        elif trial >= n_random:
+            width = min(0.4, 1.3 * width) if is_local else width
+        elif is_local:
             width = max(0.03, 0.97 * width)
     return best, nearest, None if best is None else plan(best.numbers)
+
+
+def _tried(
+    family: ZigZags, trial: int, best: Score | None, width: float, rng: np.random.Generator
+) -> tuple[np.ndarray, bool]:
+    """Numbers of one trial, and whether the search is local by then."""
+    n = family.n_swings
+    # Regular zigzags of all sizes first: swings of their own pay only near a good one.
+    regular = list(product(_SIZES, _SIZES))
+    if trial < len(regular):
+        return np.repeat(regular[trial], n), False
+    is_local = trial >= len(regular) + family.n_trials // 4
+    if best is None or not is_local:
+        return rng.uniform(0.05, 1.0, 2 * n), is_local
+    moved = rng.random(2 * n) < max(0.3, 1.0 / n)
+    step = width * moved * rng.standard_normal(2 * n)
+    return np.clip(best.numbers + step, 0.02, 1.0), True
 
 
 def _is_safe(run: Experiment, scenarios: Scenarios | None) -> bool:

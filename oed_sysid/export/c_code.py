@@ -30,7 +30,7 @@ import numpy as np
 
 from oed_sysid.compiled.graph import GAMMA, STAGES
 from oed_sysid.errors import FileError
-from oed_sysid.export.program import IN_C, Example, Program, Routine, example
+from oed_sysid.export.program import IN_C, Example, Program, Routine, example, target_file
 from oed_sysid.runtime.files import whole_file, write_text
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.typeset import safe
@@ -71,9 +71,7 @@ def write_c(program: Program, folder: Path) -> tuple[Path, ...]:
 def header(program: Program) -> str:
     """Text of the header: sizes, names, and what can be called."""
     return template("model.h").substitute(
-        origin=program.origin,
-        name=program.identifier,
-        upper=program.identifier.upper(),
+        **_names(program),
         nx=len(program.state_names),
         nz=program.n_full,
         nu=len(program.model.inputs),
@@ -93,9 +91,7 @@ def source(program: Program) -> str:
         gamma=repr(GAMMA), weights=", ".join(repr(w) for row in STAGES for w in row)
     )
     return template("model.c").substitute(
-        origin=program.origin,
-        name=program.identifier,
-        upper=program.identifier.upper(),
+        **_names(program),
         na=program.n_actuator,
         ns=program.n_sensor,
         nd=program.n_signals,
@@ -116,9 +112,7 @@ def source(program: Program) -> str:
 def self_test(program: Program, run: Example) -> str:
     """Text of a program that repeats a trajectory of the package."""
     return template("self_test.c").substitute(
-        origin=program.origin,
-        name=program.identifier,
-        upper=program.identifier.upper(),
+        **_names(program),
         n=len(run.times),
         times=_numbers(run.times),
         inputs=_numbers(run.inputs),
@@ -143,6 +137,12 @@ def _function(routine: Routine) -> str:
     lines.append("    " + " ".join(f"(void){name};" for name in unused))
     lines += [f"    {line}" for line in IN_C.lines(routine)]
     return "\n".join([*lines, "}"])
+
+
+def _names(program: Program) -> dict[str, str]:
+    """What the heads of all files say."""
+    name = program.identifier
+    return {"origin": program.origin, "name": name, "upper": name.upper()}
 
 
 def _numbers(values: Iterable[float] | np.ndarray) -> str:
@@ -194,15 +194,13 @@ def write_fmu(program: Program, path: Path) -> tuple[Path, ...]:
         If the C compiler refuses the code.
     """
     name = program.identifier
-    file = path if path.suffix == ".fmu" else path / f"{name}.fmu"
+    file = target_file(program, path, ".fmu")
     code = source(program)
     guid = hashlib.sha256((code + header(program)).encode()).hexdigest()[:32]
     texts = {
         f"{name}.h": header(program),
         f"{name}.c": code,
-        f"{name}_fmu.c": template("fmu.c").substitute(
-            origin=program.origin, name=name, upper=name.upper(), guid=guid
-        ),
+        f"{name}_fmu.c": template("fmu.c").substitute(**_names(program), guid=guid),
     }
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)

@@ -26,6 +26,7 @@ import keyword
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -42,8 +43,6 @@ from oed_sysid.text.typeset import safe, safe_unit
 # -- a model as a program --------------------------------------------------------------
 
 
-# Samples of the trajectory that a self-test repeats.
-MOST_TESTED = 400
 # Words that end or begin a block in MATLAB and are no words of Python.
 _MATLAB_WORDS = ("case", "end", "function", "otherwise", "parfor", "spmd", "switch")
 
@@ -355,6 +354,20 @@ def _routine(function: ca.Function) -> Routine:
     )
 
 
+def target_file(program: Program, path: Path, ending: str, tail: str = "") -> Path:
+    """A file named by its user, or ``NAME`` with a tail and an ending in a folder."""
+    return path if path.suffix == ending else path / f"{program.identifier}{tail}{ending}"
+
+
+def python_function(dialect: Dialect, routine: Routine, zero: str) -> str:
+    """Text of a function of Python that returns lists of its results."""
+    names = ", ".join(name for name, _ in routine.arguments)
+    lines = [f"def {routine.name}({names}):"]
+    lines += [f"    {name} = [{zero}] * {length}" for name, length in routine.results]
+    lines += [f"    {line}" for line in dialect.lines(routine)]
+    return "\n".join([*lines, f"    return {', '.join(name for name, _ in routine.results)}"])
+
+
 def _slopes(rates: ca.Function) -> ca.Function:
     """Dense derivatives of the rates by the states, row by row."""
     symbols = [ca.SX.sym(rates.name_in(i), rates.sparsity_in(i)) for i in range(rates.n_in())]
@@ -373,7 +386,7 @@ def example(program: Program) -> Example:
     model, fit = program.model, program.fit
     if fit is not None:
         record = fit.dataset[0]
-        keep = slice(0, MOST_TESTED)
+        keep = slice(0, 400)
         times, inputs = np.array(record.times[keep]), np.array(record.inputs[keep])
         own = np.array(fit.initial_states[0][: program.n_own])
         model = model.with_values(dict(fit.local_values[0])) if fit.local_values[0] else model

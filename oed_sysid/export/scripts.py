@@ -31,7 +31,15 @@ from oed_sysid.compiled.graph import GAMMA, STAGES, build
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.experiments.steady import equilibrium, linearise
 from oed_sysid.export.c_code import template
-from oed_sysid.export.program import IN_MATLAB, IN_PYTHON, Program, Routine, identifier
+from oed_sysid.export.program import (
+    IN_MATLAB,
+    IN_PYTHON,
+    Program,
+    Routine,
+    identifier,
+    python_function,
+    target_file,
+)
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import whole_file, write_text
 from oed_sysid.text.typeset import safe
@@ -54,7 +62,7 @@ def write_python(program: Program, path: Path) -> tuple[Path, ...]:
     tuple of Path
         The file.
     """
-    file = path if path.suffix == ".py" else path / f"{program.identifier}.py"
+    file = target_file(program, path, ".py")
     write_text(file, python_text(program))
     return (file,)
 
@@ -87,17 +95,9 @@ def python_text(program: Program) -> str:
         parameters="\n".join(rows),
         estimated=names.free,
         covariance=program.covariance.tolist(),
-        functions="\n\n\n".join(_python_function(one) for one in program.routines),
+        functions="\n\n\n".join(python_function(IN_PYTHON, one, "0.0") for one in program.routines),
         step_function=step,
     )
-
-
-def _python_function(routine: Routine) -> str:
-    names = ", ".join(name for name, _ in routine.arguments)
-    lines = [f"def {routine.name}({names}):"]
-    lines += [f"    {name} = [0.0] * {length}" for name, length in routine.results]
-    lines += [f"    {line}" for line in IN_PYTHON.lines(routine)]
-    return "\n".join([*lines, f"    return {', '.join(name for name, _ in routine.results)}"])
 
 
 # -- a MATLAB function file that runs in Octave too ------------------------------------
@@ -307,7 +307,7 @@ def write_control(
         else np.zeros_like(matrices[k])
         for k in (0, 1)
     ]
-    file = path if path.suffix == ".py" else path / f"{program.identifier}_linear.py"
+    file = target_file(program, path, ".py", "_linear")
     names, values = program.names, [float(value) for value in model.value_vector]
     a, b, c, d = (_rows(one) for one in matrices)
     write_text(

@@ -9,7 +9,7 @@ from string import Template
 
 import numpy as np
 
-from oed_sysid.export.program import IN_SYMPY, Program, Routine
+from oed_sysid.export.program import IN_SYMPY, Program, python_function, target_file
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import write_text
 from oed_sysid.text import notation
@@ -72,8 +72,6 @@ $rows
 \end{longtable}
 \end{document}
 """)
-# Digits of numbers in equations.
-_DIGITS = 4
 
 
 def write_sympy(program: Program, path: Path) -> tuple[Path, ...]:
@@ -91,8 +89,8 @@ def write_sympy(program: Program, path: Path) -> tuple[Path, ...]:
     tuple of Path
         The files.
     """
-    module = path if path.suffix == ".py" else path / f"{program.identifier}_sympy.py"
-    page = path.with_suffix(".tex") if path.suffix == ".py" else path / f"{program.identifier}.tex"
+    module = target_file(program, path, ".py", "_sympy")
+    page = path.with_suffix(".tex") if module == path else target_file(program, path, ".tex")
     write_text(module, module_text(program))
     write_text(page, latex_text(program))
     return module, page
@@ -121,16 +119,10 @@ def module_text(program: Program) -> str:
         values=[float(value) for value in model.value_vector],
         estimated=known.free,
         covariance=program.covariance.tolist(),
-        functions="\n\n\n".join(_function(one) for one in program.routines),
+        functions="\n\n\n".join(
+            python_function(IN_SYMPY, one, "sp.S(0)") for one in program.routines
+        ),
     )
-
-
-def _function(routine: Routine) -> str:
-    names = ", ".join(name for name, _ in routine.arguments)
-    lines = [f"def {routine.name}({names}):"]
-    lines += [f"    {name} = [sp.S(0)] * {length}" for name, length in routine.results]
-    lines += [f"    {line}" for line in IN_SYMPY.lines(routine)]
-    return "\n".join([*lines, f"    return {', '.join(name for name, _ in routine.results)}"])
 
 
 def latex_text(program: Program) -> str:
@@ -228,7 +220,7 @@ class _Numbers(ast.NodeTransformer):
     def visit_Name(self, node: ast.Name) -> ast.expr:
         if node.id not in self.values:
             return node
-        return ast.Constant(float(f"{self.values[node.id]:.{_DIGITS}g}"))
+        return ast.Constant(float(f"{self.values[node.id]:.4g}"))
 
 
 def _with_numbers(text: str, values: Mapping[str, float]) -> str:

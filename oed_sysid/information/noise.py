@@ -292,14 +292,7 @@ def sea_noise(
     """
     runs = tuple(reference)
     white = noise_of(model).sigma
-    parts = [part.strip() for part in sea.split(",") if part.strip()]
-    word = parts.pop(0) if parts and "=" not in parts[0] else None
-    if word is not None and word not in SEAS:
-        raise DesignError(
-            f"The sea {sea!r} is not understood. Say {', '.join(SEAS)}, or levels by equation "
-            "such as Z=0.3,M=0.06,time=2."
-        )
-    given = dict(_assignment(sea, part) for part in parts)
+    word, given = _understood(sea)
     period = given.pop("time", time)
     if period is None:
         sample = max((run.sample_time for run in runs), default=0.0)
@@ -320,6 +313,18 @@ def sea_noise(
         white, np.zeros_like(white), levels, force_time=period, outputs=model.output_names,
         places=tuple(place.name for place in found),
     )  # fmt: skip
+
+
+def _understood(sea: str) -> tuple[str | None, dict[str, float]]:
+    """Word of a sea, if it begins with one, and what is assigned in it."""
+    parts = [part.strip() for part in sea.split(",") if part.strip()]
+    word = parts.pop(0) if parts and "=" not in parts[0] else None
+    if word is not None and word not in SEAS:
+        raise DesignError(
+            f"The sea {sea!r} is not understood. Say {', '.join(SEAS)}, or levels by equation "
+            "such as Z=0.3,M=0.06,time=2."
+        )
+    return word, dict(_assignment(sea, part) for part in parts)
 
 
 def natural_forces(

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DesignError, SimulationError
-from oed_sysid.experiments.trajectory import state_names
+from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.information.bound import information_of
 from oed_sysid.information.identifiability import Subset
 from oed_sysid.information.noise import Colour, Levels, noise_of
@@ -272,23 +271,15 @@ def rank_parameters(
 
 def _signals(model: Model, play: Play, names: Sequence[str]) -> np.ndarray:
     """Chosen outputs or states of one run, shape ``(n_times, n_names)``."""
-    runner = kernel(model)
-    values = model.value_vector
-    z, _ = runner.start(play.initial, play.inputs[0], values, float(play.times[0]))
-    run = runner.run(play.times, play.inputs, values, z)
-    states = state_names(model)
-    columns = []
-    for name in names:
-        if name in model.output_names:
-            columns.append(run.outputs[:, model.output_names.index(name)])
-        elif name in states:
-            columns.append(run.states[:, states.index(name)])
-        else:
-            raise DesignError(
-                f"Model {model.name!r} has no output or state {name!r}. It has "
-                f"{', '.join(dict.fromkeys((*model.output_names, *states)))}."
-            )
-    return np.column_stack(columns)
+    run = simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial, throw=False)
+    known = {name: run.signal(name) for name in run.state_names}
+    known |= {name: run.output(name) for name in run.output_names}
+    if unknown := [name for name in names if name not in known]:
+        raise DesignError(
+            f"Model {model.name!r} has no output or state {unknown[0]!r}. It has "
+            f"{', '.join(dict.fromkeys((*model.output_names, *run.state_names)))}."
+        )
+    return np.column_stack([known[name] for name in names])
 
 
 def _indices(base: list[np.ndarray], new: list[np.ndarray]) -> tuple[float, float]:
@@ -423,28 +414,38 @@ def reduce_model(
     values = np.array([model.values[name] for name in information.names])
     base = [respond(model, play).outputs for play in played]
     spans = [noise_of(model, noise, coloured, changed=play.noise).sigma for play in played]
-    gone: list[int] = []
-    rest = [i for i, name in enumerate(information.names) if name not in keep]
-    drops = []
+    order = _dropping(fisher, values, [n not in keep for n in information.names])
+    drops: list[Drop] = []
     n_dropped, open_ended = 0, True
-    while rest:
-        costs = [_cost(fisher, values, [*gone, candidate]) for candidate in rest]
-        best = int(np.argmin(costs))
-        gone.append(rest.pop(best))
-        cost = max(float(costs[best]), 0.0)
-        rms = float(np.sqrt(cost / n_samples))
-        names = [information.names[i] for i in gone]
+    for count, (_, cost) in enumerate(order, start=1):
+        names = [information.names[i] for i, _ in order[:count]]
         reduced = (
             model.with_values(dict.fromkeys(names, 0.0)) if _allows_zero(model, names) else None
         )
+        rms = float(np.sqrt(cost / n_samples))
         drops.append(Drop(names[-1], cost, rms, _changes(reduced, model, played, base, spans)))
-        fits = rms <= largest_rms if largest_rms is not None else cost <= 2.0 * len(gone)
+        fits = rms <= largest_rms if largest_rms is not None else cost <= 2.0 * count
         open_ended = open_ended and fits and reduced is not None
         n_dropped += open_ended
     names = [drop.name for drop in drops[:n_dropped]]
     small = model.with_values(dict.fromkeys(names, 0.0)).fix(*names)
-    return Reduction(replace(small, name=f"{model.name}, reduced"), model, tuple(drops), n_dropped,
-                     n_samples)  # fmt: skip
+    named = replace(small, name=f"{model.name}, reduced")
+    return Reduction(named, model, tuple(drops), n_dropped, n_samples)
+
+
+def _dropping(
+    fisher: np.ndarray, values: np.ndarray, may_go: Sequence[bool]
+) -> list[tuple[int, float]]:
+    """Parameters in the order in which they are missed least, and the cost of all up to each."""
+    gone: list[int] = []
+    found = []
+    rest = [i for i, one in enumerate(may_go) if one]
+    while rest:
+        costs = [_cost(fisher, values, [*gone, candidate]) for candidate in rest]
+        best = int(np.argmin(costs))
+        gone.append(rest.pop(best))
+        found.append((gone[-1], max(float(costs[best]), 0.0)))
+    return found
 
 
 def _cost(fisher: np.ndarray, values: np.ndarray, gone: list[int]) -> float:

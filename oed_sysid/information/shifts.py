@@ -21,7 +21,7 @@ are at their values.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -120,52 +120,23 @@ class Shifts:
         fresh = tuple(e.absent() for e in effects if e.name not in nominal.effect_names)
         # One structure for all: compiled once, values are arguments.
         wide = nominal + fresh if fresh else nominal
-        shared = kernel(wide)
-        models: list[Model] = []
-        kernels: list[Kernel] = []
-        factors: list[float] = []
-        groups: list[Group] = []
-        for rival in rivals:
-            first = len(models)
-            if isinstance(rival, Model):
-                # Levels of noise may differ: those of the nominal model count.
-                if (rival.input_names, rival.output_names) != (
-                    nominal.input_names,
-                    nominal.output_names,
-                ):
-                    raise DesignError(
-                        f"The rival {rival.name!r} has other inputs or outputs than "
-                        f"{nominal.name!r}. Give it the same channels."
-                    )
-                models.append(rival)
-                kernels.append(kernel(rival))
-                factors.append(1.0)
-                groups.append(Group(rival.name, np.array([first]), np.eye(1), 1, {}))
-                continue
-            sizes = _sizes(rival, size)
-            base = wide if rival.name not in nominal.effect_names else (
-                nominal.without(rival.name) + rival.absent()
-            )  # fmt: skip
-            parts = [sizes]
-            smooth = two_sided(rival) and base is wide
-            if smooth:
-                parts = [{name: value} for name, value in sizes.items()]
-            share = TANGENT if smooth else 1.0
-            shapes = {p.name: p.value for p in rival.parameters if p.name not in sizes}
-            for part in parts:
-                models.append(
-                    base.with_values(shapes | {n: share * value for n, value in part.items()})
-                )
-                kernels.append(shared if base is wide else kernel(base))
-                factors.append(1.0 / share)
-            n = len(parts)
-            given = np.array([float(p.value != 0) for p in rival.parameters if p.name in sizes])
-            weight = np.outer(given, given) if given.any() and n > 1 else np.eye(n) / n
-            groups.append(
-                Group(rival.name, np.arange(first, first + n), weight,
-                      len(sizes) + len(rival.shape_names), sizes)
-            )  # fmt: skip
-        return cls(tuple(models), tuple(kernels), np.array(factors), tuple(groups))
+        runner = kernel(wide)
+        parts = [
+            _of_model(nominal, rival)
+            if isinstance(rival, Model)
+            else _of_effect(nominal, wide, runner, rival, size)
+            for rival in rivals
+        ]
+        first = np.cumsum([0, *map(len, parts)])
+        return cls(
+            tuple(model for part in parts for model in part.models),
+            tuple(runner for part in parts for runner in part.kernels),
+            np.concatenate([part.factors for part in parts]),
+            tuple(
+                replace(part.groups[0], columns=part.groups[0].columns + begin)
+                for part, begin in zip(parts, first, strict=False)
+            ),
+        )
 
     def columns(self, play: Play, outputs: np.ndarray) -> np.ndarray:
         """Changes of the outputs in one run, ``(n_times, n_outputs, n_columns)``.
@@ -194,6 +165,40 @@ class Shifts:
                 )
             found[:, :, position] = self.factors[position] * (run.outputs - outputs)
         return found
+
+
+def _of_model(nominal: Model, rival: Model) -> Shifts:
+    """The whole difference that a rival model makes."""
+    # Levels of noise may differ: those of the nominal model count.
+    if (rival.input_names, rival.output_names) != (nominal.input_names, nominal.output_names):
+        raise DesignError(
+            f"The rival {rival.name!r} has other inputs or outputs than {nominal.name!r}. Give it "
+            "the same channels."
+        )
+    group = Group(rival.name, np.array([0]), np.eye(1), 1, {})
+    return Shifts((rival,), (kernel(rival),), np.ones(1), (group,))
+
+
+def _of_effect(nominal: Model, wide: Model, runner: Kernel, effect: Effect, size: float) -> Shifts:
+    """A tangent for each amplitude that may have either sign, else one whole change."""
+    sizes = _sizes(effect, size)
+    base = wide
+    if effect.name in nominal.effect_names:
+        base = nominal.without(effect.name) + effect.absent()
+        runner = kernel(base)
+    smooth = two_sided(effect) and base is wide
+    parts = [{name: value} for name, value in sizes.items()] if smooth else [sizes]
+    share = TANGENT if smooth else 1.0
+    shapes = {p.name: p.value for p in effect.parameters if p.name not in sizes}
+    models = [
+        base.with_values(shapes | {n: share * value for n, value in part.items()}) for part in parts
+    ]
+    n = len(parts)
+    given = np.array([float(p.value != 0) for p in effect.parameters if p.name in sizes])
+    weight = np.outer(given, given) if given.any() and n > 1 else np.eye(n) / n
+    freedom = len(sizes) + len(effect.shape_names)
+    group = Group(effect.name, np.arange(n), weight, freedom, sizes)
+    return Shifts(tuple(models), (runner,) * n, np.full(n, 1.0 / share), (group,))
 
 
 def two_sided(effect: Effect) -> bool:

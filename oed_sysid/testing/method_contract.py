@@ -8,6 +8,7 @@ The contract of an estimator, to be run on every estimator that is added.
 >>> from oed_sysid.experiments.experiment import Experiment
 >>> from oed_sysid.experiments.manoeuvres import Doublet
 >>> from oed_sysid.physics.model import Model
+from oed_sysid.testing.problem_contract import CENTRAL, ROUNDING, STEP
 >>> from oed_sysid.physics.parameters import Parameter
 >>> nomoto = Model(
 ...     "Nomoto", (State("psi", "rad"), State("r", "rad/s")), (Input("delta", "rad"),),
@@ -65,11 +66,9 @@ from oed_sysid.information.noise import noise_of
 from oed_sysid.likelihood.base import Estimator
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
+from oed_sysid.testing.problem_contract import CENTRAL, ROUNDING, STEP
 
 # -- the contract of an estimator ------------------------------------------------------
-
-
-LEVEL = 0.95
 
 
 @dataclass(frozen=True)
@@ -231,18 +230,12 @@ def _coverage(
         data = Dataset(tuple(simulate(model, e, rng=rng) for e in experiments))
         fit = estimator.fit(start, data)
         for name in model.free_names:
-            low, high = fit.interval(name, LEVEL)
+            low, high = fit.interval(name, 0.95)
             held.append(low <= model.values[name] <= high)
     return float(np.mean(held))
 
 
 # -- the contract of a design criterion ------------------------------------------------
-
-
-# Of finite differences, relative to the information; and what they leave.
-_STEP, _GRADIENT = 1e-5, 1e-5
-# Relative to the values: rounding of eigenvalues and inverses.
-_ROUNDING = 1e-8
 
 
 def check_criterion(
@@ -335,7 +328,7 @@ def _monotone(measure: Any, matrix: np.ndarray, rng: np.random.Generator) -> lis
     """One more measurement never counts less."""
     row = rng.normal(size=len(matrix)) * np.sqrt(np.diag(matrix))
     value, more = measure(matrix)[0], measure(matrix + np.outer(row, row))[0]
-    if more >= value - _ROUNDING * max(abs(value), 1.0):
+    if more >= value - ROUNDING * max(abs(value), 1.0):
         return []
     return [f"falls from {value:.6g} to {more:.6g} by one more measurement"]
 
@@ -367,9 +360,9 @@ def _derivative(
 ) -> list[str]:
     row = rng.normal(size=len(matrix)) * np.sqrt(np.diag(matrix))
     direction = np.outer(row, row)
-    up, down = (measure(matrix + sign * _STEP * direction)[0] for sign in (1, -1))
-    slope = (up - down) / (2.0 * _STEP)
+    up, down = (measure(matrix + sign * STEP * direction)[0] for sign in (1, -1))
+    slope = (up - down) / (2.0 * STEP)
     stated = float(np.sum(gradient * direction))
-    if abs(slope - stated) > _GRADIENT * max(abs(slope), abs(stated), 1e-3):
+    if abs(slope - stated) > CENTRAL * max(abs(slope), abs(stated), 1e-3):
         return [f"states the slope {stated:.6g} where differences find {slope:.6g}"]
     return []

@@ -50,11 +50,10 @@ from oed_sysid.physics.model import Model
 # -- the contract of an effect ---------------------------------------------------------
 
 
-_ABSENT = 1e-12  # relative to the outputs
-_MIRROR = 1e-9
-_STEP = 1e-5  # of finite differences, in typical sizes
-_CENTRAL = 1e-5
-_ONE_SIDED = 2e-3
+# Step of finite differences, in typical sizes, and what central ones leave, relative.
+STEP = CENTRAL = 1e-5
+# Rounding of sums, of eigenvalues and of inverses, relative.
+ROUNDING = 1e-8
 
 
 def check_effect(
@@ -205,7 +204,7 @@ class _Probe:
         typical = self.outputs(self.with_effect(self.random_values(rng)), own, commands)
         size = np.abs(without).max(axis=0) + 1.0
         broken = []
-        if self.effect.amplitude_names and np.any(np.abs(zero - without) > _ABSENT * size):
+        if self.effect.amplitude_names and np.any(np.abs(zero - without) > 1e-12 * size):
             worst = np.abs(zero - without).max()
             broken.append(f"is not absent at zero amplitude: outputs differ by {worst:.1e}")
         if np.abs(typical - without).max() < 1e-9:
@@ -225,7 +224,7 @@ class _Probe:
         for column, (name, size) in enumerate(zip(names, sizes, strict=True)):
             sides = []
             for sign in (1.0, -1.0):
-                shift = sign * _STEP * size
+                shift = sign * STEP * size
                 moved = own.copy()
                 changed = model
                 if column < len(own):
@@ -233,9 +232,9 @@ class _Probe:
                 else:
                     changed = model.with_values({name: model.values[name] + shift})
                 sides.append(self.outputs(changed, moved, commands))
-            difference = (sides[0] - sides[1]) / (2 * _STEP * size)
-            noise = 1e-14 * np.abs(sides[0]).max() / _STEP
-            broken += _compare(exact[:, :, column] * size, difference * size, name, _CENTRAL, noise)
+            difference = (sides[0] - sides[1]) / (2 * STEP * size)
+            noise = 1e-14 * np.abs(sides[0]).max() / STEP
+            broken += _compare(exact[:, :, column] * size, difference * size, name, CENTRAL, noise)
         return broken
 
     def slope_at_zero(self, rng: np.random.Generator) -> list[str]:
@@ -247,11 +246,11 @@ class _Probe:
         for name in self.effect.amplitude_names:
             column = len(own) + model.free_names.index(name)
             size = model.parameter(name).magnitude
-            grown = self.outputs(model.with_values({name: _STEP * size}), own, commands)
-            difference = (grown - base) / _STEP
-            noise = 1e-14 * np.abs(base).max() / _STEP
+            grown = self.outputs(model.with_values({name: STEP * size}), own, commands)
+            difference = (grown - base) / STEP
+            noise = 1e-14 * np.abs(base).max() / STEP
             label = f"{name} at zero"
-            broken += _compare(exact[:, :, column] * size, difference, label, _ONE_SIDED, noise)
+            broken += _compare(exact[:, :, column] * size, difference, label, 2e-3, noise)
         return broken
 
     def mirrored(
@@ -269,7 +268,7 @@ class _Probe:
         straight = self.outputs(self.with_effect(values), own, commands)
         reflected = self.outputs(self.with_effect(other), own * flips[0], commands * flips[1])
         gap = np.abs(reflected - straight * flips[2]).max()
-        return [f"is not symmetric: mirrored outputs differ by {gap:.1e}"] if gap > _MIRROR else []
+        return [f"is not symmetric: mirrored outputs differ by {gap:.1e}"] if gap > 1e-9 else []
 
 
 def _compare(
@@ -295,8 +294,6 @@ TOPICS = {
 }
 # What success means stands under a heading or a bold word of its own.
 SUCCESS = r"^(#+ .*|\*\*[^*]*)success"
-# Errors of an unmeasured output have no size; any will do to see what influences what.
-ANY_NOISE = 1e-2
 
 
 def check_problem(
@@ -414,7 +411,8 @@ def _identifiable(problem: Problem, data: Dataset | None, readme: str) -> list[s
     runs = runs or data or []
     if not runs or not problem.model.free_parameters:
         return []
-    noise = {o.name: o.noise_std or ANY_NOISE for o in problem.model.outputs}
+    # An unmeasured output has no size of error; any will do to see what influences what.
+    noise = {o.name: o.noise_std or 1e-2 for o in problem.model.outputs}
     try:
         information = information_of(problem.model, runs, noise=noise, priors=None)
     except OedSysidError as error:

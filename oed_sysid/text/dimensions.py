@@ -28,8 +28,6 @@ from oed_sysid.text import expressions
 from oed_sysid.text.expressions import CONSTANTS, NUMERIC, walk
 from oed_sysid.text.units import Dimension
 
-# A number below this only guards a division: its unit is not worth a word.
-_GUARD = 1e-6
 LARGEST_POWER = 100
 _SAME = ("abs", "floor", "min", "max", "clip", "where")
 _ONE = Dimension()
@@ -269,7 +267,7 @@ class _Walk:
         text = "*".join(map(self._written, first))
         text += "".join(f"/{self._written(node)}" for node in second)
         values = [abs(float(walk(node, {}, NUMERIC))) for node in (*above, *below)]
-        guard = all(value <= _GUARD for value in values)
+        guard = all(value <= 1e-6 for value in values)  # it only keeps a division from zero
         plain = all(value in (0.5, 1.0, 2.0) for value in values)
         unit = self.units.new(_Number() if guard else _Number(text, self.where, plain))
         return unit if above else unit**-1

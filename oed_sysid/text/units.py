@@ -32,7 +32,6 @@ from oed_sysid.errors import DataError
 SI = ("kg", "m", "s", "A", "K", "rad", "N", "Pa", "J", "W", "V", "Ohm", "Hz")
 # unit: (factor to SI, SI unit). Factors are exact by definition of the unit.
 _DEGREE = math.pi / 180.0
-_KNOT = 1852.0 / 3600.0
 UNITS: dict[str, tuple[float, str]] = {
     **{symbol: (1.0, symbol) for symbol in SI},
     **{"1": (1.0, "1"), "-": (1.0, "1"), "%": (0.01, "1"), "percent": (0.01, "1")},
@@ -47,7 +46,8 @@ UNITS: dict[str, tuple[float, str]] = {
     },
     **{"g": (1e-3, "kg"), "t": (1e3, "kg")},
     **{"deg": (_DEGREE, "rad"), "°": (_DEGREE, "rad"), "mrad": (1e-3, "rad"), "rev": (1.0, "1")},
-    **{"kn": (_KNOT, "m/s"), "kt": (_KNOT, "m/s"), "mps": (1.0, "m/s")},
+    **dict.fromkeys(("kn", "kt"), (1852.0 / 3600.0, "m/s")),
+    "mps": (1.0, "m/s"),
     **{"mmps": (1e-3, "m/s"), "cmps": (1e-2, "m/s"), "kmh": (1 / 3.6, "m/s")},
     **{"mps2": (1.0, "m/s^2"), "radps": (1.0, "rad/s"), "degps": (_DEGREE, "rad/s")},
     **{"mradps": (1e-3, "rad/s"), "radps2": (1.0, "rad/s^2"), "degps2": (_DEGREE, "rad/s^2")},
