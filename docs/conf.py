@@ -12,6 +12,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
@@ -126,6 +127,11 @@ def write_reference() -> None:
     )
     words += " Most of them can be imported from ``oed_sysid`` itself."
     toctree = [".. toctree::", "   :maxdepth: 1", "", *(f"   {page}" for page in pages)]
+    names = {f"{package}.{name}" for package, found in named.items() for name in found}
+    # Pages of names that have moved since the last build.
+    for page in [*folder.glob("*.rst"), *folder.glob("names/*.rst")]:
+        if page.stem not in {*pages, *names, "index"}:
+            page.unlink()
     _write(folder / "index.rst", ["Reference", "=========", "", words, "", *toctree, ""])
 
 
@@ -153,6 +159,28 @@ def _write(path: Path, lines: list[str]) -> None:
     text = "\n".join(lines)
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
+
+
+def _open_branch_only(app: Any, page: str, template: str, context: dict, tree: Any) -> None:
+    """Show names in the sidebar only below the part that is read.
+
+    With the hundreds of names of the reference in every page, nine tenths of a build went into
+    the sidebar.
+    """
+    if "toctree" in context:
+        full = context["toctree"]
+        context["toctree"] = lambda **options: full(**{**options, "collapse": True})
+
+
+def _find_new_pages(app: Any) -> None:
+    """Let pages of names be written for packages that an earlier build did not have."""
+    app.project.discover(app.config.exclude_patterns, app.config.include_patterns)
+
+
+def setup(app: Any) -> None:
+    """Change the sidebar before the theme makes it, and find pages before names are collected."""
+    app.connect("builder-inited", _find_new_pages, priority=100)
+    app.connect("html-page-context", _open_branch_only, priority=400)
 
 
 # Before Sphinx looks for pages. The gallery in a process of its own, whose pictures leave no trace.

@@ -26,8 +26,9 @@ from oed_sysid.baselines.equations import Rows, regression_form, rows_of
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.fit import COLOUR_LIMIT, Fit, Status
+from oed_sysid.likelihood.fit import Fit, Status
 from oed_sysid.likelihood.information import (
+    COLOUR_LIMIT,
     Information,
     coloured_score_covariance,
     effective_sample_size,

@@ -252,8 +252,8 @@ def report(
     [bold]Example[/bold]: oed-sysid report fit.json --validate dive_3.csv --out fit.html
     """
     from oed_sysid.evidence.compare import compare as compare_models
+    from oed_sysid.likelihood.archive import is_numbers_of_fit, read_json, read_result
     from oed_sysid.likelihood.fit import Fit
-    from oed_sysid.likelihood.saved import is_numbers_of_fit, read_json, read_result
     from oed_sysid.results import numbers_page
 
     content = read_json(saved)

@@ -51,11 +51,11 @@ from oed_sysid.evidence.search import (
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
+from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import level_concerns
 from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
-from oed_sysid.likelihood.other_way import other_way
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model

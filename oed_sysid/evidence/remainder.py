@@ -19,7 +19,7 @@ from oed_sysid.evidence.residual_forces import Repeated, repeated
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.setting import DRIFTS
+from oed_sysid.likelihood.score_test import DRIFTS
 from oed_sysid.runtime.display import as_dict
 
 # Twice the log-likelihood that disturbances may gain before they count as real.

@@ -29,12 +29,12 @@ import numpy as np
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, SimulationError
+from oed_sysid.likelihood.departures import noisy_inputs, smoothed
 from oed_sysid.likelihood.disturbances import chosen_places, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
-from oed_sysid.likelihood.input_noise import noisy_inputs, smoothed
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
@@ -46,8 +46,7 @@ from oed_sysid.likelihood.random_forces import (
     with_input_noise,
     with_own_times,
 )
-from oed_sysid.likelihood.score_test import ScoreTest, score_test
-from oed_sysid.likelihood.setting import Setting
+from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.likelihood.summary import eliminate, summarise_filtered
 from oed_sysid.physics import Effect

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.information import Information
-from oed_sysid.likelihood.profile import Profile
+from oed_sysid.likelihood.multistart import Profile
 from oed_sysid.results.style import (
     NEUTRAL,
     TRUTH,
@@ -29,7 +29,7 @@ def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
     Parameters
     ----------
     profile : Profile
-        From :func:`~oed_sysid.likelihood.profile`.
+        From :func:`~oed_sysid.likelihood.multistart`.
     ax : Axes, optional
         Where to draw.
     """
