@@ -10,11 +10,11 @@ from collections.abc import Callable, Collection, Sequence
 
 from oed_sysid.physics import forces, signals
 from oed_sysid.physics.base import Effect, Force, amplitude
+from oed_sysid.physics.candidates import SEA_WATER_DENSITY
 from oed_sysid.physics.frames import VELOCITIES, plus, times
 from oed_sysid.physics.rigid_body import RigidBody
 from oed_sysid.text import notation
 
-WATER = 1025.0  # kg/m3, sea water
 _ARMS = {"K": "p", "M": "q", "N": "r"}
 FOSSEN = "Fossen (2011), Handbook of marine craft hydrodynamics and motion control, Wiley."
 
@@ -61,9 +61,9 @@ def underwater_vehicle_effects(
     >>> len(found), found[0].name
     (46, 'heave_crossflow_drag')
     """
-    side = 0.5 * WATER * diameter * length  # half rho times lateral area
-    displaced = WATER * diameter**2 * length
-    spin = WATER * diameter**2 * length**3 * 0.01
+    side = 0.5 * SEA_WATER_DENSITY * diameter * length  # half rho times lateral area
+    displaced = SEA_WATER_DENSITY * diameter**2 * length
+    spin = SEA_WATER_DENSITY * diameter**2 * length**3 * 0.01
     roll = side * diameter**2 * speed * 0.02
     make = forces
     # What each plane of motion has: effect, name, axis, signal and typical size.
@@ -162,7 +162,7 @@ def catamaran_effects(
     step : float
         Shortest integration step in s.
     """
-    side = WATER * draught * length  # half rho times lateral area of two hulls
+    side = SEA_WATER_DENSITY * draught * length  # half rho times lateral area of two hulls
     port, starboard = thrusts
     masses = (
         ("surge_added_mass_error", "X", "u", 0.05 * side * length),
