@@ -416,7 +416,7 @@ def passes(model: Model, train: Dataset, effects: Sequence[Any]) -> None:
     from oed_sysid.compiled.filtering import filter_kernel
     from oed_sysid.likelihood.disturbances import chosen_places
     from oed_sysid.likelihood.filtered import Filtered, disturbed_model
-    from oed_sysid.likelihood.setting import Setting
+    from oed_sysid.likelihood.score_test import Setting
 
     places = chosen_places(model, "all")
     white = np.array([output.noise_std for output in model.outputs])

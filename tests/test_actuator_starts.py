@@ -11,7 +11,7 @@ from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter
 from oed_sysid.errors import ModelError
 from oed_sysid.evidence.improve import improve
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.likelihood.actuator_starts import estimate_starts
+from oed_sysid.likelihood.departures import estimate_starts
 from oed_sysid.physics import (
     actuator_delay,
     actuator_lag,

@@ -11,8 +11,7 @@ from test_design import ship
 from oed_sysid import Dataset, Experiment, Fit, Model, MultipleShooting
 from oed_sysid.experiments.manoeuvres import ThreeTwoOneOne
 from oed_sysid.experiments.simulation import simulate
-from oed_sysid.likelihood.agreement import Sources, sources_of
-from oed_sysid.likelihood.between_records import CHANCE
+from oed_sysid.likelihood.between_records import CHANCE, Sources, sources_of
 
 WHITE = MultipleShooting(disturbances="none", noise="given")
 

@@ -12,10 +12,8 @@ from yaw_vehicle import NOISE, yaw_data, yaw_model
 from oed_sysid import MultipleShooting
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.likelihood.gauss_newton import solve
-from oed_sysid.likelihood.iterates import Exact, Gathered
-from oed_sysid.likelihood.losses import loss_by_name
-from oed_sysid.likelihood.shooting import Shooting
+from oed_sysid.likelihood.gauss_newton import Exact, Gathered, solve
+from oed_sysid.likelihood.shooting import Shooting, loss_by_name
 from oed_sysid.physics.parameters import Parameter
 
 SIGMA = np.array([0.02, 0.02, 0.004, 0.004, 0.03])

@@ -19,7 +19,7 @@ from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.rank import rank, threshold
 from oed_sysid.evidence.score import scores
 from oed_sysid.evidence.study import Study
-from oed_sysid.likelihood.input_noise import sigma_filter
+from oed_sysid.likelihood.departures import sigma_filter
 from oed_sysid.physics import backlash
 
 AUV_DATA = Path(__file__).resolve().parent.parent / "problems" / "remus_diving_plane" / "data"

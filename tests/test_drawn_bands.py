@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from oed_sysid import Dataset, Model, Output, Parameter, Record, State
-from oed_sysid.likelihood.drawn import N_PROBE, Spread, misleads
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.prediction import predict
+from oed_sysid.likelihood.prediction import N_PROBE, Spread, misleads, predict
 
 # What stands upright falls to one side or the other, and is caught at one.
 FORCE, TIME, STEP = 0.05, 1.0, 0.1

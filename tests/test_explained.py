@@ -13,7 +13,7 @@ from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.experiments.simulation import simulate
-from oed_sysid.likelihood.explained import unexplained
+from oed_sysid.likelihood.judgement import unexplained
 
 PROBLEM = load_problem("kvlcc2")
 

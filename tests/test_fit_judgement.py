@@ -12,10 +12,10 @@ from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model
 from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, State
 from oed_sysid.baselines import JointKalmanFilter
 from oed_sysid.data.record import Record
-from oed_sysid.likelihood.delays import estimate_delays
+from oed_sysid.likelihood.departures import estimate_delays
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.judgement import judge
-from oed_sysid.likelihood.spikes import spike_masks
+from oed_sysid.likelihood.noise_levels import spike_masks
 
 WHITE = MultipleShooting(noise=NOISE, disturbances="none")
 

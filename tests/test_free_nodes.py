@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
-from oed_sysid.likelihood.free_nodes import climb, free_node_start
 from oed_sysid.likelihood.shooting import Shooting
+from oed_sysid.likelihood.starts import climb, free_node_start
 from oed_sysid.physics.parameters import Parameter
 
 WILD = {"K": -0.4, "T": 30.0, "alpha": -40.0}

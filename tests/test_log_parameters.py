@@ -11,8 +11,7 @@ from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.multistart import Multistart
-from oed_sysid.likelihood.profile import profile
+from oed_sysid.likelihood.multistart import Multistart, profile
 from oed_sysid.likelihood.shooting import Shooting
 
 TIMES = np.arange(0.0, 20.0, 0.1)

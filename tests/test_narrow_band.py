@@ -13,8 +13,8 @@ from benchmarks.random_forces.simulator import simulate, true_values
 from benchmarks.random_forces.trial import _model, believed, dataset
 from oed_sysid import MultipleShooting
 from oed_sysid.data.record import Record
+from oed_sysid.likelihood.covariance import clear_peaks, spectral_peak
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.narrow_band import clear_peaks, spectral_peak
 from oed_sysid.physics.channels import Channels, Input, Output
 
 

@@ -20,7 +20,7 @@ from oed_sysid import (
     improve,
     load_problem,
 )
-from oed_sysid.likelihood.other_way import other_way
+from oed_sysid.likelihood.departures import other_way
 from oed_sysid.physics import quadratic_drag
 
 TRUE = {"K": 0.05, "n": 1.0, "n3": 400.0, "b": 0.02, "d0": 0.01, "U": 5.0}

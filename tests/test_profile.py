@@ -10,7 +10,7 @@ from yaw_vehicle import NOISE, yaw_data, yaw_model
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.profile import profile
+from oed_sysid.likelihood.multistart import profile
 from oed_sysid.physics.channels import Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter

@@ -10,8 +10,7 @@ from turning_ship import GAIN, NOISE, SAMPLE, SHIP, TIME, dataset, record
 
 from oed_sysid import Dataset, Fit, MultipleShooting, Parameter, Record, Sensor
 from oed_sysid.likelihood.disturbances import chosen_places
-from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, score_test
-from oed_sysid.likelihood.setting import Setting
+from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, Setting, score_test
 from oed_sysid.physics.channels import Output, State
 from oed_sysid.physics.model import Model
 

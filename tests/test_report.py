@@ -34,7 +34,7 @@ from oed_sysid import (
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
 from oed_sysid.experiments.simulation import simulate
-from oed_sysid.likelihood.profile import profile
+from oed_sysid.likelihood.multistart import profile
 
 SHIP = Model(
     "ferry",

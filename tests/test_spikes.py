@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid.likelihood.spikes import spike_sizes
+from oed_sysid.likelihood.noise_levels import spike_sizes
 
 
 def test_sizes_of_spikes_are_distances_from_neighbours() -> None:

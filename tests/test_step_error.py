@@ -9,7 +9,7 @@ from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.gauss_newton import solve
 from oed_sysid.likelihood.shooting import Shooting
-from oed_sysid.likelihood.step_error import worst_step_error
+from oed_sysid.likelihood.summary import worst_step_error
 
 
 def relay(force: str) -> Model:

@@ -13,7 +13,7 @@ from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.gauss_newton import solve
 from oed_sysid.likelihood.shooting import Shooting
-from oed_sysid.likelihood.step_error import with_step_advice
+from oed_sysid.likelihood.summary import with_step_advice
 from oed_sysid.physics import actuator_lag, sensor_lag
 
 # Robertson's kinetics: rates apart by nine decades.

@@ -20,7 +20,7 @@ from oed_sysid import (
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.unknown_series import unknown_series
+from oed_sysid.likelihood.prediction import unknown_series
 
 TRUE = {"K": 0.3, "T": 4.0, "a": 1.5}
 NOISE = np.array([0.002, 0.003])

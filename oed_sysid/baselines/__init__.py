@@ -22,10 +22,9 @@ from oed_sysid.baselines.population import (
     ParticleSwarm,
 )
 from oed_sysid.baselines.support_vectors import LeastSquaresSVM, SupportVectorRegression
-from oed_sysid.likelihood.base import Estimator
+from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.multistart import Multistart
-from oed_sysid.likelihood.profile import Profile, profile
+from oed_sysid.likelihood.multistart import Multistart, Profile, profile
 
 __all__ = [
     "Estimator",

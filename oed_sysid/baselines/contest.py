@@ -38,7 +38,7 @@ from oed_sysid.experiments.manoeuvres import ZigZag, ZigZagLike
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import information_of
-from oed_sysid.likelihood.base import Estimator
+from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting

@@ -360,7 +360,7 @@ def store(
     """
     if path is None:
         return
-    from oed_sysid.likelihood.saved import made_by
+    from oed_sysid.likelihood.archive import made_by
 
     command, settings = invocation()
     present = [dataset for dataset in records if dataset is not None]

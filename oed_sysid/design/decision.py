@@ -19,7 +19,8 @@ Errors are those of a model that is right, and a model that lacks a term does no
 run: coefficients stand for it, random forces take the rest. So two more things are asked before
 everything is called known. Another run must have had the chance to contradict the first; where none
 has, the one that tells most is the next. And what was known before and every record must agree
-(:mod:`oed_sysid.likelihood.agreement`), apart from differences of a tenth of the goals. Where they
+(:mod:`oed_sysid.likelihood.between_records`), apart from differences of a tenth of the goals. Where
+they
 do not, no stated error holds, and no number of further runs mends it.
 """
 

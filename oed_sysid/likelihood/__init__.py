@@ -5,7 +5,7 @@ r"""The engine under the estimators: one set of unknowns, one likelihood.
 
 over innovations ``e`` of variance ``S``. Unknown are parameters ``p`` (shared, or of each record),
 start states :math:`x_0`, and levels and times :math:`\eta` of the noise (``unknowns``). White
-sensors alone make ``S`` constant: condensed multiple shooting (``shooting``, ``iterates``).
+sensors alone make ``S`` constant: condensed multiple shooting (``shooting``).
 Random forces make it that of an extended Kalman filter (``filtered``, ``random_forces``). One
 search serves both (``gauss_newton``): damped Gauss-Newton steps within bounds
 
@@ -18,18 +18,22 @@ on cheap derivatives first (sums of products; frozen gain), then on exact ones.
 module                          subject
 =============================== ===========================================================
 ``unknowns``                    layout, bounds, priors, scales
-``start_guess``, ``beginning``  where to begin: measurements, kinematics, an earlier fit
-``free_nodes``                  the wide way in: short intervals, all starts free
-``shooting``, ``iterates``      white sensors: nodes, condensed derivatives
+``start_guess``, ``starts``     where to begin: measurements, kinematics, an earlier fit, and
+                                globalisation by short intervals with all starts free
+``shooting``                    white sensors: nodes, condensed derivatives, losses
 ``horizons``                    predictions a short time ahead, start states eliminated
 ``captive``                     forces measured at given motion, in the same likelihood
-``filtered``, ``random_forces`` random forces and coloured sensors: filter, levels, tests
-``gauss_newton``                the search
+``filtered``, ``random_forces`` process noise and autocorrelated sensors: filter, levels
+``score_test``                  whether process noise acts at all
+``gauss_newton``                iterates with their derivatives, and the search
+``multiple_shooting``           from records to a fit: the estimator
 ``covariance``, ``summary``     what the end says about errors, as a :class:`~.fit.Fit`
-``narrow_band``                 errors where innovations swing with a period, as in a swell
-``between_records``             errors from what records say apart from one another
-``agreement``                   whether records and priors can all be right about one model
+``between_records``             errors from what records say apart, and whether they agree
+``noise_levels``                high-frequency noise, and spikes
+``departures``                  delays, starts of actuators, signs and noise of inputs
+``judgement``                   what a fit says against itself
 ``prediction``                  other records, with bands
+``multistart``                  several starts, and profiles of the likelihood
 ``archive``                     fits as files
 =============================== ===========================================================
 """

@@ -3,19 +3,38 @@
 Only classes that the caller names are ever built, so that a file from
 elsewhere can be opened safely. Arrays keep their shape, and NaN stays NaN
 (``null`` in the file, which every JSON reader accepts).
+
+Saved results: what they are, who made them from what, and whether they are whole.
+
+A saved result is one JSON object,
+
+    {"format": 2, "kind": "fit", "made": {version, command, settings, records},
+     "sha256": digest of the content, "content": the result}
+
+so that a reader in ten years can say which program, which command and which
+data made it. Files of format 1, which held the fit alone, are still read.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
+import shlex
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, OedSysidError
+from oed_sysid.likelihood.estimate import Estimate
+from oed_sysid.runtime.files import write_text
+from oed_sysid.runtime.version import __version__
 
 
 def encode(value: Any) -> Any:
@@ -229,3 +248,261 @@ def _number(entry: Any) -> Any:
     if entry is None:
         return math.nan
     return float(entry) if isinstance(entry, str) else entry
+
+
+FORMAT = 2
+# A file beyond this (bytes) is no result of this package.
+LARGEST = 4 * 1024**3
+
+
+def made_by(
+    datasets: Iterable[Dataset] = (),
+    *,
+    command: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Say who made a result, how and from what.
+
+    Parameters
+    ----------
+    datasets : iterable of Dataset
+        Records that the result depends on.
+    command : str, optional
+        How it was called; by default the command line of this process.
+    settings : mapping, optional
+        What was chosen, as plain data.
+
+    Returns
+    -------
+    dict
+        ``version``, ``command``, ``settings`` and, by name of the record, the hash of
+        its values.
+    """
+    if command is None:
+        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]) if sys.argv else ""
+    return {
+        "version": __version__,
+        "command": command,
+        "settings": dict(settings or {}),
+        "records": {record.name: record.content_hash for data in datasets for record in data},
+    }
+
+
+def write_result(path: str | Path, kind: str, content: Any, made: Mapping[str, Any]) -> None:
+    """Write a result whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    kind : str
+        What it is, such as ``"fit"``.
+    content : plain data
+        The result as :func:`oed_sysid.likelihood.archive.encode` returns it.
+    made : mapping
+        See :func:`made_by`.
+    """
+    head = {"format": FORMAT, "kind": kind, "made": dict(made), "sha256": _digest(content)}
+    write_text(path, json.dumps({**head, "content": content}, allow_nan=False))
+
+
+def read_result(path: str | Path, kind: str) -> tuple[Any, dict[str, Any]]:
+    """Read what :func:`write_result` wrote, and files of format 1.
+
+    Returns
+    -------
+    content : plain data
+        For :func:`oed_sysid.likelihood.archive.decode`.
+    made : dict
+        Who made it; empty for format 1, which did not say.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, damaged, or something else; the message says which.
+    """
+    data = read_json(path)
+    wanted = (
+        "Expected what fit.save(), or --save of `oed-sysid fit` and `oed-sysid improve`, writes "
+        f"({kind})."
+    )
+    if not isinstance(data, dict):
+        raise DataError(f"{path} holds a {_WORDS[type(data)]}, not a saved result. {wanted}")
+    version = data.get("format")
+    if version == 1 and isinstance(version, int) and "fit" in data:
+        return data["fit"], {}
+    if version is None:
+        raise DataError(_foreign(path, data, wanted))
+    if not isinstance(version, int) or isinstance(version, bool):
+        raise DataError(f"{path} is of format {version!r:.40}, which is none. {wanted}")
+    made = data.get("made", {})
+    if version > FORMAT:
+        by = made.get("version", "?") if isinstance(made, dict) else "?"
+        raise DataError(
+            f"{path} is of format {version}, written by oed_sysid {by!s:.20}. This is "
+            f"{__version__}, which reads formats up to {FORMAT}: update it."
+        )
+    for key in ("kind", "made", "sha256", "content"):
+        if version < FORMAT or key not in data:
+            raise DataError(
+                f"{path} is of format {version} but has no {'fit' if version < FORMAT else key!r}: "
+                "a part of it is missing. Use a copy of it, or make it again."
+            )
+    if data["kind"] != kind:
+        raise DataError(f"{path} holds a {data['kind']!r:.40}, expected a {kind}.")
+    if not isinstance(made, dict):
+        raise DataError(f"{path} does not say who made it: its 'made' is no object. {wanted}")
+    if _digest(data["content"]) != data["sha256"]:
+        raise DataError(
+            f"{path} is damaged, or was changed by hand: its content does not have the digest that "
+            "was written with it. Use a copy of it, or make it again."
+        )
+    return data["content"], made
+
+
+def decode_result(path: str | Path, kind: str, classes: Iterable[type]) -> Any:
+    """Read a result and build it; see :func:`read_result` and :func:`decode`."""
+    content, _ = read_result(path, kind)
+    try:
+        result = decode(content, classes)
+    except DataError as error:
+        raise DataError(f"{path} cannot be loaded. {error}") from None
+    if type(result).__name__.lower() != kind:
+        raise DataError(f"{path} holds a {type(result).__name__}, expected a {kind}.")
+    return result
+
+
+def check_fit(fit: Estimate, where: str) -> None:
+    """Raise :class:`DataError` unless all arrays of a fit suit its model and its records.
+
+    Parameters
+    ----------
+    fit : Estimate
+        As decoded.
+    where : str
+        The file, for the message.
+    """
+    n, n_records, n_outputs = len(fit.names), len(fit.dataset), len(fit.model.outputs)
+    expected = {"estimates": (n,), "covariance": (n, n)}
+    expected |= {"sigma": (n_outputs,), "sigma_estimated": (n_outputs,)}
+    faults = [
+        f"{name} of shape {np.shape(getattr(fit, name))}, expected {shape}"
+        for name, shape in expected.items()
+        if np.shape(getattr(fit, name)) != shape
+    ]
+    faults += [
+        f"an estimate of {name!r}, which is no parameter of the model"
+        for name in fit.names
+        if name not in fit.model.parameter_names
+    ]
+    if fit.dataset.channels != fit.model.channels:
+        faults.append("records with other channels than the model")
+    if fit.information.factor.ndim != 2 or not (
+        len(fit.information.names) == fit.information.factor.shape[1] == fit.information.scales.size
+    ):
+        faults.append(f"information of shape {np.shape(fit.information.factor)}")
+    for name in ("predictions", "residuals", "states", "initial_states", "local_values"):
+        pieces = getattr(fit, name)
+        if len(pieces) != n_records:
+            faults.append(f"{len(pieces)} {name} for {n_records} records")
+        elif name in ("predictions", "residuals"):
+            faults += [
+                f"{name} of shape {np.shape(piece)} for record {record.name!r}"
+                for piece, record in zip(pieces, fit.dataset, strict=True)
+                if np.shape(piece) != (record.n_samples, n_outputs)
+            ]
+    if faults:
+        raise DataError(
+            f"{where} is damaged, or was changed by hand: it holds {faults[0]}. Use a copy of it, "
+            "or make it again."
+        )
+
+
+def read_json(path: str | Path) -> Any:
+    """Read a JSON file, with every fault of it said in words.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read, or is not JSON.
+    """
+    place = Path(path)
+    if "\0" in str(path):
+        raise DataError(f"{str(path)!r} is no name of a file.")
+    try:
+        if place.is_dir():
+            raise DataError(f"{path} is a folder. Give the file.")
+        if place.stat().st_size > LARGEST:
+            raise DataError(f"{path} has more than {LARGEST >> 30} GB: that is no saved result.")
+        raw = place.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path} cannot be read: {error.strerror or error}.") from None
+    if not raw.strip():
+        raise DataError(f"{path} is empty. Use a copy of it, or make it again.")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise DataError(
+            f"{path} is no text file (UTF-8), so it is not a saved result but {_likely(raw)}."
+        ) from None
+    if text.lstrip().startswith("<"):
+        raise DataError(
+            f"{path} is a page to read in a browser; it holds no model. Give the file that --save "
+            "of fit or improve wrote."
+        )
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        cut = " It ends in the middle: the file was cut." if error.pos >= len(text) - 1 else ""
+        raise DataError(
+            f"{path} is no saved fit, nor any JSON: line {error.lineno}, column {error.colno}: "
+            f"{error.msg}.{cut} Use a copy of it, or make it again."
+        ) from None
+    except RecursionError:
+        raise DataError(f"{path} is nested too deeply to be a saved result.") from None
+    except ValueError as error:  # a whole number of thousands of digits
+        raise DataError(f"{path} holds a number that cannot be read ({error}).") from None
+
+
+_WORDS = {list: "list", str: "text", int: "number", float: "number", bool: "truth value"}
+_WORDS[type(None)] = "null"
+
+
+def _likely(raw: bytes) -> str:
+    for start, words in (
+        (b"PK", "a ZIP or Excel file"),
+        (b"\x89PNG", "a picture"),
+        (b"\x80", "a Python pickle"),
+        (b"\x1f\x8b", "a compressed file (unpack it first)"),
+        (b"\xff\xfe", "UTF-16 text"),
+        (b"\xfe\xff", "UTF-16 text"),
+        (b"\x89HDF", "an HDF5 file"),
+        (b"MATLAB", "a MATLAB file"),
+    ):
+        if raw.startswith(start):
+            return words
+    return "binary data"
+
+
+def is_numbers_of_fit(data: Any) -> bool:
+    """Whether this is what ``oed-sysid fit --json`` writes: numbers without model and data."""
+    return isinstance(data, dict) and {"parameters", "estimator", "covariance"} <= set(data)
+
+
+def _foreign(path: str | Path, data: Mapping[str, Any], wanted: str) -> str:
+    """Say what a JSON object without a format is."""
+    if is_numbers_of_fit(data):
+        return (
+            f"{path} holds the numbers of a fit, as --json writes them, without model and data. "
+            "Repeat the fit with --save FILE and give that file."
+        )
+    if isinstance(data.get("oed_sysid"), dict):
+        command = data["oed_sysid"].get("command", "")
+        return f"{path} holds what --json of `{command!s:.80}` wrote, not a saved fit. {wanted}"
+    keys = ", ".join(f"{key!r:.30}" for key in list(data)[:5]) or "nothing"
+    return f"{path} does not hold a saved fit but an object with {keys}. {wanted}"
+
+
+def _digest(content: Any) -> str:
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -12,8 +12,7 @@ from scipy.special import ndtri
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.frames import frame
 from oed_sysid.errors import DataError
-from oed_sysid.likelihood.agreement import Sources
-from oed_sysid.likelihood.between_records import FEWEST_RECORDS, RecordScatter
+from oed_sysid.likelihood.between_records import FEWEST_RECORDS, RecordScatter, Sources
 from oed_sysid.likelihood.information import Information, Whiteness, whiteness
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model

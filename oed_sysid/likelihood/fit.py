@@ -11,17 +11,14 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.likelihood.agreement import Sources
-from oed_sysid.likelihood.archive import encode
-from oed_sysid.likelihood.between_records import RecordScatter
+from oed_sysid.likelihood.archive import check_fit, decode_result, encode, made_by, write_result
+from oed_sysid.likelihood.between_records import RecordScatter, Sources
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.estimate import Estimate, Status, checked_scatter
-from oed_sysid.likelihood.explained import grave
 from oed_sysid.likelihood.information import Information
-from oed_sysid.likelihood.judgement import Concern, judge
+from oed_sysid.likelihood.judgement import Concern, grave, judge
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.prediction import Initial, Prediction, predict
-from oed_sysid.likelihood.saved import check_fit, decode_result, made_by, write_result
 from oed_sysid.physics import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.channels import Channels, Input, Output, State
@@ -42,8 +39,6 @@ from oed_sysid.runtime.display import (
 from oed_sysid.text.callables import Function
 from oed_sysid.text.units import shown_unit
 
-# Residuals that count fewer independent samples than this share are coloured.
-COLOUR_LIMIT = 0.8
 # Multiple of the noise up to which residuals say no more than noise would, and from which they
 # are no measure: filtered logs have next to no noise.
 EXPLAINED, SMOOTHED = 1.2, 100.0
@@ -113,7 +108,7 @@ class Fit(Estimate):
         of it.
     sources : Sources, or None
         What priors and each record say of the shared parameters, apart from one another; None
-        where the estimator does not tell. See :mod:`oed_sysid.likelihood.agreement`.
+        where the estimator does not tell. See :mod:`oed_sysid.likelihood.between_records`.
     """
 
     @cached_property
@@ -178,7 +173,7 @@ class Fit(Estimate):
         """Write the fit, its model and its data to a JSON file; :meth:`load` reads it.
 
         The file appears whole or not at all. ``command=`` and ``settings=`` say how the
-        fit was made; see :func:`oed_sysid.likelihood.saved.made_by`.
+        fit was made; see :func:`oed_sysid.likelihood.archive.made_by`.
         """
         settings = {"estimator": self.estimator, **made.pop("settings", {})}
         made_of = made_by([self.dataset], settings=settings, **made)

@@ -1,19 +1,313 @@
-"""Damped Gauss-Newton steps for multiple shooting, with an exact-penalty line search."""
+"""One iterate of multiple shooting: what it costs and what a step would gain.
+
+Two ways to the same numbers. :class:`Exact` holds the sensitivities of every
+sample, as covariances and robust losses need them. :class:`Gathered` holds sums
+of their products only, gathered while the trajectory runs: several times
+faster, and for least squares enough, save that rounding errors are
+squared where an unstable trajectory amplifies them. Iterations therefore run on
+gathered sums and end on exact ones.
+
+Two iterates of the likelihood with random forces: frozen gain, and the filter as it is.
+
+:class:`Whitened` has derivatives along the filtered path at frozen gain, from one pass.
+:class:`Differentiated` has those of the filter as it is, by differences of whole filters, and its
+cost alone takes a pass without any derivative.
+
+Damped Gauss-Newton steps for multiple shooting, with an exact-penalty line search.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from oed_sysid.compiled.normal_equations import Blocks, gather
 from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.filtered_iterates import Differentiated, Whitened
-from oed_sysid.likelihood.iterates import Exact, Gathered, Iterate
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import bounded_step
 from oed_sysid.likelihood.shooting import Linearisation, Point, Shooting
+from oed_sysid.likelihood.unknowns import node_maps
+
+
+class Iterate(Protocol):
+    """What a search asks of a point."""
+
+    @property
+    def point(self) -> Point:
+        """Unknowns and nodes."""
+
+    @property
+    def cost(self) -> float:
+        """Half the (robust) sum of squares of residuals and priors, defects excluded."""
+
+    @property
+    def defect(self) -> float:
+        """Sum of the scaled jumps at all nodes."""
+
+    @property
+    def maps(self) -> tuple[np.ndarray, ...]:
+        """Change of the nodes per unknown, per record."""
+
+    @property
+    def offsets(self) -> tuple[np.ndarray, ...]:
+        """Change of the nodes that closes the defects, per record."""
+
+    def equations(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton matrix and right-hand side, priors excluded."""
+
+    def predicted(self, step: np.ndarray) -> float:
+        """Cost of the linearised problem after a full step, defects closed."""
+
+
+class Exact:
+    """A point with the sensitivities of every sample; see :class:`Iterate`."""
+
+    def __init__(self, shooting: Shooting, point: Point, lin: Linearisation) -> None:
+        self._shooting, self.point, self.linearisation = shooting, point, lin
+        self.cost = shooting.cost(lin, point.unknowns)
+        self.defect = shooting.defect(lin)
+        self.maps, self.offsets = lin.node_maps, lin.node_offsets
+
+    @classmethod
+    def at(cls, shooting: Shooting, point: Point) -> Exact | None:
+        """Evaluate a point; None where a trajectory diverges."""
+        lin = shooting.linearise(point)
+        return None if lin is None else cls(shooting, point, lin)
+
+    def equations(self) -> tuple[np.ndarray, np.ndarray]:
+        """See :class:`Iterate`."""
+        return self._shooting.normal_equations(self.linearisation)
+
+    def predicted(self, step: np.ndarray) -> float:
+        """See :class:`Iterate`."""
+        return self._shooting.predicted_cost(self.linearisation, self.point.unknowns, step)
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """A point with gathered sums, for least squares; see :class:`Iterate`.
+
+    Attributes
+    ----------
+    closed : float
+        Half the sum of squares once the defects are closed, to first order,
+        at unchanged unknowns, priors excluded.
+    """
+
+    shooting: Shooting
+    point: Point
+    cost: float
+    defect: float
+    maps: tuple[np.ndarray, ...]
+    offsets: tuple[np.ndarray, ...]
+    matrix: np.ndarray
+    right: np.ndarray
+    closed: float
+
+    @classmethod
+    def at(cls, shooting: Shooting, point: Point) -> Gathered | None:
+        """Evaluate a point; None where a trajectory diverges."""
+        n = shooting.layout.n_unknowns
+        matrix, right = np.zeros((n, n)), np.zeros(n)
+        squares = closed = defect = 0.0
+        maps, offsets = [], []
+        for index, record in enumerate(shooting.records):
+            values = shooting.values(point.unknowns, index)
+            z0, dz0 = shooting.full_start(point.unknowns, index)
+            nodes = np.vstack([z0[None], point.nodes[index]])
+            blocks = gather(
+                shooting.kernel,
+                record.times,
+                record.inputs,
+                values,
+                nodes,
+                record.outputs,
+                shooting.sigma,
+                starts=shooting.starts[index],
+                linked=True,
+            )
+            slopes = shooting.slopes(point.unknowns, index)
+            n_own = shooting.layout.n_own
+            part = None if blocks is None else _condensed(blocks, nodes, dz0, n_own, slopes)
+            if blocks is None or part is None:
+                return None
+            found, map_, defects = part
+            columns = shooting.layout.record_columns(index)
+            matrix[np.ix_(columns, columns)] += found[:-1, :-1]
+            right[columns] += found[:-1, -1]
+            closed += 0.5 * float(found[-1, -1])
+            squares += 0.5 * float(blocks.gram[:, -1, -1].sum())
+            defect += float(np.abs(defects / shooting.state_scale).sum())
+            n_full = nodes.shape[1]
+            maps.append(map_[1:, :n_full, :-1])
+            offsets.append(map_[1:, :n_full, -1])
+        cost = squares + shooting.prior_cost(point.unknowns)
+        return cls(
+            shooting, point, cost, defect, tuple(maps), tuple(offsets), matrix, right, closed
+        )
+
+    def equations(self) -> tuple[np.ndarray, np.ndarray]:
+        """See :class:`Iterate`."""
+        return self.matrix, self.right
+
+    def predicted(self, step: np.ndarray) -> float:
+        """See :class:`Iterate`."""
+        change = float(step @ (0.5 * (self.matrix @ step) - self.right))
+        return self.closed + change + self.shooting.prior_cost(self.point.unknowns + step)
+
+
+def _condensed(
+    blocks: Blocks, nodes: np.ndarray, dz0: np.ndarray, n_own: int, slopes: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Products ``[J t]' [J t]`` of a record's condensed rows and closed residuals.
+
+    Also the maps of its nodes and the defects; None where these overflow.
+    """
+    assert blocks.ends is not None
+    assert blocks.end_sensitivities is not None
+    defects = blocks.ends[:-1] - nodes[1:]
+    with np.errstate(over="ignore", invalid="ignore"):
+        maps = node_maps(blocks.end_sensitivities, defects, dz0, n_own, slopes)
+        # Residuals once the defects are closed are one more combination of [J r].
+        wide = np.zeros((len(nodes), blocks.gram.shape[1], maps.shape[2]))
+        wide[:, :-1] = maps
+        wide[:, :-1, -1] *= -1.0
+        wide[:, -1, -1] = 1.0
+        found = (wide.transpose(0, 2, 1) @ (blocks.gram @ wide)).sum(axis=0)
+    if not (np.isfinite(found).all() and np.isfinite(maps).all()):
+        return None
+    return found, maps, defects
+
+
+# Information by differences of whole filters over that at frozen gain beyond which it is rounding
+# that an unstable model amplifies. Rounding falls with the square of the step, information does
+# not: where a standard deviation is smaller than at frozen gain by the second factor, and as much
+# smaller than with steps so many times longer, it is rounding as well.
+AMPLIFIED, SMALLER, FARTHER = 1.2, 0.8, 3.0
+# Share of the largest eigenvalue below which nothing is known.
+NOTHING = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """A point with gradients along the filtered path at frozen gain; an iterate.
+
+    A rise of the cost within ``slack`` near the end is the frozen gain's, not a wrong step.
+    """
+
+    problem: Filtered
+    point: Point
+    cost: float
+    matrix: np.ndarray
+    right: np.ndarray
+    defect: float = 0.0
+    offsets: tuple[np.ndarray, ...] = ()
+
+    @classmethod
+    def at(cls, problem: Filtered, point: Point) -> Whitened | None:
+        """Evaluate a point; None where the filter leaves the numbers."""
+        found = problem.passes(point.unknowns)
+        objective = sum(part.objective for part in found)
+        if not np.isfinite(objective):
+            return None
+        matrix, right = problem.gathered(point.unknowns, found)
+        if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+            return None
+        cost = 0.5 * objective + problem.prior_cost(point.unknowns)
+        return cls(problem, point, cost, matrix, right)
+
+    @property
+    def maps(self) -> tuple[np.ndarray, ...]:
+        """How levels follow times."""
+        return self.problem.maps(self.point, self.matrix)
+
+    def equations(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton matrix and right-hand side, priors excluded."""
+        return self.matrix, self.right
+
+    def predicted(self, step: np.ndarray) -> float:
+        """Cost of the quadratic model after a step."""
+        return _predicted(self.problem, self.point, self.cost, self.matrix, self.right, step)
+
+
+class Differentiated:
+    """A point with the gradient of the filter as it is; derivatives only when asked for."""
+
+    defect = 0.0
+    offsets: tuple[np.ndarray, ...] = ()
+
+    def __init__(self, problem: Filtered, point: Point, cost: float) -> None:
+        self.problem, self.point, self.cost = problem, point, cost
+        self._equations: tuple[np.ndarray, np.ndarray] | None = None
+
+    @classmethod
+    def at(cls, problem: Filtered, point: Point) -> Differentiated | None:
+        """Evaluate a point; None where the filter leaves the numbers."""
+        objective = problem.objective(point.unknowns)
+        return cls(problem, point, 0.5 * objective) if np.isfinite(objective) else None
+
+    @property
+    def maps(self) -> tuple[np.ndarray, ...]:
+        """How levels follow times."""
+        return self.problem.maps(self.point, self.equations()[0])
+
+    def equations(self) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton matrix and right-hand side, priors excluded."""
+        if self._equations is None:
+            problem, unknowns = self.problem, self.point.unknowns
+            base = problem.passes(unknowns, rows=True)
+            frozen, right = problem.gathered(unknowns, base)
+            size = np.diag(frozen) + problem.limits.prior_weight
+            scale = problem.limits.scale
+            std = np.where(size > 0, 1.0 / np.sqrt(np.where(size > 0, size, 1.0)), scale)
+            step = np.minimum(std, scale)
+            whole = problem.differentiated(unknowns, base, step)
+            known = np.arange(problem.layout.levels.start)
+            # A vehicle so unstable that moved filters overflow is one whose rounding is amplified.
+            more = not all(np.isfinite(part).all() for part in whole)
+            more = more or bool(
+                (np.diag(whole[0])[known] > AMPLIFIED * np.diag(frozen)[known]).any()
+            )
+            found = None if more else self._std(whole[0])
+            if found is not None and (found < SMALLER * self._std(frozen)).any():
+                farther, _ = problem.differentiated(unknowns, base, FARTHER * step)
+                more = not np.isfinite(farther).all()
+                more = more or bool((found < SMALLER * self._std(farther)).any())
+            self._equations = (frozen, right) if more else whole
+        return self._equations
+
+    def _std(self, matrix: np.ndarray) -> np.ndarray:
+        """Standard deviations of the shared parameters, everything else unknown."""
+        matrix = matrix + np.diag(self.problem.limits.prior_weight)
+        size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
+        inverse = np.linalg.pinv(matrix / size / size[:, None], rcond=NOTHING, hermitian=True)
+        shared = len(self.problem.layout.shared)
+        return np.asarray(np.sqrt(np.maximum(np.diag(inverse)[:shared], 0.0)) / size[:shared])
+
+    def predicted(self, step: np.ndarray) -> float:
+        """Cost of the quadratic model after a step."""
+        matrix, right = self.equations()
+        return _predicted(self.problem, self.point, self.cost, matrix, right, step)
+
+
+def _predicted(
+    problem: Filtered,
+    point: Point,
+    cost: float,
+    matrix: np.ndarray,
+    right: np.ndarray,
+    step: np.ndarray,
+) -> float:
+    # Joint knowledge is in matrix and right-hand side already, priors of single unknowns are not.
+    change = float(step @ (0.5 * (matrix @ step) - right))
+    limits = problem.limits
+    away = point.unknowns - limits.prior_mean
+    prior = 0.5 * float(limits.prior_weight @ ((away + step) ** 2 - away**2))
+    return cost + change + prior
+
 
 # Lengths of a step that are tried, and the ratio of one to the one before.
 LINE_SEARCH_STEPS, SHORTER = 5, 0.4

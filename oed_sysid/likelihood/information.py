@@ -17,6 +17,8 @@ from scipy.special import gammaincc
 
 # Directions whose information falls below this share of the best are null.
 NULL_TOLERANCE = 1e-7
+# Residuals that count fewer independent samples than this share are autocorrelated.
+COLOUR_LIMIT = 0.8
 # Largest gain per sample of the recursion that is taken out of coloured residuals.
 LONGEST_MEMORY = 0.97
 

@@ -12,8 +12,38 @@ import numpy as np
 from oed_sysid.compiled.filtering import filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError
-from oed_sysid.likelihood.actuator_starts import clear_starts
-from oed_sysid.likelihood.beginning import (
+from oed_sysid.likelihood.departures import clear_delay, clear_starts, estimate_delays
+from oed_sysid.likelihood.disturbances import chosen_places
+from oed_sysid.likelihood.disturbances import places as every_place
+from oed_sysid.likelihood.estimator import (
+    check_count,
+    check_disturbances,
+    check_levels,
+    check_positive,
+)
+from oed_sysid.likelihood.filtered import disturbed_model
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.gauss_newton import Progress, Solution, solve
+from oed_sysid.likelihood.horizons import fit_horizons
+from oed_sysid.likelihood.judgement import level_concerns, with_verdict
+from oed_sysid.likelihood.noise_levels import (
+    credible_levels,
+    residual_levels,
+    signal_spread,
+    spike_masks,
+    start_levels,
+    without_spikes,
+)
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.nonlinear_program import NonlinearProgram
+from oed_sysid.likelihood.random_forces import (
+    Start,
+    fit_disturbed,
+)
+from oed_sysid.likelihood.score_test import CLEAR, Setting, score_test
+from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
+from oed_sysid.likelihood.start_guess import check_channels
+from oed_sysid.likelihood.starts import (
     DOUBTFUL,
     FAR,
     GOOD,
@@ -24,40 +54,7 @@ from oed_sysid.likelihood.beginning import (
     warm_point,
     wide_start,
 )
-from oed_sysid.likelihood.delays import clear_delay, estimate_delays
-from oed_sysid.likelihood.disturbances import chosen_places
-from oed_sysid.likelihood.disturbances import places as every_place
-from oed_sysid.likelihood.filtered import disturbed_model
-from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.gauss_newton import Progress, Solution, solve
-from oed_sysid.likelihood.horizons import fit_horizons
-from oed_sysid.likelihood.judgement import level_concerns, with_verdict
-from oed_sysid.likelihood.losses import loss_by_name
-from oed_sysid.likelihood.noise_levels import (
-    credible_levels,
-    residual_levels,
-    signal_spread,
-    start_levels,
-)
-from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.nonlinear_program import NonlinearProgram
-from oed_sysid.likelihood.options import (
-    check_count,
-    check_disturbances,
-    check_levels,
-    check_positive,
-)
-from oed_sysid.likelihood.random_forces import (
-    Start,
-    fit_disturbed,
-)
-from oed_sysid.likelihood.score_test import CLEAR, score_test
-from oed_sysid.likelihood.setting import Setting
-from oed_sysid.likelihood.shooting import Point, Shooting
-from oed_sysid.likelihood.spikes import spike_masks, without_spikes
-from oed_sysid.likelihood.start_guess import check_channels
-from oed_sysid.likelihood.step_error import with_step_advice
-from oed_sysid.likelihood.summary import summarise, summarise_filtered
+from oed_sysid.likelihood.summary import summarise, summarise_filtered, with_step_advice
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.model import Model

@@ -18,8 +18,7 @@ import numpy as np
 from oed_sysid.compiled.graph import Graph, build
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.gauss_newton import Progress, Solution
-from oed_sysid.likelihood.losses import huber, student
-from oed_sysid.likelihood.shooting import Point, Shooting
+from oed_sysid.likelihood.shooting import Point, Shooting, huber, student
 from oed_sysid.physics.model import Model
 from oed_sysid.text import expressions
 

@@ -27,8 +27,7 @@ from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.likelihood.noise_levels import credible_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import bounded_step
-from oed_sysid.likelihood.score_test import ScoreTest
-from oed_sysid.likelihood.setting import Setting
+from oed_sysid.likelihood.score_test import ScoreTest, Setting
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.physics.model import Model
 

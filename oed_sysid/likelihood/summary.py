@@ -1,25 +1,94 @@
-"""From the end of the iterations to a :class:`~oed_sysid.likelihood.fit.Fit`."""
+"""Whether trajectories hang on the integration step, which no estimation can mend.
+
+A force that jumps with the state (a sign, an angle that leaps at 180 degrees)
+makes a trajectory of fixed steps a staircase in the parameters: derivatives
+miss the jumps, and iterations stall on a step of the stairs.
+
+From the end of the iterations to a :class:`~oed_sysid.likelihood.fit.Fit`.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from oed_sysid.compiled.filtering import FilterPass
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.record import Record
-from oed_sysid.likelihood.agreement import Sources, sources_of
-from oed_sysid.likelihood.between_records import eliminate_own, scatter_of
-from oed_sysid.likelihood.covariance import ReducedProblem, tests_middle, tests_stray
+from oed_sysid.likelihood.between_records import Sources, eliminate_own, scatter_of, sources_of
+from oed_sysid.likelihood.covariance import (
+    ReducedProblem,
+    clear_peaks,
+    shared_rows,
+    tests_middle,
+    tests_stray,
+    widened,
+)
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit, Status
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, Solution
 from oed_sysid.likelihood.information import Information
-from oed_sysid.likelihood.narrow_band import clear_peaks, shared_rows, widened
 from oed_sysid.likelihood.shooting import Shooting, replace_values
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
+
+FINER = 4
+# Root mean square change, in noise levels, from which the step is worth a word.
+WORTH_SAYING = 0.5
+
+
+def worst_step_error(shooting: Shooting, solution: Solution) -> tuple[float, str, str]:
+    """Change that a finer step makes, in noise levels: the worst, its output and record.
+
+    Parameters
+    ----------
+    shooting : Shooting
+    solution : Solution
+        Where its trajectories are simulated, without nodes.
+    """
+    model = shooting.model
+    finer = kernel(replace(model, step=model.step / FINER))
+    worst = (0.0, "", "")
+    for index, record in enumerate(shooting.records):
+        values = shooting.values(solution.point.unknowns, index)
+        z0, _ = shooting.full_start(solution.point.unknowns, index)
+        coarse, fine = (
+            one.run(record.times, record.inputs, values, z0).outputs
+            for one in (shooting.kernel, finer)
+        )
+        with np.errstate(invalid="ignore", over="ignore"):
+            change = np.sqrt(np.mean(((coarse - fine) / shooting.sigma) ** 2, axis=0))
+        for name, size in zip(model.output_names, change, strict=True):
+            if np.isfinite(size) and size > worst[0]:
+                worst = (float(size), name, record.name)
+    return worst
+
+
+def _or_stiff(model: Model) -> str:
+    if model.integrator == "implicit":
+        return ""
+    return ", or take Model(integrator='implicit') if some of its motions die out within a step"
+
+
+def with_step_advice(fit: Fit, shooting: Shooting, solution: Solution | None) -> Fit:
+    """Add to the status of a failed fit that the step may be why."""
+    if fit.status.ok or solution is None or solution.reason == "interrupted":
+        return fit
+    size, output, record = worst_step_error(shooting, solution)
+    if size < WORTH_SAYING:
+        return fit
+    step = fit.model.step
+    advice = (
+        f"{fit.status.advice} The trajectories hang on the integration step: with "
+        f"{step / FINER:g} s instead of {step:g} s, {output} of record {record!r} changes by "
+        f"{size:.1f} noise levels. Reduce model.step{_or_stiff(fit.model)}; if that does not help, "
+        "a force of the model jumps where the state passes some value: make it continuous."
+    )
+    return replace(fit, status=Status(fit.status.code, advice))
+
 
 _ADVICE = {
     "converged": "",
@@ -144,7 +213,7 @@ def summarise_filtered(
     With the information ``H`` of all unknowns, start states, per-record parameters and
     levels ``o`` are eliminated from that of the shared parameters ``p``,
     :math:`H_{pp} - H_{po} H_{oo}^{-1} H_{op}`. Where innovations swing with a period of their own,
-    the covariance is that of :mod:`oed_sysid.likelihood.narrow_band`.
+    the covariance is that of :mod:`oed_sysid.likelihood.covariance`.
 
     Parameters
     ----------

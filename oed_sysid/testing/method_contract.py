@@ -8,7 +8,6 @@ The contract of an estimator, to be run on every estimator that is added.
 >>> from oed_sysid.experiments.experiment import Experiment
 >>> from oed_sysid.experiments.manoeuvres import Doublet
 >>> from oed_sysid.physics.model import Model
-from oed_sysid.testing.problem_contract import CENTRAL, ROUNDING, STEP
 >>> from oed_sysid.physics.parameters import Parameter
 >>> nomoto = Model(
 ...     "Nomoto", (State("psi", "rad"), State("r", "rad/s")), (Input("delta", "rad"),),
@@ -63,7 +62,7 @@ from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information.noise import noise_of
-from oed_sysid.likelihood.base import Estimator
+from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
 from oed_sysid.testing.problem_contract import CENTRAL, ROUNDING, STEP

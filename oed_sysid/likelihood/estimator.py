@@ -1,14 +1,34 @@
-"""Options of estimators: numbers that are numbers, before any work is done."""
+"""What every estimator is: an immutable set of choices with one verb, ``fit``.
+
+Options of estimators: numbers that are numbers, before any work is done.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.physics.model import Model
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """Contract of estimators; :func:`oed_sysid.testing.check_estimator` tests it."""
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        ...
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Estimate the free parameters of a model from measured records."""
+        ...
 
 
 def check_count(name: str, value: Any) -> None:

@@ -4,17 +4,24 @@ Far from the truth, trajectories over a whole record explode and their
 derivatives are useless. Over a second or so, from measured states, they do
 not. Dropping continuity altogether gives a problem that is nearly linear in
 the parameters; its solution starts the real one.
+
+Where an estimation begins: checks, an earlier fit, and the wide way in.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from oed_sysid.compiled.normal_equations import eliminate, gather
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.errors import DataError
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.projection import bounded_step
 from oed_sysid.likelihood.shooting import Point, Shooting
+from oed_sysid.physics.model import Model
 
 # Simulated start states may leave their guesses by this many state scales (soft).
 # Measured ones stay near the measurement: with start states held, even wild
@@ -157,3 +164,137 @@ class _FreeNodes:
         gain += float(right @ step - 0.5 * step @ matrix @ step)
         moves = [found.moves(slopes * step[columns]) for columns, slopes, found in eliminated]
         return step, moves, gain
+
+
+# Lengths, in samples, of the free-node intervals on the wide way in; beyond the
+# last one they triple until they reach the length of a shooting interval.
+LADDER = (2, 4, 10, 30)
+# Mean square misfit, in noise units, from which a start is far; from which it is
+# doubtful; and which a good fit stays below.
+FAR, DOUBTFUL, GOOD = 500.0, 30.0, 4.0
+
+InitialStates = Sequence[Mapping[str, float]]
+
+
+def check_enough_samples(shooting: Shooting) -> None:
+    """Raise :class:`DataError` where there are fewer samples than unknowns."""
+    layout = shooting.layout
+    n_samples = sum(int(np.isfinite(record.outputs).sum()) for record in shooting.records)
+    n_priors = int(np.count_nonzero(shooting.limits.prior_weight))
+    n_states = layout.n_records * layout.n_own
+    if n_samples + n_priors < layout.n_unknowns - min(int(shooting.limits.held.sum()), n_states):
+        raise DataError(
+            f"{n_samples} measured samples and {n_priors} priors cannot determine "
+            f"{layout.n_unknowns} unknowns ({len(layout.shared)} parameters and, for each of "
+            f"{layout.n_records} records, {layout.n_own} initial states and {len(layout.local)} "
+            "parameters of its own). Add records, fix parameters, or give them a prior_std."
+        )
+
+
+def check_initial_states(
+    model: Model, dataset: Dataset, initial_states: InitialStates | None
+) -> None:
+    """Raise :class:`DataError` where start guesses do not belong to model and records."""
+    if initial_states is None:
+        return
+    if isinstance(initial_states, Mapping) or len(initial_states) != len(dataset):
+        raise DataError(
+            f"initial_states gives {len(initial_states)} guesses for {len(dataset)} records. Give "
+            "a list with one mapping for each record; an empty one leaves it to the data."
+        )
+    for record, guess in zip(dataset, initial_states, strict=True):
+        for name, value in guess.items():
+            if name not in model.state_names:
+                raise DataError(
+                    f"The initial guess of record {record.name!r} names {name!r}, which is no "
+                    f"state of {model.name!r}: {', '.join(model.state_names)}."
+                )
+            if not np.isfinite(value):
+                raise DataError(
+                    f"The initial guess of {name!r} of record {record.name!r} is {value}. Give a "
+                    "number, or leave it out."
+                )
+
+
+def warm_model(model: Model, warm: Fit) -> Model:
+    """Return the model with its free parameters at an earlier fit's values, within bounds."""
+    free = {parameter.name: parameter for parameter in model.free_parameters}
+    earlier = warm.model.values | warm.values
+    return model.with_values(
+        {
+            name: float(np.clip(earlier[name], parameter.lower, parameter.upper))
+            for name, parameter in free.items()
+            if name in earlier and np.isfinite(earlier[name])
+        }
+    )
+
+
+def warm_unknowns(shooting: Shooting, warm: Fit) -> np.ndarray:
+    """Start values with the initial states and local parameters of an earlier fit.
+
+    They are taken where the earlier fit saw a record of the same name.
+    """
+    unknowns, layout = shooting.start_unknowns(), shooting.layout
+    positions = {name: i for i, name in enumerate(shooting.model.state_names)}
+    for index, record in enumerate(shooting.records):
+        if record.name not in warm.dataset.names:
+            continue
+        earlier = warm.dataset.names.index(record.name)
+        if warm.dataset[earlier].times[0] != record.times[0]:
+            continue
+        columns = layout.record_columns(index)
+        states = zip(warm.model.state_names, warm.initial_states[earlier], strict=True)
+        for name, value in states:
+            if name in positions and np.isfinite(value):
+                unknowns[columns[positions[name]]] = value
+        for position in layout.local:
+            value = warm.local_values[earlier].get(layout.free_names[position], np.nan)
+            if np.isfinite(value):
+                place = columns[layout.n_own + position]
+                unknowns[place] = layout.inward(np.full(len(layout.free_names), value))[position]
+    return np.clip(unknowns, shooting.limits.lower, shooting.limits.upper)
+
+
+def warm_point(shooting: Shooting, warm: Fit) -> Point:
+    """Start on the trajectory of an earlier fit; on the measurements where it diverges."""
+    unknowns = warm_unknowns(shooting, warm)
+    point = shooting.continuous(unknowns)
+    if all(np.isfinite(nodes).all() for nodes in point.nodes):
+        return point
+    return shooting.start_point(unknowns)
+
+
+def wide_start(shooting: Shooting, point: Point) -> Point:
+    """Climb the ladder of free-node intervals from a far start."""
+    records = [r for r in shooting.records if not r.independent] or shooting.records
+    shortest = min(len(record.times) for record in records)
+    rungs = list(LADDER)
+    while 3 * rungs[-1] <= shooting.interval_samples < shortest:
+        rungs.append(3 * rungs[-1])
+    plain = shooting.with_loss(None)
+    unknowns = point.unknowns
+    for n_samples in rungs:
+        if 2 * n_samples <= shortest:
+            unknowns = climb(plain, unknowns, n_samples)
+    return shooting.start_point(unknowns)
+
+
+def misfit(shooting: Shooting, point: Point) -> float:
+    """Mean square residual in units of noise; infinite where the model diverges."""
+    squares, count = 2.0 * shooting.prior_cost(point.unknowns), 0
+    for index, record in enumerate(shooting.records):
+        z0, _ = shooting.full_start(point.unknowns, index)
+        run = shooting.kernel.run(
+            record.times,
+            record.inputs,
+            shooting.values(point.unknowns, index),
+            np.vstack([z0[None], point.nodes[index]]),
+            starts=shooting.starts[index],
+        )
+        present = np.isfinite(record.outputs)
+        scaled = ((record.outputs - run.outputs) / shooting.sigma)[present]
+        if not run.ok or not np.isfinite(scaled).all():
+            return np.inf
+        squares += float(scaled @ scaled)
+        count += len(scaled)
+    return squares / max(count, 1)
