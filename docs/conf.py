@@ -12,6 +12,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
@@ -120,18 +121,66 @@ def write_reference() -> None:
         prefix = "oed_sysid." if package == "oed_sysid" else ""
         lines += [f"   {prefix}{name}" for name in named[package]]
         _write(folder / f"{pages[-1]}.rst", [*lines, ""])
+    pages.insert(1, write_effects(folder))
     words = (
         "Every public name: its arguments with shapes and units, what it raises, and an example."
     )
     words += " Most of them can be imported from ``oed_sysid`` itself."
     toctree = [".. toctree::", "   :maxdepth: 1", "", *(f"   {page}" for page in pages)]
+    names = {f"{package}.{name}" for package, found in named.items() for name in found}
+    # Pages of names that have moved since the last build.
+    for page in [*folder.glob("*.rst"), *folder.glob("names/*.rst")]:
+        if page.stem not in {*pages, *names, "index"}:
+            page.unlink()
     _write(folder / "index.rst", ["Reference", "=========", "", words, "", *toctree, ""])
+
+
+def write_effects(folder: Path) -> str:
+    """A page with every effect of the library, from its table; returns the page's name."""
+    library = import_module("oed_sysid.physics").LIBRARY
+    columns = ("effect", "stage", "term", "unit", "shows in", "source")
+    lines = ["Every effect of the library", "===========================", ""]
+    lines += ["Braces hold arguments of the constructor, ``{E}`` is the amplitude.", ""]
+    lines += [".. list-table::", "   :header-rows: 1", ""]
+    rows = [columns]
+    for name, entry in library.items():
+        row = entry.row
+        terms = row.derivative or "; ".join(row.terms.values()) or "as given"
+        unit = "of the derivative" if row.derivative else row.unit or "of each amplitude"
+        cells = (f"``{terms}``", f"``{unit}``", row.needs, row.source)
+        rows.append((f":func:`~oed_sysid.physics.{name}`", row.kind.stage, *cells))
+    for cells in rows:
+        lines += [f"   {'*' if not i else ' '} - {cell}" for i, cell in enumerate(cells)]
+    _write(folder / "library_of_effects.rst", [*lines, ""])
+    return "library_of_effects"
 
 
 def _write(path: Path, lines: list[str]) -> None:
     text = "\n".join(lines)
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
+
+
+def _open_branch_only(app: Any, page: str, template: str, context: dict, tree: Any) -> None:
+    """Show names in the sidebar only below the part that is read.
+
+    With the hundreds of names of the reference in every page, nine tenths of a build went into
+    the sidebar.
+    """
+    if "toctree" in context:
+        full = context["toctree"]
+        context["toctree"] = lambda **options: full(**{**options, "collapse": True})
+
+
+def _find_new_pages(app: Any) -> None:
+    """Let pages of names be written for packages that an earlier build did not have."""
+    app.project.discover(app.config.exclude_patterns, app.config.include_patterns)
+
+
+def setup(app: Any) -> None:
+    """Change the sidebar before the theme makes it, and find pages before names are collected."""
+    app.connect("builder-inited", _find_new_pages, priority=100)
+    app.connect("html-page-context", _open_branch_only, priority=400)
 
 
 # Before Sphinx looks for pages. The gallery in a process of its own, whose pictures leave no trace.

@@ -8,6 +8,7 @@ itself says it shows (:func:`oed_sysid.results.finding`), numbers included.
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import textwrap
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -256,10 +258,23 @@ Each `plot_...` draws into axes of yours (`ax=`) and returns them.
 """
 
 
+def digest() -> str:
+    """Of all that the pictures depend on: this file, the package, the problems, Matplotlib."""
+    said = hashlib.sha256(matplotlib.__version__.encode())
+    root = HERE.parent
+    parts = [path for part in ("oed_sysid", "problems") for path in (root / part).rglob("*.*")]
+    for path in [Path(__file__), *sorted(parts)]:
+        if path.suffix in (".py", ".c", ".csv"):
+            said.update(path.name.encode() + path.read_bytes())
+    return said.hexdigest()
+
+
 def main(folder: Path = HERE / "gallery") -> None:
-    """Draw all pictures and write the page."""
+    """Draw all pictures and write the page, unless those that are there are of these sources."""
     folder.mkdir(exist_ok=True)
-    page = [HEAD]
+    page, now, drawn_from = [HEAD], digest(), folder / "sources.sha256"
+    if drawn_from.exists() and drawn_from.read_text(encoding="utf-8") == now:
+        return
     for draw in PICTURES:
         drawn = draw()
         figure = drawn if isinstance(drawn, Figure) else drawn.figure
@@ -275,6 +290,7 @@ def main(folder: Path = HERE / "gallery") -> None:
             f"```python\n{textwrap.dedent(chr(10).join(lines))}\n```\n",
         ]
     (folder / "index.md").write_text("\n".join(page), encoding="utf-8")
+    drawn_from.write_text(now, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The browser application, driven as a user drives it, and its parts without a browser."""
+"""The pages in a browser: study, check, consent, jobs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import shlex
 import socket
 import sys
+import time
 import zipfile
 from pathlib import Path
 
@@ -26,13 +27,17 @@ from app_pages import (  # noqa: F401
     study_of_ship,
     testing,
     text_of,
+    typed,
 )
 
-from oed_sysid import Fit, load_problem, read_csv
-from oed_sysid.app import commands, plans
+from oed_sysid import Fit, load_problem, read_csv, write_csv
+from oed_sysid.app import commands, plans, tasks
+from oed_sysid.app.jobs import Desk
 from oed_sysid.app.launch import orders, start
 from oed_sysid.app.records import archive, likely_test, read_uploads, simulated
+from oed_sysid.app.shelf import Asked, Left, Shelf, new_id
 from oed_sysid.app.study import Study
+from oed_sysid.app.work import Request
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.errors import OedSysidError
 
@@ -307,3 +312,335 @@ def test_application_is_not_imported_with_the_package() -> None:
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert json.loads(run.stdout) is False
+
+
+def test_check_page_names_a_wrong_log_and_offers_copies(ship: Path) -> None:
+    """Swapped columns are named on the page Check, with corrected copies to take away."""
+    from oed_sysid.app.visit import desk
+
+    app = opened(ship)
+    app.button_group[0].set_value("My CSV files").run()
+    table = (ship / "data" / "zigzag_20_20.csv").read_text().splitlines()
+    names = table[0].split(",")
+    first, second = (next(i for i, n in enumerate(names) if n.startswith(k)) for k in ("psi", "r "))
+    swapped = names.copy()
+    swapped[first] = (
+        names[first].replace("psi", "r").replace("deg", "deg/s").replace("rad", "rad/s")
+    )
+    swapped[second] = names[second].replace("r [", "psi [").replace("/s", "")
+    content = "\n".join([",".join(swapped), *table[1:]]) + "\n"
+    app.file_uploader[0].set_value([("log.csv", content.encode(), "text/csv")]).run()
+    app = following(app)
+    desk().wait()
+    app = app.run()
+    assert not app.exception
+    assert "Log suspect" in app.error[0].value
+    assert "swap" in app.error[0].value
+    assert "Corrected copies (ZIP)" in {one.label for one in app.get("download_button")}
+    assert not app.warning
+
+
+def test_check_page_says_what_it_does_not_correct(ship: Path) -> None:
+    """A heading of another run is no fault that a copy could undo."""
+    from oed_sysid.app.visit import desk
+
+    channels = load_problem(ship).channels
+    runs = read_csv([ship / "data" / f"zigzag_{k}.csv" for k in ("10_10", "20_20")], channels)
+    n = min(len(run.times) for run in runs)
+    run = runs[0].window(runs[0].times[0], runs[0].times[n - 1])
+    outputs = run.outputs.copy()
+    psi = run.channels.output_names.index("psi")
+    outputs[:, psi] = runs[1].outputs[:n, psi][::-1]
+    wrong = ship / "wrong.csv"
+    write_csv(run.with_outputs(outputs), wrong)
+    app = opened(ship)
+    app.button_group[0].set_value("My CSV files").run()
+    app.file_uploader[0].set_value([("log.csv", wrong.read_bytes(), "text/csv")]).run()
+    app = following(app)
+    desk().wait()
+    app = app.run()
+    assert any(one.value.startswith("Not corrected: ") for one in app.warning)
+
+
+def _other_folder(ship: Path, folder: Path, mark: Path) -> Path:
+    """A copy of a problem that leaves a mark when it is run."""
+    import shutil
+
+    shutil.copytree(ship, folder)
+    file = folder / "problem.py"
+    file.write_text(f"open({str(mark)!r}, 'a').write('x')\n" + file.read_text())
+    return folder
+
+
+def test_a_strangers_problem_is_run_only_after_consent(ship: Path, tmp_path: Path) -> None:
+    """A typed folder shows its program and waits for a button; other pages do not run it."""
+    mark = tmp_path / "ran"
+    folder = _other_folder(ship, tmp_path / "ferry", mark)
+    app = typed(folder)
+    assert not app.exception
+    assert not mark.exists()
+    assert "is run with your rights" in app.warning[0].value
+    assert any("open(" in one.value for one in app.code)
+    app.button(key="next").click().run()
+    assert not mark.exists()
+    assert "Agree to that on the page Problem" in app.error[0].value
+    app = typed(folder)
+    app.button(key="agree").click().run()
+    assert mark.exists()
+    assert fine(app).header[0].value == load_problem(folder).title
+
+
+def test_consent_ends_where_others_can_write(ship: Path, tmp_path: Path) -> None:
+    """In a folder that others can change, every change of the program asks again."""
+    from oed_sysid.app.trust import NotTrustedError, check_trusted, consent
+
+    folder = _other_folder(ship, tmp_path / "ferry", tmp_path / "ran")
+    agreed = {consent(str(folder)): True}
+    check_trusted(str(folder), agreed)
+    (folder / "problem.py").write_text("import os\n")
+    check_trusted(str(folder), agreed)
+    folder.chmod(0o777)
+    with pytest.raises(NotTrustedError):
+        check_trusted(str(folder), agreed)
+    agreed = {consent(str(folder)): True}
+    check_trusted(str(folder), agreed)
+    (folder / "problem.py").write_text("import sys\n")
+    with pytest.raises(NotTrustedError, match=r"problem\.py"):
+        check_trusted(str(folder), agreed)
+
+
+def test_consent_of_one_session_is_none_of_another(ship: Path, tmp_path: Path) -> None:
+    """What one window agreed to and uploaded is not there in the next."""
+    mark = tmp_path / "ran"
+    folder = _other_folder(ship, tmp_path / "ferry", mark)
+    first = typed(folder)
+    first.button(key="agree").click().run()
+    second = typed(folder)
+    assert "is run with your rights" in second.warning[0].value
+    assert f"files:{folder}" not in second.session_state
+
+
+def test_address_without_the_key_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever does not know the secret of this run sees no page and runs nothing."""
+    from oed_sysid.app.trust import SECRET
+
+    monkeypatch.setenv(SECRET, "right")
+    app = testing.AppTest.from_function(
+        script, kwargs={"problem": "remus_diving_plane"}, default_timeout=PATIENCE
+    )
+    for wrong in (None, "wrong"):
+        if wrong:
+            app.query_params["key"] = wrong
+        app.run()
+        assert "does not carry the key" in app.error[0].value
+        assert not app.header
+        assert not app.selectbox
+    app.query_params["key"] = "right"
+    assert fine(app.run()).header[0].value == load_problem("remus_diving_plane").title
+
+
+def test_uploads_are_limited_and_stay_in_their_folder(ship: Path, monkeypatch) -> None:
+    """Too many bytes are refused in words, and no name leads out of the folder."""
+    from oed_sysid.app import trust
+
+    problem = load_problem(ship)
+    good = (ship / "data" / "turning_circle.csv").read_bytes()
+    names = ["../../out.csv", "..", "a/b\\c.csv", "x\0y.csv", "n" * 300 + ".csv"]
+    records, refused, _ = read_uploads(problem, dict.fromkeys(names, good))
+    assert records is not None
+    assert refused == {}
+    assert not any(set("/\\\0") & set(name) for name in records.names)
+    monkeypatch.setattr(trust, "MOST_BYTES", 10)
+    with pytest.raises(OedSysidError, match="takes up to"):
+        trust.check_uploads({"a.csv": b"x" * 11})
+    assert "--server.maxUploadSize=200" in orders("remus_diving_plane")
+
+
+def test_job_is_done_once_and_kept(study: Study, tmp_path: Path) -> None:
+    """Asking twice does it once, and the result outlives the desk; each study has its own job."""
+    request = Request.of(study, tasks.check)
+    first = Desk(tmp_path)
+    job = first.ask("one", "check", request)
+    assert first.ask("one", "check", request) is job
+    assert first.running("one") == 1
+    assert first.running("two") == 0
+    job.ended.wait(PATIENCE)
+    assert job.state == "done"
+    verdict = job.result.result.verdict
+    again = Desk(tmp_path).find("two", "check")
+    assert again is not None
+    assert again.result.result.verdict == verdict
+    assert Desk(tmp_path).find("two", "other") is None
+
+
+def test_job_stops_at_once_and_for_nobody_else(study: Study, tmp_path: Path) -> None:
+    """Stop ends the process of one study at once; the same work of another goes on."""
+    desk = Desk(tmp_path)
+    request = Request.of(study, tasks.improve, 2)
+    mine, theirs = (desk.ask(who, "improve", request) for who in ("one", "two"))
+    deadline = time.monotonic() + PATIENCE
+    while "Starting" in (mine.doing, theirs.doing) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    began = time.monotonic()
+    mine.stop()
+    assert time.monotonic() - began < 2.5
+    assert mine.state == "stopped"
+    assert mine._process.poll() is not None
+    assert theirs.at_work
+    assert theirs._process.poll() is None
+    theirs.stop()
+    assert theirs._process.poll() is not None
+    assert desk.ask("one", "improve", request) is not mine
+    desk.find("one", "improve").stop()
+
+
+def test_job_stops_before_it_has_read_what_to_do(study: Study, tmp_path: Path) -> None:
+    """A large request is read seconds after the process began; Stop does not wait for that."""
+    desk = Desk(tmp_path)
+    large = bytes(2**22)  # more than a pipe holds
+    job = desk.ask("one", "improve", Request.of(study, tasks.improve, large))
+    deadline = time.monotonic() + PATIENCE
+    while job._process is None and time.monotonic() < deadline:
+        time.sleep(0.001)
+    began = time.monotonic()
+    job.stop()
+    assert time.monotonic() - began < 2.5
+    assert job._process.poll() is not None
+    assert job.state == "stopped"
+
+
+def test_job_that_fails_says_why(study: Study, tmp_path: Path) -> None:
+    """Bad input, a fault of the program and a killed process are told apart, in words."""
+    import operator
+
+    desk = Desk(tmp_path)
+    alone = Study(study.source, "default", study.problem, study.train, None)
+    wrong = desk.ask("one", "compare", Request.of(alone, tasks.compare, ()))
+    wrong.ended.wait(PATIENCE)
+    assert (wrong.state, wrong.result) == ("failed", None)
+    assert "validation record" in wrong.failure
+    broken = desk.ask("one", "broken", Request.of(study, operator.truediv))
+    broken.ended.wait(PATIENCE)
+    assert "Unexpected error: TypeError" in broken.failure
+    killed = desk.ask("one", "improve", Request.of(study, tasks.improve, 2))
+    deadline = time.monotonic() + PATIENCE
+    while killed._process is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    killed._process.kill()
+    killed.ended.wait(PATIENCE)
+    assert "ended without a result" in killed.failure
+
+
+def test_work_ends_with_the_program(ship: Path, tmp_path: Path) -> None:
+    """A program that is killed leaves no work behind."""
+    import subprocess
+
+    code = (
+        "import sys, time\nfrom pathlib import Path\n"
+        "from oed_sysid import load_problem\n"
+        "from oed_sysid.app import tasks\nfrom oed_sysid.app.jobs import Desk\n"
+        "from oed_sysid.app.study import Study\nfrom oed_sysid.app.work import Request\n"
+        f"problem = load_problem({str(ship)!r})\n"
+        f"study = Study({str(ship)!r}, 'default', problem, problem.data())\n"
+        f"job = Desk(Path({str(tmp_path)!r})).ask('a', 'b', Request.of(study, tasks.improve, 2))\n"
+        "while job.doing == 'Starting': time.sleep(0.05)\n"
+        "print(job._process.pid, flush=True)\ntime.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as run:
+        number = int(run.stdout.readline())
+        assert _alive(number)
+        run.kill()
+    deadline = time.monotonic() + 10.0
+    while _alive(number) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not _alive(number)
+
+
+def _alive(number: int) -> bool:
+    """Whether a process runs; one that has ended and was not collected does not."""
+    try:
+        state = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def test_studies_are_kept_for_the_user_alone(tmp_path: Path) -> None:
+    """What was chosen, given and asked comes back; a planted or torn study is none."""
+    shelf, name = Shelf(tmp_path / "studies"), new_id()
+    left = Left(
+        "Ship",
+        {"keep:train": ["a"], "keep:most": 3},
+        {"/my/ship": True},
+        {"fit 1": Asked("Fit", "fit", "oed-sysid fit ship train")},
+        {"/my/ship": {"a b.csv": b"1,2"}},
+    )
+    shelf.keep(name, left)
+    back = shelf.find(name)
+    assert (back.title, back.choices, back.agreed) == (left.title, left.choices, left.agreed)
+    assert (back.asked, back.files) == (left.asked, left.files)
+    assert list(shelf.recent()) == [name]
+    assert (tmp_path / "studies").stat().st_mode & 0o077 == 0
+    assert shelf.find("../" + name) is None
+    (tmp_path / "studies" / name).chmod(0o777)
+    assert shelf.find(name) is None
+    (tmp_path / "studies" / name).chmod(0o700)
+    (tmp_path / "studies" / name / "study.json").write_text("{")
+    assert shelf.find(name) is None
+    shelf.forget(name)
+    assert shelf.recent() == {}
+
+
+def test_reload_finds_the_study_again(ship: Path) -> None:
+    """After a reload the files, the choice of records, the consent and the results are there."""
+    content = (ship / "data" / "turning_circle.csv").read_bytes()
+    app = typed(ship)
+    app.button(key="agree").click().run()
+    app.button_group[0].set_value("My CSV files").run()
+    files = [(name, content, "text/csv") for name in ("one.csv", "two.csv")]
+    app.file_uploader[0].set_value(files).run()
+    next(w for w in app.multiselect if w.label == "Validation records").set_value([]).run()
+    app = fine(reopened(app))
+    assert app.session_state["keep:source"] == str(ship)
+    chosen = {w.label: w.value for w in app.multiselect}
+    assert chosen["Training records"] == ["one"]
+    assert chosen["Validation records"] == []
+
+
+def test_choices_outlive_their_widgets(ship: Path) -> None:
+    """What streamlit forgets of widgets that are not drawn, as beside a job, is chosen still."""
+    app = opened(ship)
+    learn = next(w for w in app.multiselect if w.label == "Training records")
+    learn.set_value(["zigzag_10_10"]).run()
+    app = following(app)
+    for side in ("train", "test"):
+        del app.session_state[f"keep:{side}:{ship}:default:With the problem"]
+    app = fine(app.run())
+    assert any(caption.value == "Training records: zigzag_10_10" for caption in app.caption)
+
+
+def test_reload_in_mid_job_waits_for_the_same_job(ship: Path) -> None:
+    """A job goes on while the browser is away, and its result is found by the same address."""
+    from oed_sysid.app.visit import desk
+
+    app = at_fit(opened(ship))
+    assert not text_of(app)
+    app.button(key="ask:fit").click().run()
+    (job,) = [j for (who, key), j in desk()._jobs.items()
+              if who == app.session_state["study"] and key.startswith("fit ")]  # fmt: skip
+    again = at_fit(reopened(app, ship))
+    assert "The estimation converged." in text_of(again)
+    assert job.state == "done"
+    assert job in desk()._jobs.values()
+
+
+def test_two_tabs_are_two_studies(ship: Path) -> None:
+    """A choice in one tab changes nothing in the other, and both are found again."""
+    one, two = opened(ship), opened(ship)
+    assert one.session_state["study"] != two.session_state["study"]
+    for app, name in ((one, "zigzag_10_10"), (two, "turning_circle")):
+        next(w for w in app.multiselect if w.label == "Training records").set_value([name]).run()
+    for app, name in ((one, "zigzag_10_10"), (two, "turning_circle")):
+        again = fine(reopened(app, ship))
+        learn = next(w for w in again.multiselect if w.label == "Training records")
+        assert learn.value == [name]

@@ -1,16 +1,25 @@
-"""The command line as a user meets it: results, words, exit codes."""
+"""The command line: what it reads, prints, writes and refuses."""
 
 from __future__ import annotations
 
 import json
+import runpy
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from oed_sysid import Dataset, Fit, load_problem, write_csv
 from oed_sysid.cli import BAD_INPUT, DONE, NO_RESULT, UNEXPECTED, main
 from oed_sysid.cli.arguments import spread
+from oed_sysid.cli.terminal import answer
+from oed_sysid.errors import FileError, ProblemError
+from oed_sysid.experiments.problem import new_problem
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.runtime.files import check_place, make_folder, write_text
 
 NOMOTO = """
 from oed_sysid import Experiment, Input, Model, Output, Parameter, Problem, State
@@ -232,3 +241,310 @@ def test_advice_on_noise_names_the_option(ferry: Path, tmp_path: Path, capsys) -
     assert main(line) == BAD_INPUT
     assert "--no-noise" in capsys.readouterr().err
     assert main([*line, "--no-noise"]) == DONE
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A folder with two good logs, and one with the pitch turned round."""
+    problem = load_problem("remus_diving_plane")
+    rng = np.random.default_rng(8)
+    good, bad = tmp_path_factory.mktemp("good"), tmp_path_factory.mktemp("bad")
+    for name in ("zigzag_5_5", "zigzag_10_10"):
+        record = simulate(problem.model, problem.experiments[name], rng=rng)
+        write_csv(record, good / f"{name}.csv")
+        outputs = np.array(record.outputs)
+        outputs[:, problem.model.output_names.index("theta")] *= -1.0
+        write_csv(record.with_outputs(outputs), bad / f"{name}.csv")
+    return good, bad
+
+
+def test_good_logs_exit_0(logs, capsys) -> None:  # type: ignore[no-untyped-def]
+    """Logs that agree end well and say so."""
+    assert main(["check", "remus_diving_plane", str(logs[0])]) == 0
+    assert "agree with each other" in capsys.readouterr().out
+
+
+def test_suspect_logs_exit_1_with_report_page_and_copies(logs, tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]
+    """A wrong sign ends with 1, names the line, and its corrected copies pass."""
+    plain, page, fixed = tmp_path / "check.json", tmp_path / "check.html", tmp_path / "fixed"
+    command = ["check", "remus_diving_plane", str(logs[1]), "--json", str(plain)]
+    assert main([*command, "--html", str(page), "--fix", str(fixed)]) == 1
+    said = capsys.readouterr()
+    assert 'Output("theta", "rad", sign=-1)' in said.out
+    assert "Corrected in the copies" in said.err
+    stored = json.loads(plain.read_text(encoding="utf-8"))
+    assert stored["findings"][0]["kind"] == "sign"
+    assert stored["findings"][0]["signals"] == ["theta"]
+    assert "theta has the wrong sign" in page.read_text(encoding="utf-8")
+    assert main(["check", "remus_diving_plane", str(fixed)]) == 0
+
+
+def test_copies_never_overwrite_the_records(logs, capsys) -> None:  # type: ignore[no-untyped-def]
+    """The folder of the records is refused for the copies."""
+    before = sorted((p.name, p.read_bytes()) for p in logs[1].iterdir())
+    command = ["check", "remus_diving_plane", str(logs[1]), "--fix", str(logs[1])]
+    assert main(command) == 2
+    assert "overwrite" in capsys.readouterr().err
+    assert sorted((p.name, p.read_bytes()) for p in logs[1].iterdir()) == before
+
+
+def test_public_names() -> None:
+    """`check` and `quick_check` are at the top of the package and take a dataset and a model."""
+    import oed_sysid
+
+    problem = load_problem("remus_diving_plane")
+    record = simulate(
+        problem.model, problem.experiments["zigzag_5_5"], rng=np.random.default_rng(1)
+    )
+    data = Dataset((record,))
+    assert oed_sysid.quick_check(data, problem.model).ok
+    assert oed_sysid.check(data, problem, inputs=False).ok
+
+
+@pytest.mark.parametrize(
+    ("text", "terminal", "no_color", "red"),
+    [
+        ("DANGER: limits are left.", True, None, True),
+        ("DANGER: limits are left.", True, "", True),
+        ("DANGER: limits are left.", True, "1", False),
+        ("DANGER: limits are left.", False, None, False),
+        ("Two runs.", True, None, False),
+    ],
+)
+def test_danger_is_red_on_a_terminal_only(
+    text: str, terminal: bool, no_color: str | None, red: bool, monkeypatch, capsys
+) -> None:
+    """Files, pipes and readers who set NO_COLOR get the plain line, and the report stays plain."""
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    if no_color is not None:
+        monkeypatch.setenv("NO_COLOR", no_color)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal, raising=False)
+    answer(text, "The rest.")
+    first, _, rest = capsys.readouterr().out.partition("\n")
+    assert first == (f"\x1b[1;31m{text}\x1b[0m" if red else text)
+    assert rest == "\nThe rest.\n"
+
+
+SHIP = "nomoto_sparse_heading"
+
+
+@pytest.fixture(name="place")
+def _place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder to work in, with a file in the way, an empty folder and a short log."""
+    monkeypatch.chdir(tmp_path)
+    Path("afile").write_text("in the way")
+    Path("folder").mkdir()
+    rows = [f"{0.5 * i},{0.1 * (i % 7 > 3)},{0.01 * i % 0.3}" for i in range(40)]
+    Path("log.csv").write_text("\n".join(["t [s],delta [rad],psi [rad]", *rows]) + "\n")
+    return tmp_path
+
+
+def names(folder: Path) -> set[str]:
+    """Everything below a folder."""
+    return {str(one.relative_to(folder)) for one in folder.rglob("*")}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"check {SHIP} log.csv --fix afile",
+        f"check {SHIP} log.csv --fix afile/copies",
+        f"simulate {SHIP} --out afile/runs/",
+        f"simulate {SHIP} --experiment zigzag_15_15 --out afile/x.csv",
+        "import log.csv --map no.toml --out afile",
+        f"design {SHIP} --out afile/x.csv",
+        f"design {SHIP} --bag afile/bag",
+        f"programme {SHIP} --runs 2 --out afile",
+        f"campaign afile/trial --problem {SHIP} --goal all=5",
+        f"fit {SHIP} log.csv --save afile/fit.json",
+        f"fit {SHIP} log.csv --journal afile",
+        f"improve {SHIP} log.csv --save afile/fit.json",
+        f"diagnose {SHIP} log.csv --html afile/page.html",
+        f"rank {SHIP} --json afile/rank.json",
+        "report no.json --out afile/report.html",
+        "new afile/boat",
+    ],
+)
+def test_file_where_a_folder_is_needed(line: str, place: Path, capsys) -> None:
+    """A file in the way is named, and nothing is written or calculated."""
+    before = names(place)
+    assert main(line.split()) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert "afile' is a file where a folder is needed. Move it away" in said
+    assert names(place) == before
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (f"fit {SHIP} log.csv --save folder", "it is a folder. Give a file in it"),
+        (f"design {SHIP} --html folder", "it is a folder. Give a file in it"),
+        (f"fit {SHIP} log.csv --picture x.gif", "Choose .png, .pdf, .svg"),
+        (f"simulate {SHIP} --picture picture", "does not end as a picture does"),
+        (f"design {SHIP} --card x.doc", "Choose .txt, .html, .pdf"),
+        (f"simulate {SHIP} --out /proc/there/", "/proc"),
+        (f"design {SHIP} --json /proc/there/x.json", "nothing can be made in '/proc'"),
+        (f"check {SHIP} log.csv --fix /proc/there", "nothing can be made in '/proc'"),
+    ],
+)
+def test_other_places_that_take_no_result(line: str, words: str, place: Path, capsys) -> None:
+    """A folder for a file, an ending that is no picture and a system's own folder are refused."""
+    before = names(place)
+    assert main(line.split()) == BAD_INPUT
+    assert words in capsys.readouterr().err
+    assert names(place) == before
+
+
+@pytest.mark.parametrize(
+    "line",
+    [f"simulate {SHIP} --seed -3", f"design {SHIP} --seed -1", f"programme {SHIP} --seed -1"],
+)
+def test_seed_below_zero(line: str, place: Path, capsys) -> None:
+    """A generator takes no negative seed: the option says so."""
+    assert main(line.split()) == BAD_INPUT
+    assert "--seed" in capsys.readouterr().err
+
+
+def test_device_is_a_place(place: Path) -> None:
+    """What is no regular file, such as /dev/null, takes a result."""
+    line = f"rank {SHIP} --experiment zigzag_15_15 --json /dev/null --quiet"
+    assert main(line.split()) == DONE
+
+
+def test_files_say_what_stands_in_the_way(place: Path) -> None:
+    """Files, folders and problems below a file have the same words."""
+    words = "'.*afile' is a file where a folder is needed"
+    with pytest.raises(FileError, match=words):
+        write_text("afile/x/y.txt", "text")
+    with pytest.raises(FileError, match=words):
+        make_folder("afile/x")
+    with pytest.raises(FileError, match=words):
+        make_folder("afile")
+    with pytest.raises(ProblemError, match=words):
+        new_problem("afile/boat")
+
+
+def test_check_leaves_nothing_behind(place: Path) -> None:
+    """A place that can be written to passes, be it there or not, and stays as it was."""
+    before = names(place)
+    check_place("new/deep/fit.json")
+    check_place("new/deep", folder=True)
+    check_place("log.csv")
+    check_place("folder", folder=True)
+    assert names(place) == before
+
+
+def test_no_permission(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder that the user may not write to is named."""
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    with pytest.raises(FileError, match=r"you have no permission to write in '.*folder'"):
+        check_place("folder/fit.json")
+    with pytest.raises(FileError, match=r"'log\.csv' cannot be written: it is write-protected"):
+        check_place("log.csv")
+
+
+def test_device_is_no_folder(place: Path) -> None:
+    """Files cannot be put below /dev/null."""
+    with pytest.raises(FileError, match="'/dev/null' is no folder, and one is needed there"):
+        check_place("/dev/null/x.csv")
+
+
+SAVERS = ("fit", "improve")
+READERS = ("report", "export", "compare", "design", "programme")
+
+
+@pytest.fixture(name="ship", scope="module")
+def _ship(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The starter folder with a fit, an improved fit, and what else the commands write."""
+    folder = tmp_path_factory.mktemp("cli") / "my_ship"
+    assert main(["new", str(folder)]) == DONE
+    zigzags = [str(folder / "data" / f"zigzag_{angle}.csv") for angle in ("10_10", "20_20")]
+    circle = str(folder / "data" / "turning_circle.csv")
+    for command in SAVERS:
+        line = [command, str(folder), *zigzags, "--validate", circle, "--known-noise", "--quiet"]
+        files = [f"--{kind}" for kind in ("save", "json", "html")]
+        ends = ("saved.json", "numbers.json", "page.html")
+        for option, end in zip(files, ends, strict=True):
+            line += [option, str(folder / f"{command}_{end}")]
+        assert main(line) in (DONE, NO_RESULT)
+    return folder
+
+
+def read(reader: str, ship: Path, saved: Path, out: Path) -> int:
+    """Let a command go on from a file; what it finds goes to ``out``."""
+    data = ship / "data"
+    circle = str(data / "turning_circle.csv")
+    shared = ["--patterns", "zigzag_10_10", "--rounds", "0", "--runs", "1"]
+    lines = {
+        "report": ["report", saved, "--validate", circle, "--out", out.with_suffix(".html")],
+        "export": ["export", saved, "--as", "python", "--out", out.with_suffix(".py")],
+        "compare": ["compare", ship, data / "zigzag_10_10.csv", "--validate", circle,
+                    "--with", saved, "--known-noise", "--json", out],
+        "design": ["design", ship, "--after", saved, "--duration", "40", "--json", out],
+        "programme": ["programme", ship, "--after", saved, *shared, "--duration", "60",
+                      "--json", out],
+    }  # fmt: skip
+    return main([*map(str, lines[reader]), "--quiet"])
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("saver", SAVERS)
+def test_saved_model_goes_on(saver: str, reader: str, ship: Path, tmp_path: Path) -> None:
+    """A reader of a saved fit works with its parameters, those that were found included."""
+    saved, out = ship / f"{saver}_saved.json", tmp_path / "out.json"
+    fit = Fit.load(saved)
+    assert (saver == "improve") == ("E_yaw" in fit.values)
+    assert read(reader, ship, saved, out) == DONE
+    if reader == "report":
+        page = out.with_suffix(".html").read_text(encoding="utf-8")
+        assert all(name in page for name in ("turning_circle", "zigzag_20_20"))
+        assert ("E_yaw" in page) == (saver == "improve")
+    elif reader == "export":
+        module = runpy.run_path(str(out.with_suffix(".py")))
+        written = module["PARAMETERS"]
+        assert {name: written[name] for name in fit.values} == pytest.approx(fit.values)
+    elif reader == "compare":
+        models = {one["label"]: one["relative"] for one in json.loads(out.read_text())["models"]}
+        better = models[f"{saver}_saved"] < 1.2
+        assert better == (saver == "improve")
+        assert models["nominal"] > 3.0
+    else:
+        found = {one["name"]: one for one in json.loads(out.read_text())["parameters"]}
+        assert set(found) == set(fit.names)
+        if reader == "design":
+            before = {name: one["before"] for name, one in found.items()}
+            assert before == pytest.approx(fit.std_errors, rel=0.01)
+
+
+@pytest.mark.parametrize("reader", ["report", "export", "compare", "design"])
+@pytest.mark.parametrize("kind", ["improve_numbers.json", "improve_page.html", "data"])
+def test_other_files_are_refused_in_words(
+    reader: str, kind: str, ship: Path, tmp_path: Path, capsys
+) -> None:
+    """Numbers, pages and folders hold no model: the message says which file would."""
+    assert read(reader, ship, ship / kind, tmp_path / "out.json") == BAD_INPUT
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    assert str(ship / kind) in said or Path(kind).name in said
+    assert "--save" in said or "folder" in said
+
+
+def test_numbers_of_a_fit_are_reported_without_pictures(ship: Path, tmp_path: Path) -> None:
+    """`report` reads what `fit --json` wrote as well, as a page of numbers."""
+    page = tmp_path / "numbers.html"
+    numbers = ship / "fit_numbers.json"
+    assert main(["report", str(numbers), "--out", str(page), "--quiet"]) == DONE
+    value = json.loads(numbers.read_text())["parameters"][0]["value"]
+    assert f"{value:.4g}"[:5] in page.read_text(encoding="utf-8")
+
+
+def test_saved_model_of_another_vehicle_is_refused(ship: Path, tmp_path: Path, capsys) -> None:
+    """A fit with other channels cannot be compared on these records, and is told so."""
+    other = tmp_path / "other"
+    shutil.copytree(ship, other)
+    text = (other / "problem.py").read_text()
+    (other / "problem.py").write_text(text.replace('Output("r"', 'Output("yaw_rate_sensor"'))
+    assert np.count_nonzero(text != (other / "problem.py").read_text()) == 1
+    line = ["compare", str(other), str(other / "data"), "--validate", str(other / "data")]
+    assert main([*line, "--with", str(ship / "fit_saved.json")]) == BAD_INPUT
+    assert capsys.readouterr().err

@@ -1,9 +1,14 @@
-"""What the documentation says is so: commands run, code works, links lead somewhere."""
+"""Documents, examples, notebooks and the demo: everything in them runs."""
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import shlex
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -203,3 +208,163 @@ def test_own_vehicle_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
             write_csv(record, tmp_path / "log.csv")
             command = [part if part != "rudder" else "dr" for part in command]
         assert main(command[1:]) == DONE, command
+
+
+NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+MOST_CELLS = 16
+
+
+def test_every_tutorial_has_a_notebook() -> None:
+    """Tanker, AUV, a log and an effect of one's own; the page of notebooks names them all."""
+    assert {path.stem for path in NOTEBOOKS} == {"tanker", "auv", "own_log", "own_effect"}
+    page = (ROOT / "docs" / "notebooks.md").read_text(encoding="utf-8")
+    assert not [path.name for path in NOTEBOOKS if path.name not in page]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_is_small_and_holds_no_results(path: Path) -> None:
+    """A notebook is text to be run: no outputs, few cells, a title, and a conclusion."""
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    assert len(cells) <= MOST_CELLS
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert not [cell for cell in code if cell["outputs"] or cell["execution_count"]]
+    assert "".join(cells[0]["source"]).startswith("# ")
+    assert "Conclusion" in "".join(code[-1]["source"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every cell runs in a fresh kernel; tables, pictures and numbers come out."""
+    nbformat = pytest.importorskip("nbformat")
+    client = pytest.importorskip("nbclient")
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(paths))
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # left by other tests, it hides pictures
+    book = nbformat.read(path, as_version=4)
+    runner = client.NotebookClient(
+        book, timeout=900, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+    )
+    runner.execute()
+    kinds = [kind for cell in book.cells for out in cell.get("outputs", ())
+             for kind in out.get("data", ())]  # fmt: skip
+    assert "text/html" in kinds
+    assert "image/png" in kinds or path.stem == "own_log"
+    said = "".join(out.get("text", "") for out in book.cells[-1]["outputs"])
+    assert said.startswith("Conclusion: ")
+    assert any(character.isdigit() for character in said)
+
+
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+# Examples that take more than a few seconds.
+SLOW: tuple[str, ...] = (
+    "programme_for_a_tanker",
+    "programme_for_an_auv",
+    "cascaded_tanks",
+    "esso_osaka_wind",
+    "find_missing_physics",
+    "slocum_glider",
+    "tanker_turning_circle",
+)
+# Examples on measured data of third parties, which is not shipped.
+MEASURED = (
+    "esso_osaka_wind",
+    "roll_decay",
+    "silverbox",
+    "cascaded_tanks",
+    "slocum_glider",
+    "tanker_gain_and_time_constant",
+    "tanker_held_out_zigzag",
+    "tanker_on_line",
+    "tanker_turning_circle",
+)
+MAXIMUM_LINES = 80
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=[pytest.mark.slow] if path.stem in SLOW else [], id=path.stem)
+        for path in EXAMPLES
+    ],
+)
+def test_example_runs_and_concludes(path: Path, tmp_path: Path) -> None:
+    """An example asks a question, stays short, and prints its answer."""
+    if path.stem in MEASURED and "OED_SYSID_DATA" not in os.environ:
+        pytest.skip("measured data absent")
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith('"""Question: '), f"{path.name} begins with its question"
+    assert len(text.splitlines()) <= MAXIMUM_LINES
+    done = subprocess.run(
+        [sys.executable, path],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONWARNINGS": "error::DeprecationWarning:__main__"},
+        check=False,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.strip().splitlines()) >= 2
+
+
+def test_slow_examples_exist() -> None:
+    """A renamed example does not stay in the list of slow ones."""
+    assert {path.stem for path in EXAMPLES} >= set(SLOW)
+
+
+def tell(place: Path, data: str | None) -> tuple[str, float]:
+    """Run the demonstration as a user does, with or without a folder of measured data."""
+    environment = {key: value for key, value in os.environ.items() if key != "OED_SYSID_DATA"}
+    environment["OED_SYSID_DATA"] = str(place / "nothing") if data is None else data
+    began = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "oed_sysid.cli.demo"],
+        capture_output=True,
+        text=True,
+        cwd=place,
+        env=environment,
+        check=False,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout, time.perf_counter() - began
+
+
+@pytest.fixture(name="told", scope="module")
+def _told(tmp_path_factory) -> tuple[Path, str, float]:
+    """The demonstration without measured data, run once."""
+    place = tmp_path_factory.mktemp("demo")
+    return place, *tell(place, None)
+
+
+@pytest.mark.slow
+def test_story_names_an_effect_and_ends_in_noise(told) -> None:
+    """The error on validation records falls to the noise, and a verdict is printed."""
+    _, printed, _ = told
+    assert "Missing was " in printed
+    assert "Verdict: the remaining misfit is noise" in printed
+    assert "improved: the misfit is noise" in printed
+    assert "tanker's story is left out" in printed
+
+
+@pytest.mark.slow
+def test_story_leaves_pictures_and_one_report(told) -> None:
+    """What the story says it has written is there."""
+    place, printed, _ = told
+    folder = place / "out" / "demo"
+    assert str(folder) in printed
+    assert (folder / "report.html").stat().st_size > 100_000
+    for name in ("located", "ranking", "error", "outputs", "prediction"):
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not os.environ.get("OED_SYSID_DATA"), reason="needs measured data, OED_SYSID_DATA"
+)
+def test_tanker_is_told_where_its_records_are(tmp_path: Path) -> None:
+    """With the tank's records the hull's nonlinear forces are missed and found."""
+    printed, _ = tell(tmp_path, os.environ["OED_SYSID_DATA"])
+    assert "Missing was hull_cubic" in printed
+    assert (tmp_path / "out" / "demo" / "tanker" / "zigzag.png").is_file()

@@ -1,7 +1,8 @@
-"""Pages whose numbers are measured: the frame, and numbers of `docs/measured_data.md`."""
+"""Measured numbers of the documents and where they come from."""
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 import os
@@ -15,6 +16,7 @@ import pytest
 from benchmarks.documents import measured_data, page
 from benchmarks.documents.__main__ import PAGES, main
 from benchmarks.documents.page import Page, Unfounded
+from benchmarks.documents.published import PAGE, auv, nomoto, paper, sailboat, tanker, torpedo
 
 ROOT = Path(__file__).resolve().parent.parent
 TEXTS = sorted(
@@ -138,3 +140,239 @@ def test_noise_is_measured_again() -> None:
     for name, found in measured_data.noise().items():
         assert found["level"] == pytest.approx(kept[name]["level"], rel=1e-6)
         assert found["seen"] == kept[name]["seen"]
+
+
+STORED = PAGE.stored()
+KEPT = {name: one["numbers"] for name, one in STORED.items()}
+# One number of each verdict, and a value at which the verdict would be another.
+DECISIVE = [
+    ("auv", ["exact"], 1e-6),
+    ("auv", ["beyond", "simpson"], 2),
+    ("auv", ["beyond", "one step"], 1),
+    ("auv", ["beyond", "e-SVR"], 3),
+    ("auv", ["explained"], []),
+    ("auv", ["reduced", "w"], 0.02),
+    ("auv", ["weighted", "X_ww_prime"], -10.0),
+    ("auv", ["forms", "newton"], 1e-9),
+    ("auv_excitations", ["richer"], [0, 1]),
+    ("auv_excitations", ["one_step"], 1),
+    ("nomoto", ["published", "0.5 s, to 0.1 s"], 20.0),
+    ("nomoto", ["published", "spiral, to 0.1 s"], 6.0),
+    ("nomoto", ["better"], -0.1),
+    ("nomoto", ["worse", 1], -0.1),
+    ("nomoto", ["headings", "spiral"], 0.06),
+    ("nomoto", ["signed", "spiral", 0], 1.5),
+    ("nomoto", ["gain_to_fine"], 0.5),
+    ("nomoto", ["signed", "fine rudder", 1], 0.5),
+    ("nomoto_noise", ["wins", 0], "K 0.5, T 1"),
+    ("nomoto_noise", ["worst", "spiral"], 1.0),
+    ("tanker", ["gaps", "inverse"], 1e-3),
+    ("tanker", ["errors", "trapezoid", "60"], 7.0),
+    ("tanker", ["second", "0.01"], 0.2),
+    ("tanker_cost", ["flat", "2000"], 2000.0),
+    ("tanker_cost", ["inverse", "2000"], 20.0),
+    ("tanker_measured", ["lost", 0], 1e-6),
+    ("tanker_measured", ["warned", 0], False),
+    ("tanker_measured", ["mean", "average", 1], 15.7),
+    ("sailboat", ["terms", 0], 9),
+    ("sailboat", ["exact"], 1e-3),
+    ("sailboat", ["dominant", 0], 9.0),
+    ("sailboat", ["chains", "coordinate", "code"], "converged"),
+    ("sailboat", ["shooting", "away"], 6.0),
+    ("sailboat_coverage", ["mean", "exact"], 80.0),
+    ("sailboat_coverage", ["mean", "simpson"], 94.0),
+    ("sailboat_speed", ["forces", "K"], 5.0),
+    ("sailboat_speed", ["inside"], 8),
+    ("sailboat_speed", ["errors", 0], 30.0),
+    ("torpedo", ["free"], 11),
+    ("torpedo", ["body_worst"], 10.0),
+    ("torpedo", ["known", "lambda_26"], 20.0),
+    ("torpedo", ["shooting", "error"], 1e-3),
+    ("torpedo_swarm", ["misfits", 1], 1.1),
+    ("torpedo_swarm", ["worst", 2], 6.0),
+    ("torpedo_500_hz", ["largest", 5], 7.5),
+]
+
+
+def same(found: object, kept: object, **tolerance: float) -> None:
+    """Numbers measured now are the kept ones; of lists and mappings, all of them."""
+    plain = json.loads(json.dumps(found, default=np.ndarray.tolist))
+    if isinstance(kept, dict):
+        assert set(plain) <= set(kept)
+        for name, value in plain.items():
+            same(value, kept[name], **tolerance)
+    elif isinstance(kept, list):
+        assert len(plain) == len(kept)
+        for one, other in zip(plain, kept, strict=True):
+            same(one, other, **tolerance)
+    elif isinstance(kept, float):
+        assert plain == pytest.approx(kept, **(tolerance or {"rel": 2e-3}))
+    else:
+        assert plain == kept
+
+
+def test_auv() -> None:
+    """Coefficients beyond 5 %, by run and way, and the errors of the reduced model."""
+    script = paper("auv_diving_plane")
+    found, kept = auv.zigzag(), KEPT["auv"]
+    for name in ("free", "beyond", "explained", "removed", "reduced", "weighted"):
+        same(found[name], kept[name])
+    same(found["errors"]["simpson"], kept["errors"]["simpson"], abs=0.01)
+    assert kept["exact"] < 1e-9
+    assert max(kept["shooting"].values()) < 0.01
+    run = script.ways(script.excitations()["random steps 20"])
+    counts = {way: len(script.beyond(values)) for way, values in run.items()}
+    same(counts, KEPT["auv_excitations"]["runs"]["random steps 20"])
+
+
+def test_nomoto() -> None:
+    """All errors without noise, and one row with it."""
+    same(nomoto.without_noise(), KEPT["nomoto"], rel=2e-3, abs=1e-3)
+    row = next(row for row in KEPT["nomoto_noise"]["rows"] if row["noise"] == 0.002)
+    script = paper("nomoto_sparse_heading")
+    errors = script.errors(row["case"], row["noise"], KEPT["nomoto_noise"]["seeds"])
+    same(dict(zip(script.COLUMNS, errors, strict=True)), {n: row[n] for n in script.COLUMNS})
+
+
+def test_tanker() -> None:
+    """Derivatives as they settle, the second example, and costs that do or do not grow."""
+    kept = KEPT["tanker"]
+    same({rule: tanker.after(rule) for rule in kept["errors"]}, kept["errors"])
+    assert max(tanker.away(0.01, seed) for seed in range(tanker.SEEDS)) == pytest.approx(
+        kept["second"]["0.01"], rel=1e-3
+    )
+    script = paper("online_ship")
+    gap = script.recursion_gap(script.MACHINES["Cholesky"](script.WEIGHT), *script.yaw_rows())
+    assert gap < 1e-11
+    assert kept["gaps"]["Cholesky"] < 1e-11
+    flat = tanker.updates(script.MACHINES["flat"](script.WEIGHT))
+    assert flat["2000"] < 2 * flat["250"]
+
+
+@MEASURED
+def test_tanker_measured() -> None:
+    """K and T of the measured zigzags where digits hold; where they do not, that they do not."""
+    script, kept = paper("online_ship"), KEPT["tanker_measured"]
+    for name, average in (("instant", script.INSTANT), ("average", script.AVERAGE)):
+        sound = script.measured(average, script.WEIGHT, 1.0)
+        same(sound["Cholesky"].mean(axis=0), kept["mean"][name], rel=1e-5)
+    lost = script.measured(script.INSTANT, 1e8, 1.0)
+    assert lost["warned"].all()
+    assert lost["residual"].max() > 0.1
+
+
+def test_sailboat() -> None:
+    """Errors, draws, intervals, forces and speeds, each of one realisation or a few."""
+    script, kept = paper("sailboat"), KEPT["sailboat"]
+    found = sailboat.errors(sailboat.gibbs(0.02, 0, n_draws=1000))
+    same(max(found[name] for name in script.DOMINANT), kept["dominant"][0])
+    same(max(found.values()), kept["weak"][0])
+    joint = sailboat.gibbs(script.NOISE, 0, n_draws=2000)
+    same(max(joint.extras["r_hat"].values()), kept["chains"]["joint"]["r_hat"], rel=1e-4)
+    same(script.resultant_errors(joint.model), KEPT["sailboat_speed"]["forces"])
+    worst = [max(script.speed_error(lv, seed) for seed in range(8)) for lv in sailboat.LEVELS]
+    same(worst, KEPT["sailboat_speed"]["errors"])
+    same(sailboat.held(1), KEPT["sailboat_coverage"]["rows"][1], abs=3.0)  # one interval of 38
+    rows = KEPT["sailboat_coverage"]["rows"]
+    means = {kind: float(np.mean([row[kind] for row in rows])) for kind in sailboat.KINDS}
+    same(means, KEPT["sailboat_coverage"]["mean"])
+
+
+def test_torpedo() -> None:
+    """What records allow, misfits of the true values, and shooting at 500 samples per second."""
+    script = paper("torpedo")
+    found, kept = torpedo.allowed(), KEPT["torpedo"]
+    for name in ("free", "masses", "unknown", "known", "at_level"):
+        same(found[name], kept[name])
+    for row in KEPT["torpedo_swarm"]["rows"]:
+        record = script.data(row["level"], row["seed"])[0]
+        same(script.misfit(script.problem.truth, record), row["truth"])
+    fit = script.shooting(torpedo.LEVEL, 3, "pitching_500_hz")
+    same(max(script.errors(fit).values()), KEPT["torpedo_500_hz"]["largest"][3])
+
+
+@pytest.mark.slow
+def test_swarm() -> None:
+    """Errors of the published search in one seed."""
+    script = paper("torpedo")
+    row = KEPT["torpedo_swarm"]["rows"][-1]
+    found = script.errors(script.swarm_fit(row["level"], row["seed"]))
+    same(found, row["errors"], rel=0.05, abs=0.1)
+
+
+def test_every_section_was_measured_and_the_page_is_theirs() -> None:
+    """The page that is in the repository follows from the kept numbers."""
+    assert list(STORED) == list(PAGE.sections)
+    assert PAGE.target.read_text(encoding="utf-8") == PAGE.text()
+
+
+def changed(section: str, path: list, value: object) -> dict:
+    """All that is kept, with one number another."""
+    stored = copy.deepcopy(STORED)
+    *way, last = path
+    place = stored[section]["numbers"]
+    for step in way:
+        place = place[step]
+    assert place[last] != value
+    place[last] = value
+    return stored
+
+
+@pytest.mark.parametrize(("section", "path", "value"), DECISIVE)
+def test_a_verdict_falls_with_its_number(
+    section: str, path: list, value: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With another number the page is refused, not written with a verdict that it contradicts."""
+    monkeypatch.setattr(page, "RESULTS", tmp_path)
+    stored = changed(section, path, value)
+    PAGE.kept.write_text(json.dumps(stored), encoding="utf-8")
+    with pytest.raises(Unfounded, match="do not carry"):
+        PAGE.text()
+
+
+def test_a_number_that_decides_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another number within a verdict stands in the page as it was measured."""
+    monkeypatch.setattr(page, "RESULTS", tmp_path)
+    stored = changed("nomoto", ["published", "spiral, to 0.1 s"], 1.57)
+    PAGE.kept.write_text(json.dumps(stored), encoding="utf-8")
+    before = PAGE.target.read_text(encoding="utf-8").splitlines()
+    after = PAGE.text().splitlines()
+    lines = [line for line, old in zip(after, before, strict=True) if line != old]
+    assert len(lines) == 2  # the mean error itself, and what the spiral improves
+    assert "| 1.57 % (" in lines[0]
+
+
+def cited() -> list[tuple[str, str]]:
+    """File and name of every test that the document cites; '::name' is in the file before."""
+    text = (ROOT / "docs" / "published.md").read_text(encoding="utf-8")
+    found, file = [], ""
+    for name, test in re.findall(r"`(test_\w+\.py)?::(test_\w+)`", text):
+        file = name or file
+        found.append((file, test))
+    return found
+
+
+@pytest.mark.parametrize(("file", "test"), cited())
+def test_cited_tests_exist(file: str, test: str) -> None:
+    """Every line of the table can be run."""
+    assert f"def {test}(" in (ROOT / "tests" / file).read_text(encoding="utf-8")
+
+
+def test_headings_against_the_truth() -> None:
+    """Errors of K and T against the truth, and predictions, of sparse headings and curves."""
+    script = paper("nomoto_sparse_heading")
+    case = next(iter(script.CASES))
+    signed, headings = script.signed(case), script.prediction(case)
+    error = {
+        way: float(np.sqrt(np.mean((heading - headings["truth"]) ** 2)))
+        for way, heading in headings.items()
+    }
+    assert signed["0.1 s"] == pytest.approx((-2.25, -18.08), abs=0.01)
+    assert signed["spiral"] == pytest.approx((0.31, -18.20), abs=0.01)
+    assert error["spiral"] == pytest.approx(0.0215, abs=1e-4)
+    assert error["cubic"] == pytest.approx(0.0227, abs=1e-4)
+    assert error["0.5 s"] == pytest.approx(0.0799, abs=1e-4)
+    assert signed["shooting"] == pytest.approx((2.24, -0.65), abs=0.01)
+    assert np.abs(signed["fine rudder"]).max() < 0.1

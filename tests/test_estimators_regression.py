@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_estimators import TEST as MULTISINE
+from test_estimators import YAW as DAMPED_YAW
 
 from benchmarks.documents.published import paper
 from benchmarks.documents.published.auv import exact_errors
@@ -39,8 +41,6 @@ from oed_sysid.experiments.manoeuvres import Doublet
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.physics import Actuator, Memory, Sensor
 from tests.simple_models import NOMOTO
-from tests.test_estimators_contract import TEST as MULTISINE
-from tests.test_estimators_contract import YAW as DAMPED_YAW
 
 AUV = load_problem("auv_diving_plane")
 RECORD = simulate(AUV.model, AUV.experiment("zigzag_5_5"), noise=False)

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from test_estimators import TEST, YAW
 
 from oed_sysid import Dataset, Model, load_problem
 from oed_sysid.baselines import DifferentialSwarm, OutputError
 from oed_sysid.baselines.population import TrajectoryCost, redrawn
 from oed_sysid.errors import ModelError
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
-from tests.test_estimators_contract import TEST, YAW
 
 
 def yaw_data(seed: int) -> Dataset:

@@ -609,3 +609,21 @@ def test_quaternions_and_positions_by_hand() -> None:
     np.testing.assert_allclose(found, angles, atol=1e-12)
     _, east = local_position(np.array([60.0, 60.0]), np.array([10.0, 11.0]))
     assert east[1] == pytest.approx(55800.0, rel=1e-4)  # standard tables of WGS 84
+
+
+def test_matlab_file_that_breaks_off_is_not_parsed(tmp_path: Path) -> None:
+    """A file cut anywhere is refused in words before its parser sees it; the whole one is read."""
+    from scipy.io import savemat
+
+    t = np.arange(20.0)
+    for compressed in (False, True):
+        savemat(
+            tmp_path / "run.mat", {"t": t, "x": np.sin(t), "n": "abc"}, do_compression=compressed
+        )
+        content = (tmp_path / "run.mat").read_bytes()
+        assert open_log(tmp_path / "run.mat").names == ("run.x",)
+        torn = tmp_path / "torn.mat"
+        for length in range(129, len(content), 13):
+            torn.write_bytes(content[:length])
+            with pytest.raises(DataError, match=r"torn\.mat"):
+                open_log(torn)

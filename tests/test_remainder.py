@@ -1,15 +1,25 @@
-"""What is left is called noise only where a sensor could have made it."""
+"""What is left after the last step: random, repeated, or not known."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, improve
+from oed_sysid.evidence.forecasts import forecasts
+from oed_sysid.evidence.improvement import Improvement
+from oed_sysid.evidence.preparation import coarser, prepared
 from oed_sysid.evidence.remainder import RandomForceFound, Remains, remains
+from oed_sysid.evidence.residual_forces import _standard_error
+from oed_sysid.evidence.search import confirmed
 from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.physics import Force
+from oed_sysid.likelihood.information import lagged_products
+from oed_sysid.physics import Effect, Force, actuator_lag, backlash, quadratic_drag
 
 CART = Model(
     "cart",
@@ -137,3 +147,219 @@ def test_short_records_do_not_tell_level_from_time(level: float) -> None:
     assert max(force.level, force.elsewhere) > 2.0 * min(force.level, force.elsewhere)
     assert force.told is (level == 32.0)
     assert force.is_the_same_elsewhere is (level == 8.0)
+
+
+BODY = Model(
+    "moored body",
+    (State("w", "m/s", scale=0.2), State("z", "m", scale=0.5)),
+    (Input("push", "N"),),
+    (Output("w", "m/s", noise_std=0.005), Output("z", "m", noise_std=0.005)),
+    axes={"Z": "w"},
+    inertia={("Z", "w"): "m"},
+    kinematics={"z": "w"},
+    effects=(),
+    parameters=(Parameter("m", 20.0, "kg", fixed=True),),
+    step=0.1,
+)
+
+
+def truth(k: int, *, cubic: float = 0.0, stop: float = 0.0, sea: float = 0.0) -> Record:
+    """One run, by SciPy: a spring that hardens, a soft stop, a random force; N/m^3, N/m, N."""
+    rng = np.random.default_rng([5, k])
+    times = np.arange(0.0, 120.0, 0.2)
+    push = np.repeat(rng.uniform(-12.0, 12.0, 20), 30)
+    force, state = np.zeros(len(times)), np.zeros((len(times), 2))
+    keep = np.exp(-0.2 / 2.0)
+    for i in range(1, len(times)):
+        force[i] = keep * force[i - 1] + sea * np.sqrt(1 - keep**2) * rng.standard_normal()
+
+        def rate(t: float, x: np.ndarray, i: int = i) -> list[float]:
+            w, z = x
+            spring = 15 * z + cubic * z**3 + stop * max(z - 0.2, 0.0)
+            return [(push[i - 1] + force[i - 1] - 8 * w - spring) / 20.0, w]
+
+        state[i] = solve_ivp(rate, (0.0, 0.2), state[i - 1], rtol=1e-8).y[:, -1]
+    seen = state + 0.005 * rng.standard_normal(state.shape)
+    return Record(f"run {k}", times, push[:, np.newaxis], seen, BODY.channels)
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    """The body with the spring and the damping that are known of."""
+    hull = Force(
+        "hull",
+        {"Z": "push - Z_w*w - Z_z*z"},
+        (Parameter("Z_w", 6.0, "N s/m", lower=0.0), Parameter("Z_z", 12.0, "N/m", lower=0.0)),
+    )
+    return BODY + hull
+
+
+def improved(model: Model, **hidden: float) -> Improvement:
+    """The search with a candidate that is not it."""
+    runs = [truth(k, **hidden) for k in range(4)]
+    damping = quadratic_drag("damping", "Z", "w", scale=5.0)
+    return improve(model, Dataset(runs[:2]), Dataset(runs[2:]), candidates=[damping])
+
+
+def test_a_spring_that_hardens_is_found(model: Model) -> None:
+    """Powers of a position that a force knows are in the dictionary of terms."""
+    found = improved(model, cubic=40.0)
+    assert [step.added for step in found.steps] == ["term_Z_zzz"]
+    size = next(p for p in found.parameters if p["name"] == "Z_zzz")
+    assert abs(size["value"] + 40.0) < 4 * size["std_error"]
+    assert found.remains.kind == "adequate"
+
+
+def test_a_stop_is_no_sea(model: Model) -> None:
+    """A force that no term holds is said to follow the depth."""
+    found = improved(model, stop=60.0)
+    assert found.remains.kind == "structure missing"
+    assert found.remains.follows is not None
+    (force,) = found.remains.follows
+    assert force.signals == ("z",)
+    assert force.share > 0.4
+
+
+def test_a_sea_follows_nothing(model: Model) -> None:
+    """A random force stays one."""
+    found = improved(model, sea=3.0)
+    assert not found.steps
+    assert found.remains.kind == "random forces"
+    assert found.remains.follows == ()
+
+
+def test_standard_error_of_a_correlation() -> None:
+    """Of slow series that have nothing to do with each other, by a thousand draws."""
+    rng = np.random.default_rng(3)
+    keep, n = 0.9, 400
+    drawn = np.zeros((2000, n))
+    for i in range(1, n):
+        drawn[:, i] = keep * drawn[:, i - 1] + rng.standard_normal(2000)
+    one, other = drawn[:1000], drawn[1000:]
+    norms = np.linalg.norm(one, axis=1) * np.linalg.norm(other, axis=1)
+    scatter = np.std((one * other).sum(axis=1) / norms)
+    stated = [_standard_error([a], [b]) for a, b in zip(one, other, strict=True)]
+    assert np.median(stated) == pytest.approx(scatter, rel=0.15)
+
+
+def test_lagged_products() -> None:
+    """Sums of products, as written out."""
+    series = np.array([1.0, -2.0, 0.5, 3.0])
+    expected = [series @ series, series[:-1] @ series[1:], series[:-2] @ series[2:]]
+    np.testing.assert_allclose(lagged_products(series, 2), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("gain", "excess", "distance", "agree"),
+    [
+        (3.0, 1.1, 9.0, True),  # more likely: that is enough
+        (0.3, 3.0, 0.9, True),  # they could not tell, and training leaves no doubt
+        (0.3, 1.5, 0.9, False),  # training does leave some
+        (-0.6, 3.8, 0.7, True),
+        (-2.5, 3.8, 0.7, False),  # less likely than chance
+        (0.3, 3.0, 6.0, False),  # 36 +- 12 were expected
+        (1.9, 2.1, 14.7, False),
+    ],
+)
+def test_silence_is_no_contradiction(
+    gain: float, excess: float, distance: float, agree: bool
+) -> None:
+    """An effect that validation records do not move need not gain there."""
+    study = SimpleNamespace(validation=(), apart=lambda *_: distance)
+    fit = SimpleNamespace()
+    assert confirmed(study, fit, fit, gain, excess) == agree  # type: ignore[arg-type]
+
+
+YAW = Model(
+    "yaw",
+    (State("r", "rad/s", scale=0.1), State("psi", "rad")),
+    (Input("rudder", "rad"),),
+    (Output("r", "rad/s", noise_std=0.001), Output("psi", "rad", noise_std=0.002)),
+    {"r": "(K*rudder - r)/T", "psi": "r"},
+    parameters=(Parameter("K", 0.3, "1/s"), Parameter("T", 2.0, "s", lower=0.1)),
+    step=0.1,
+)
+
+
+@pytest.mark.parametrize(
+    ("effect", "size"),
+    [(backlash("play", "rudder"), 0.05), (actuator_lag("lag", "rudder"), 3.0)],
+)
+def test_of_the_truth_forecasts_are_as_good_as_stated(effect: Effect, size: float) -> None:
+    """Errors over their stated size are one, with a play and with a slow rudder."""
+    rng = np.random.default_rng(4)
+    model = (YAW + effect).with_values({effect.amplitude_names[0]: size})
+    times = np.arange(0.0, 300.0, 0.2)
+    rudder = np.repeat(rng.uniform(-0.3, 0.3, 100), 15)
+    run = simulate_inputs(model, times, inputs={"rudder": rudder})
+    seen = run.outputs + np.array([0.001, 0.002]) * rng.standard_normal(run.outputs.shape)
+    record = Record("run", times, rudder[:, np.newaxis], seen, model.channels)
+    found = forecasts(model, Dataset((record,)), np.array([0.001, 0.002]), horizon=10.0)
+    assert found.n_forecasts > 20
+    ratio = np.sqrt(np.nanmean((found.errors[0] / found.expected[0]) ** 2))
+    assert ratio == pytest.approx(1.0, abs=0.1)
+
+
+def long_dive(n_samples: int, step: float, *, noise: float, period: float = 20.0) -> Record:
+    """A ship that steers to and fro by the clock, with cubic damping, sampled fast."""
+    truth = (SHIP + CUBIC).with_values({"K": 0.5, "T": 4.0, "n3": -15.0})
+    times = step * np.arange(n_samples)
+    rudder = 0.5 * np.sign(np.sin(2 * np.pi * times / period))
+    run = simulate_inputs(truth, times, inputs={"rudder": rudder})
+    random = np.random.default_rng(3).standard_normal(run.outputs.shape)
+    scale = noise * np.array([0.01, 0.004])
+    return Record("dive", times, run.inputs, run.outputs + random * scale, SHIP.channels)
+
+
+def test_of_a_single_record_the_end_is_kept_for_validation() -> None:
+    """Every sample is on one side, in order, and the words name the time of the cut."""
+    record = dataset(1)[0]
+    ready = prepared(Dataset((record,)), None)
+    assert ready.validation is not None
+    times = [*ready.train[0].times, *ready.validation[0].times]
+    assert times == list(record.times)
+    assert ready.train.n_samples == pytest.approx(0.6 * record.n_samples, abs=1)
+    assert f"{ready.validation[0].times[0]:.4g} s" in ready.notes[0]
+
+
+def test_several_records_and_short_ones_stay_as_they_are() -> None:
+    """Nobody's choice of records is changed, and nothing is cut from what is short."""
+    several = dataset(1)
+    assert prepared(several, None).validation is None
+    short = Dataset((several[0].window(0.0, 30.0),))
+    assert prepared(short, None).train is short
+
+
+def test_mean_inputs_keep_the_trajectory() -> None:
+    """With fewer samples of the inputs the ship moves as it did, unlike with every fifth one."""
+    record = long_dive(3000, 0.02, noise=0.0, period=7.3)
+    few = coarser(record, 5)
+    truth = (SHIP + CUBIC).with_values({"K": 0.5, "T": 4.0, "n3": -15.0})
+    errors = []
+    for inputs in (few.inputs, record.thin(5).inputs):
+        run = simulate_inputs(truth, few.times, inputs={"rudder": inputs[:, 0]})
+        errors.append(np.abs(run.outputs - few.outputs).max(axis=0))
+    assert np.all(errors[0] < 0.2 * errors[1])
+
+
+def test_stride_is_bounded_by_what_the_signal_does() -> None:
+    """A log without noise that bends within a few samples is read more finely than a calm one."""
+    calm = prepared(Dataset((long_dive(3000, 0.02, noise=1.0),)), None, enough=100)
+    quick = long_dive(3000, 0.4, noise=0.001, period=5.0)
+    fine = prepared(Dataset((quick,)), None, enough=100)
+    assert calm.train[0].sample_time == pytest.approx(0.02 * 30)
+    assert fine.train[0].sample_time < 4 * 0.4
+
+
+def test_a_long_log_is_searched_in_fewer_samples_and_the_effect_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The hidden damping comes out of a thinned log with its value, and the result says so."""
+    monkeypatch.setattr(prepared, "__kwdefaults__", {"enough": 1500})
+    log = Dataset((long_dive(6000, 0.05, noise=1.0),))
+    found = improve(SHIP, log, candidates=CANDIDATES)
+    assert [step.added for step in found.steps] == ["cubic_damping"]
+    row = next(row for row in found.parameters if row["name"] == "n3")
+    assert abs(row["value"] + 15.0) < 4 * row["std_error"]
+    assert found.fit.dataset.n_samples == 900
+    assert len(found.notes) >= 2

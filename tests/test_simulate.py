@@ -1,4 +1,4 @@
-"""Simulation against closed forms, an adaptive integrator, and itself."""
+"""Simulation: records of experiments, steady states, linear models."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from simple_models import AUV, NOMOTO, PENDULUM, K, T
 
+from oed_sysid import Parameter
 from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import (
@@ -19,10 +20,19 @@ from oed_sysid.experiments.manoeuvres import (
     ZigZagLike,
 )
 from oed_sysid.experiments.simulation import (
+    equilibrium,
+    linearise,
     reference_trajectory,
     simulate,
     simulate_batch,
     simulate_inputs,
+)
+from oed_sysid.information import (
+    bode,
+    excitation_spectrum,
+    nomoto,
+    nomoto_of,
+    straight_line_stability,
 )
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
@@ -307,3 +317,163 @@ def test_open_loop_experiments_need_no_feedback() -> None:
     for manoeuvre in manoeuvres:
         record = simulate(NOMOTO, Experiment("a", manoeuvre, duration=30.0), noise=False)
         np.testing.assert_allclose(record.input("rudder"), manoeuvre.commands(record.times))
+
+
+def test_equilibrium_of_a_dive() -> None:
+    """With a given fin the AUV settles in a steady dive, as a long simulation confirms."""
+    trim = equilibrium(AUV, inputs={"fin": 0.05, "thrust": 9.0})
+    assert trim.ok, trim.status
+    assert trim.steady == ("u", "w", "q", "theta")
+    assert trim.residual < 1e-8
+    run = simulate_inputs(
+        AUV, np.arange(0, 200, 0.5), inputs={"fin": 0.05, "thrust": 9.0}, initial={"u": 1.5}
+    )
+    for name in trim.steady:
+        assert run.signal(name)[-1] == pytest.approx(trim.states[name], abs=1e-6)
+
+
+def test_equilibrium_solves_for_inputs_within_limits() -> None:
+    """Level flight at 1.5 m/s needs thrust -X_uu u^2; where the limit forbids it, it says so."""
+    level = {"fixed": {"u": 1.5, "z": 10.0}, "free": ["fin", "thrust"]}
+    wanted = ["u", "w", "q", "theta", "z"]
+    trim = equilibrium(AUV, **level, steady=wanted)
+    assert trim.ok
+    assert trim.inputs["thrust"] == pytest.approx(3.9 * 1.5**2)
+    assert trim.inputs["fin"] == pytest.approx(0.0, abs=1e-9)
+    weak = equilibrium(AUV, **level, steady=wanted, limits=Limits(inputs={"thrust": (0.0, 5.0)}))
+    assert not weak.ok
+    assert "u keeps changing" in weak.status
+    assert weak.inputs["thrust"] == pytest.approx(5.0, abs=1e-6)
+
+
+def test_equilibrium_says_what_is_missing() -> None:
+    """An input is given or free; nothing is assumed to be zero."""
+    with pytest.raises(SimulationError, match="'thrust' is neither given nor free"):
+        equilibrium(AUV, inputs={"fin": 0.0})
+    with pytest.raises(SimulationError, match="no state or input 'rudder'"):
+        equilibrium(AUV, inputs={"fin": 0.0, "thrust": 9.0, "rudder": 1.0})
+    with pytest.raises(SimulationError, match="both given and free"):
+        equilibrium(AUV, inputs={"fin": 0.0, "thrust": 9.0}, free=["fin"])
+    drifting = Model("drift", (State("x", "m"),), (), (Output("x", "m"),), {"x": "1 + x*x"})
+    nothing = equilibrium(drifting)
+    assert not nothing.ok
+    with pytest.raises(SimulationError, match="at an equilibrium only"):
+        linearise(drifting, nothing)
+
+
+def test_linear_model_against_finite_differences() -> None:
+    """Matrices are the derivatives of the equations, also by central differences."""
+    bare = AUV.without("fin_lag", "depth_lag")
+    trim = equilibrium(bare, inputs={"fin": 0.05, "thrust": 9.0})
+    linear = linearise(bare, trim)
+    assert linear.state_labels == list(bare.state_names)
+    assert linear.input_labels == ["fin", "thrust"]
+    assert linear.output_labels == ["q", "theta", "z"]
+    x = np.array(list(trim.states.values()))
+    u = np.array(list(trim.inputs.values()))
+
+    def slope(direction: np.ndarray) -> np.ndarray:
+        # A very short run is the rate of the states; central in the deviation.
+        ends = []
+        for sign in (1e-4, -1e-4):
+            start = x + sign * direction[: len(x)]
+            command = np.tile(u + sign * direction[len(x) :], (2, 1))
+            run = simulate_inputs(bare, [0.0, 1e-4], inputs=command, initial=start)
+            ends.append((run.states[1] - start) / 1e-4)
+        return (ends[0] - ends[1]) / 2e-4
+
+    columns = np.column_stack([slope(axis) for axis in np.eye(len(x) + len(u))])
+    np.testing.assert_allclose(np.hstack([linear.A, linear.B]), columns, atol=2e-3, rtol=1e-3)
+
+
+def test_linear_model_of_a_linear_model() -> None:
+    """The poles of a Nomoto ship are 0 (heading) and -1/T, its yaw gain is K."""
+    linear = linearise(NOMOTO, equilibrium(NOMOTO, inputs={"rudder": 0.0}), outputs=["r"])
+    np.testing.assert_allclose(np.sort(linear.poles().real), [-1 / T, 0.0], atol=1e-12)
+    assert linear(1e-6j)[()].real == pytest.approx(K, rel=1e-4)
+    with pytest.raises(SimulationError, match="no output 'u'"):
+        linearise(NOMOTO, equilibrium(NOMOTO, inputs={"rudder": 0.0}), outputs=["u"])
+
+
+def test_settled_sensor_and_actuator_have_unit_gain() -> None:
+    """Lags vanish in the linear model: the depth sensor reads depth one to one."""
+    linear = linearise(AUV, equilibrium(AUV, inputs={"fin": 0.0, "thrust": 9.0}))
+    bare = AUV.without("fin_lag", "depth_lag")
+    plain = linearise(bare, equilibrium(bare, inputs={"fin": 0.0, "thrust": 9.0}))
+    for name in "ABCD":
+        np.testing.assert_allclose(getattr(linear, name), getattr(plain, name), atol=1e-9)
+
+
+# Esso 190 000 dwt in the bis system, linearised at 80 rpm from the coefficients of
+# van Berlekom & Goddard (1972).
+TANKER = np.array([[-0.5965, -0.3723], [-3.661, -1.875]])
+RUDDER = np.array([0.1133, -0.8755])
+# Mariner-like stable variant: less destabilising moment of sway.
+STABLE = np.array([[-0.9, -0.3], [-1.2, -2.0]])
+
+
+def ship(matrix: np.ndarray) -> Model:
+    """Linear sway-yaw model with heading."""
+    names = ("a11", "a12", "a21", "a22", "b1", "b2")
+    values = (*matrix.ravel(), *RUDDER)
+    return Model(
+        "linear ship",
+        (State("v", ""), State("r", ""), State("psi", "rad")),
+        (Input("delta", "rad"),),
+        (Output("r", ""), Output("psi", "rad")),
+        {"v": "a11*v + a12*r + b1*delta", "r": "a21*v + a22*r + b2*delta", "psi": "r"},
+        parameters=tuple(Parameter(n, float(v)) for n, v in zip(names, values, strict=True)),
+    )
+
+
+def test_nomoto_indices_match_published_values() -> None:
+    """K, T1, T2, T3 of the tanker as published with its coefficients."""
+    found = nomoto_of(TANKER, RUDDER)
+    assert found.gain == pytest.approx(3.84, abs=0.02)
+    assert found.time_constants == pytest.approx((-10.5, 0.39), abs=0.02)
+    assert found.numerator_time == pytest.approx(0.93, abs=0.01)
+
+
+def test_nomoto_reproduces_the_frequency_response() -> None:
+    """The four indices give the same response as the whole model at every frequency."""
+    model = ship(STABLE)
+    point = equilibrium(model, inputs={"delta": 0.0})
+    indices = nomoto(model, point, rudder="delta")
+    found = bode(model, point, input="delta", output="r")
+    s = 1j * found.frequencies
+    first, second = indices.time_constants
+    expected = indices.gain * (1 + indices.numerator_time * s) / (1 + first * s) / (1 + second * s)
+    np.testing.assert_allclose(found.gain, np.abs(expected), rtol=1e-9)
+    assert indices.prime(2.0, 4.0).gain == pytest.approx(indices.gain / 2)
+
+
+def test_course_stability_criterion_and_poles_agree() -> None:
+    """A negative determinant means one unstable pole, as for the tanker."""
+    for matrix, stable in ((TANKER, False), (STABLE, True)):
+        model = ship(matrix)
+        found = straight_line_stability(model, equilibrium(model, inputs={"delta": 0.0}))
+        assert found.stable is stable
+        assert (found.criterion > 0) is stable
+        assert found.criterion == pytest.approx(np.prod(found.poles).real)
+    assert "stable" in found.report()
+
+
+def test_spectrum_keeps_the_variance() -> None:
+    """The density integrates to the variance of the command (Parseval)."""
+    times = np.arange(512) * 0.25
+    commands = 0.1 * np.sin(0.7 * times) + 0.05 * np.sign(np.sin(2.1 * times))
+    spectrum = excitation_spectrum(times, commands)
+    width = spectrum.frequencies[1] - spectrum.frequencies[0]
+    assert np.sum(spectrum.density) * width == pytest.approx(np.var(commands), rel=1e-9)
+    low, high = spectrum.band(0.9)
+    assert low < 0.8 < high
+
+
+def test_unknown_names_are_refused() -> None:
+    """Names that the model does not have are told."""
+    model = ship(STABLE)
+    point = equilibrium(model, inputs={"delta": 0.0})
+    with pytest.raises(DesignError, match="no input 'fin'"):
+        bode(model, point, input="fin", output="r")
+    with pytest.raises(DesignError, match="no state 'w'"):
+        straight_line_stability(model, point, states=("w", "q"))

@@ -13,13 +13,13 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.io import loadmat
 
-from oed_sysid.data.csv_columns import EPOCH, TIME_NAMES
-from oed_sysid.data.frames import columns_of, plain
+from oed_sysid.data.csv_columns import EPOCH
+from oed_sysid.data.frames import columns_of, is_time, plain
 from oed_sysid.data.log import Log, assemble, library
 from oed_sysid.data.nmea import read_nmea
 from oed_sysid.data.ros import read_bag, read_mcap
@@ -129,9 +129,6 @@ def _numeric(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _log(path: Path, kind: str, tables: Mapping[str, Mapping[str, np.ndarray]]) -> Log:
-    def is_time(header: str) -> bool:
-        return not {header.lower(), parse_header(header)[0].lower()}.isdisjoint(TIME_NAMES)
-
     topics = {}
     for topic, columns in tables.items():
         clock = next(filter(is_time, columns), None)
@@ -377,6 +374,11 @@ def read_matlab(path: Path) -> Log:
     DataError
         If it is of version 7.3, damaged, or without a time vector.
     """
+    if not _is_whole(path.read_bytes()):  # its parser may end the process at the missing part
+        raise DataError(
+            f"{path.name} cannot be read as a MATLAB file (it breaks off, or is damaged). Copy it "
+            f"again, or write it again with  save('{path.name}', '-v7')"
+        )
     try:
         content = loadmat(str(path), simplify_cells=True)
     except NotImplementedError:
@@ -398,6 +400,17 @@ def read_matlab(path: Path) -> Log:
             "s.time = ts.Time; s.y = ts.Data; save(..., 's', '-v7')."
         )
     return assemble(path, "MATLAB file", topics)
+
+
+def _is_whole(content: bytes) -> bool:
+    """Whether the variables of a file of version 5 to 7 end where the file does."""
+    if not content.startswith(b"MATLAB 5.0"):
+        return True
+    order = "little" if content[126:128] == b"IM" else "big"
+    at = 128  # behind the header, variable after variable: kind, length, body
+    while at + 8 <= len(content):
+        at += 8 + int.from_bytes(content[at + 4 : at + 8], order)  # type: ignore[arg-type]
+    return at == len(content)
 
 
 def _topics(name: str, content: dict[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -441,25 +454,27 @@ def _simulink(content: dict[str, Any]) -> Iterator[tuple[str, np.ndarray]]:
 # -- which format a log has ------------------------------------------------------------
 
 
-_STARTS: tuple[tuple[bytes, Callable[[Path], Log]], ...] = (
-    (b"ULog\x01\x12\x35", read_ulog),
-    (b"\xa3\x95", read_dataflash),
-    (b"#ROSBAG", read_bag),
-    (b"\x89MCAP0\r\n", read_mcap),
-    (b"MATLAB 5.0", read_matlab),
-    (b"\x89HDF", read_matlab),
-    (b"PK\x03\x04", read_excel),
-    (b"PAR1", read_parquet),
+class Format(NamedTuple):
+    """One format: its name, its reader, how its files begin, and how their names end."""
+
+    words: str
+    reader: Callable[[Path], Log]
+    starts: tuple[bytes, ...]
+    endings: tuple[str, ...]
+
+
+FORMATS = (
+    Format("PX4 ULog", read_ulog, (b"ULog\x01\x12\x35",), (".ulg",)),
+    Format("ArduPilot DataFlash .bin", read_dataflash, (b"\xa3\x95",), (".bin",)),
+    Format("ROS 1 and ROS 2 bags", read_bag, (b"#ROSBAG",), (".bag",)),
+    Format("MCAP", read_mcap, (b"\x89MCAP0\r\n",), (".mcap",)),
+    Format("NMEA 0183", read_nmea, (), (".nmea",)),
+    Format("MATLAB .mat", read_matlab, (b"MATLAB 5.0", b"\x89HDF"), (".mat",)),
+    Format("Excel", read_excel, (b"PK\x03\x04",), (".xlsx", ".xlsm")),
+    Format("Parquet", read_parquet, (b"PAR1",), (".parquet",)),
+    Format("CSV", read_csv_log, (), (".csv", ".tsv", ".txt", ".dat")),
 )
-_ENDINGS: dict[str, Callable[[Path], Log]] = {
-    ".ulg": read_ulog, ".bag": read_bag, ".mcap": read_mcap, ".mat": read_matlab,
-    ".xlsx": read_excel, ".xlsm": read_excel, ".parquet": read_parquet, ".bin": read_dataflash,
-    ".nmea": read_nmea, ".csv": read_csv_log, ".tsv": read_csv_log,
-}  # fmt: skip
-READ = (
-    "PX4 ULog, ArduPilot DataFlash .bin, ROS 1 and ROS 2 bags, MCAP, NMEA 0183, MATLAB .mat, "
-    "Excel, Parquet, CSV"
-)
+_TALKERS = (b"$GP", b"$GN", b"$HE", b"$II", b"$WI", b"!AI", b"$SD")
 
 
 def open_log(path: str | Path) -> Log:
@@ -492,13 +507,34 @@ def open_log(path: str | Path) -> Log:
     CSV file ('run.psi [deg]',) 2.0
     """
     place = Path(path).expanduser()
-    if "\0" in str(path) or not place.exists():
-        raise DataError(f"There is no file {str(path)!r}. Check the path.")
-    if place.is_dir():
-        if (place / "metadata.yaml").exists():
-            return read_bag(place)
+    if (place / "metadata.yaml").exists():
+        return read_bag(place)
+    start = _start(place)
+    for form in FORMATS:
+        if form.starts and start.startswith(form.starts):
+            return form.reader(place)
+    if any(mark in start for mark in _TALKERS):
+        return read_nmea(place)
+    named = next((form for form in FORMATS if place.suffix.lower() in form.endings), None)
+    if named is not None and not named.starts:
+        return named.reader(place)
+    if named is not None:
         raise DataError(
-            f"{str(path)!r} is a folder without metadata.yaml, so no ROS 2 bag. Give one log file, "
+            f"{place.name} ends like a log that is read, but does not begin like one: it is "
+            "damaged, or something else. Copy it again from the vehicle."
+        )
+    read = ", ".join(form.words for form in FORMATS)
+    raise DataError(f"{place.name} has no format that is known. Read are: {read}.")
+
+
+def _start(place: Path) -> bytes:
+    """First bytes of a file."""
+    shown = repr(str(place))
+    if "\0" in str(place) or not place.exists():
+        raise DataError(f"There is no file {shown}. Check the path.")
+    if place.is_dir():
+        raise DataError(
+            f"{shown} is a folder without metadata.yaml, so no ROS 2 bag. Give one log file, "
             "or write metadata.yaml with  ros2 bag reindex."
         )
     try:
@@ -508,19 +544,4 @@ def open_log(path: str | Path) -> Log:
         raise DataError(f"{place} cannot be read: {error.strerror or error}.") from None
     if not start:
         raise DataError(f"{place.name} is empty: nothing was logged, or the copy failed.")
-    for first, reader in _STARTS:
-        if start.startswith(first):
-            return reader(place)
-    if any(mark in start for mark in (b"$GP", b"$GN", b"$HE", b"$II", b"$WI", b"!AI", b"$SD")):
-        return read_nmea(place)
-    ending = place.suffix.lower()
-    if ending in (".csv", ".tsv", ".txt", ".dat"):
-        return read_csv_log(place)
-    if ending == ".nmea":
-        return read_nmea(place)
-    if ending in _ENDINGS:
-        raise DataError(
-            f"{place.name} ends like a log that is read, but does not begin like one: it is "
-            "damaged, or something else. Copy it again from the vehicle."
-        )
-    raise DataError(f"{place.name} has no format that is known. Read are: {READ}.")
+    return start

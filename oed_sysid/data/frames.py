@@ -43,11 +43,11 @@ def columns_of(table: Any) -> dict[str, np.ndarray]:
     elif hasattr(table, "columns") and hasattr(table, "index"):
         columns = {str(name): plain(_array(table[name])) for name in table.columns}
         index = _array(table.index)
-        if not any(_is_time(name) for name in columns):
+        if not any(is_time(name) for name in columns):
             named = str(table.index.name or "")
             if index.dtype.kind == "m":
                 columns = {"t [s]": index / np.timedelta64(1, "s"), **columns}
-            elif index.dtype.kind == "M" or (named and _is_time(named)):
+            elif index.dtype.kind == "M" or (named and is_time(named)):
                 header = named if named and parse_header(named)[1] else "t [s]"
                 columns = {header: plain(index), **columns}
     else:
@@ -99,7 +99,7 @@ def _variables(table: Any) -> Iterator[tuple[str, np.ndarray]]:
         values = np.asarray(variable.to_numpy())
         unit = variable.attrs.get("units")
         if values.dtype.kind == "m":
-            yield "t [s]" if _is_time(str(name)) else f"{name} [s]", values / np.timedelta64(1, "s")
+            yield "t [s]" if is_time(str(name)) else f"{name} [s]", values / np.timedelta64(1, "s")
             continue
         header = str(name)
         if unit and parse_header(header)[1] is None:
@@ -135,7 +135,8 @@ def plain(values: np.ndarray) -> np.ndarray:
         return values.astype(object)
 
 
-def _is_time(header: str) -> bool:
+def is_time(header: str) -> bool:
+    """Whether a header, with or without its unit, is that of a column of times."""
     return header.lower() in TIME_NAMES or parse_header(header)[0].lower() in TIME_NAMES
 
 

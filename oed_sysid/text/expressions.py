@@ -41,19 +41,14 @@ from oed_sysid.text.callables import numeric_library, symbolic_library
 
 # Every function: on CasADi symbols, and on NumPy arrays.
 _LIBRARY: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
-    "sin": (ca.sin, np.sin),
-    "cos": (ca.cos, np.cos),
-    "tan": (ca.tan, np.tan),
+    **{
+        name: (getattr(ca, name), getattr(np, name))
+        for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt", "exp", "log")
+    },
     "asin": (ca.asin, np.arcsin),
     "acos": (ca.acos, np.arccos),
     "atan": (ca.atan, np.arctan),
     "atan2": (ca.atan2, np.arctan2),
-    "sinh": (ca.sinh, np.sinh),
-    "cosh": (ca.cosh, np.cosh),
-    "tanh": (ca.tanh, np.tanh),
-    "sqrt": (ca.sqrt, np.sqrt),
-    "exp": (ca.exp, np.exp),
-    "log": (ca.log, np.log),
     "abs": (ca.fabs, np.abs),
     "sign": (ca.sign, np.sign),
     "floor": (ca.floor, np.floor),
@@ -70,7 +65,10 @@ _LIBRARY: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
 }
 SYMBOLIC = {name: symbolic for name, (symbolic, _) in _LIBRARY.items()}
 NUMERIC = {name: numeric for name, (_, numeric) in _LIBRARY.items()}
-FUNCTIONS = tuple(name for name in SYMBOLIC if name not in ("and", "or", "not"))
+FUNCTIONS = (
+    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "sqrt"),
+    *("exp", "log", "abs", "sign", "floor", "min", "max", "clip", "where"),
+)
 CONSTANTS = {"pi": math.pi}
 MANY = ("min", "max")  # two arguments or more
 ARGUMENT_COUNT = {"atan2": 2, "min": 2, "max": 2, "where": 3, "clip": 3}

@@ -1,22 +1,105 @@
-"""What is said of CSV files that cannot be used, or that hide what they hold."""
+"""CSV files: every spelling that people write, what is noted and what is refused."""
 
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bad_input.csv_files import CHANNELS, GOOD, NOTED, READ, REFUSED
 
 from oed_sysid.cli import BAD_INPUT, DONE, main
-from oed_sysid.data.dataset import read_csv
+from oed_sysid.data.dataset import Record, read_csv
 from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError, ProblemError, UnitWarning
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.text.csv_table import Table, read_table, write_table
+
+HEADER = "t [s];theta [rad];z [m]"
+
+
+def read(tmp_path: Path, *lines: str, encoding: str = "utf-8", end: str = "\n") -> Table:
+    """Write lines to a file and read them as a table."""
+    path = tmp_path / "dive.csv"
+    path.write_bytes(end.join(lines).encode(encoding))
+    return read_table(path)
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t", ","])
+def test_delimiters_and_gaps(tmp_path: Path, delimiter: str) -> None:
+    """Semicolon, tab and comma delimit; empty cells and nan are gaps."""
+    lines = (HEADER, "0;1.5;", "1;;2.5", ";nan;3", "3; ;")
+    table = read(tmp_path, *(line.replace(";", delimiter) for line in lines))
+    nan = np.nan
+    expected = [[0, 1.5, nan], [1, nan, 2.5], [nan, nan, 3], [3, nan, nan]]
+    np.testing.assert_array_equal(table.values, expected)
+    assert table.headers == ("t [s]", "theta [rad]", "z [m]")
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_decimal_comma(tmp_path: Path, delimiter: str) -> None:
+    """Where the comma does not delimit it is the decimal mark, also among quotes."""
+    lines = (HEADER, "0;1,5;2", '1;"-2,5e1";')
+    table = read(tmp_path, *(line.replace(";", delimiter) for line in lines))
+    np.testing.assert_array_equal(table.values, [[0, 1.5, 2], [1, -25.0, np.nan]])
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-8", "latin-1"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\n\n"])
+def test_encodings_and_line_ends(tmp_path: Path, encoding: str, end: str) -> None:
+    """Byte order marks, Latin-1 degrees, DOS line ends and blank lines are read."""
+    table = read(tmp_path, "t [s],phi [°]", "0,1", "1,2", encoding=encoding, end=end)
+    assert table.headers == ("t [s]", "phi [°]")
+    np.testing.assert_array_equal(table.values, [[0, 1], [1, 2]])
+
+
+def test_row_numbers(tmp_path: Path) -> None:
+    """Rows are counted as an editor counts them, with comments and blank lines."""
+    table = read(tmp_path, "# from the logger", HEADER, "", "0;1;2", "# dropout", "1;1;2")
+    np.testing.assert_array_equal(table.row_numbers, [4, 6])
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ((HEADER, "0;1;2", "1;x;2"), r"Row 3 of dive.csv, column 'theta \[rad\]': 'x' is not"),
+        ((HEADER, "0;1;2", "1;2"), "Row 3 of dive.csv has 2 cells, but the header has 3"),
+        ((HEADER, "0;1;2;3"), "Row 2 of dive.csv has 4 cells, but the header has 3"),
+        ((HEADER,), "holds no rows of numbers"),
+        (("",), "is empty"),
+        (("0;1;2", "1;1;2"), "holds numbers, not headers"),
+        (("0;0;0", "1;0;0"), "holds numbers, not headers"),
+        (("t [s];z [m];z [m]", "0;1;2"), r"two columns 'z \[m\]'"),
+        (("t [s];;z [m]", "0;1;2"), "Column 2 of dive.csv has no header"),
+    ],
+)
+def test_faults(tmp_path: Path, lines: tuple[str, ...], message: str) -> None:
+    """Each fault of a file is reported with its place."""
+    with pytest.raises(DataError, match=message):
+        read(tmp_path, *lines)
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    """A path that leads nowhere is reported as such."""
+    with pytest.raises(DataError, match="There is no file"):
+        read_table(tmp_path / "absent.csv")
+
+
+def test_written_numbers_read_back_exactly(tmp_path: Path) -> None:
+    """Every double survives, and so do gaps and a comma in a header."""
+    values = np.random.default_rng(0).normal(size=(50, 3)) * [1e-300, 1.0, 1e300]
+    values[4, 1] = np.nan
+    write_table(tmp_path / "a.csv", ["a", "b, corrected", "c"], values)
+    table = read_table(tmp_path / "a.csv")
+    np.testing.assert_array_equal(table.values, values)
+    assert table.headers[1] == "b, corrected"
+
 
 SHIP = Channels((Input("delta", "rad"),), (Output("psi", "rad"), Output("r", "rad/s")))
-HEADER = "t [s],delta [rad],psi [rad]"
+HEADER_WORDS = "t [s],delta [rad],psi [rad]"
 
 
 def rows(n: int = 12) -> list[str]:
@@ -24,7 +107,7 @@ def rows(n: int = 12) -> list[str]:
     return [f"{0.5 * i},{0.1 * (i % 5 > 2):g},{0.01 * i:g}" for i in range(n)]
 
 
-def written(folder: Path, lines: list[str], header: str = HEADER) -> Path:
+def written(folder: Path, lines: list[str], header: str = HEADER_WORDS) -> Path:
     """A log in a file."""
     path = folder / "log.csv"
     path.write_text("\n".join([header, *lines]) + "\n")
@@ -75,7 +158,7 @@ def test_midnight_is_recognised(tmp_path: Path) -> None:
 
 def test_header_behind_a_mark_of_remarks(tmp_path: Path) -> None:
     """Headers as numpy.savetxt writes them, with # before, are headers; other remarks are none."""
-    record = read_csv(written(tmp_path, rows(), f"# {HEADER}"), SHIP)[0]
+    record = read_csv(written(tmp_path, rows(), f"# {HEADER_WORDS}"), SHIP)[0]
     assert record.n_samples == 12
     assert record.output("psi")[3] == 0.03
     with pytest.raises(DataError, match="holds numbers, not headers"):
@@ -106,7 +189,7 @@ def test_slips_in_names(tmp_path: Path) -> None:
     both = Channels((Input("delta", "rad"),), (Output("phi", "rad"), Output("psi", "rad")))
     assert read_csv(written(tmp_path, rows()), both)[0].missing_outputs == ("phi",)
     three = Channels((Input("delta", "rad"),), (Output("theta", "rad"), Output("psi", "rad")))
-    path = written(tmp_path, [f"{row},0.1" for row in rows()], f"{HEADER},tehta [rad]")
+    path = written(tmp_path, [f"{row},0.1" for row in rows()], f"{HEADER_WORDS},tehta [rad]")
     with pytest.warns(UserWarning, match=r"no column 'theta', but 'tehta \[rad\]', which is not"):
         read_csv(path, three)
     assert closest("Psi", ["psi", "phi"]) == " Did you mean 'psi'?"
@@ -185,3 +268,85 @@ def test_unlikely_units_are_said_although_quiet(tmp_path: Path, capsys) -> None:
     assert "more than three turns" in capsys.readouterr().err
     with pytest.warns(UnitWarning, match="steps by 100 s"):
         read_csv(milliseconds(tmp_path, "s"), SHIP)
+
+
+def write(folder: Path, content: str | bytes) -> Path:
+    """Put a file of the catalogue into a folder."""
+    path = folder / "log.csv"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def read_of_csv(folder: Path, content: str | bytes) -> tuple[Record, str]:
+    """The record in a file, and what was noted about it."""
+    with warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter("always")
+        record = read_csv(write(folder, content), CHANNELS)[0]
+    return record, " ".join(str(one.message) for one in noted)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"), [one[1:] for one in REFUSED], ids=[one[0] for one in REFUSED]
+)
+def test_refused_in_its_own_words(
+    tmp_path: Path, content: str | bytes, words: tuple[str, ...]
+) -> None:
+    """A file that cannot be read safely is refused, and the message names culprit and remedy."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with pytest.raises(DataError) as caught:
+            read_csv(write(tmp_path, content), CHANNELS)
+    message = str(caught.value)
+    for word in words:
+        assert word in message
+    assert len(message) < 1000
+
+
+@pytest.mark.parametrize(
+    ("content", "words"), [one[1:] for one in NOTED], ids=[one[0] for one in NOTED]
+)
+def test_read_and_noted(tmp_path: Path, content: str | bytes, words: tuple[str, ...]) -> None:
+    """What can be read safely is read, and what was made of it is said."""
+    record, noted = read_of_csv(tmp_path, content)
+    assert record.n_samples == 12
+    for word in words:
+        assert word in noted
+
+
+@pytest.mark.parametrize("content", [one[1] for one in READ], ids=[one[0] for one in READ])
+def test_read_as_the_good_file(tmp_path: Path, content: str | bytes) -> None:
+    """Another spelling of the same numbers gives the same record, without a note."""
+    good, _ = read_of_csv(tmp_path, GOOD)
+    record, noted = read_of_csv(tmp_path, content)
+    assert record.content_hash == good.content_hash
+    assert noted == ""
+
+
+def test_clocks_give_the_same_times(tmp_path: Path) -> None:
+    """Times of every clock of the catalogue are those of the good file, from zero."""
+    good, _ = read_of_csv(tmp_path, GOOD)
+    clocks = [one for one in NOTED if "1970" in one[0] or "time" in one[0]]
+    assert len(clocks) >= 6
+    for _, content, _ in clocks:
+        record, _ = read_of_csv(tmp_path, content)
+        np.testing.assert_allclose(record.times, good.times, atol=1e-6)
+
+
+def test_catalogue_is_large_enough() -> None:
+    """At least a hundred files are refused, and every one of them is another file."""
+    contents = [one[1] for one in (*REFUSED, *NOTED)]
+    assert len(REFUSED) >= 100
+    assert len({c if isinstance(c, bytes) else c.encode() for c in contents}) == len(contents)
+
+
+def test_page_of_errors_is_current() -> None:
+    """docs/errors.md holds every kind of the catalogues, and of files the very messages."""
+    from bad_input.problem_files import REFUSED as FOLDERS
+
+    from benchmarks.bad_input import NOTED_AND_REFUSED, PAGE, csv_message, table
+
+    page = PAGE.read_text(encoding="utf-8")
+    rows = table((kind, csv_message(content)) for kind, content, _ in NOTED_AND_REFUSED)
+    assert rows in page, "run: python -m benchmarks.bad_input --write"
+    for kind, _, _ in FOLDERS:
+        assert f"| {kind} |" in page

@@ -1,0 +1,704 @@
+"""Screens of single signals: bursts, drop-outs, steps, copies, constancy, what is unexplained."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.compatibility import DIVER, SHIP, Vehicle, log, motions
+from oed_sysid import (
+    Dataset,
+    Force,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    Record,
+    State,
+    check,
+    load_problem,
+    quick_check,
+    read_csv,
+    simulate,
+    write_csv,
+)
+from oed_sysid.cli import main
+from oed_sysid.errors import ModelError
+from oed_sysid.evidence.check import SHARE, corrected_copies, misfit, why_not_more
+from oed_sysid.evidence.constancy import CHANCE, Sizes, imitates, sizes_by_record
+from oed_sysid.evidence.rank import threshold
+from oed_sysid.evidence.reconsider import without_imitations
+from oed_sysid.evidence.relations import relations
+from oed_sysid.evidence.screens import bursts, deviations, screen, screened, steps, weights
+from oed_sysid.evidence.search import Added, Standing
+from oed_sysid.evidence.study import Study
+from oed_sysid.evidence.traces import Trace
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.physics import (
+    actuator_lag,
+    actuator_offset,
+    backlash,
+    deadband,
+    in_each_record,
+    rate_limit,
+    sensor_scale,
+    steady_wind,
+)
+
+TIMES = np.arange(800) * 0.1
+
+
+def wave(seed: int = 0) -> np.ndarray:
+    """A sine with noise of a hundredth of its size."""
+    rng = np.random.default_rng(seed)
+    return np.sin(0.5 * TIMES) + 0.01 * rng.standard_normal(TIMES.size)
+
+
+def found_in(series: np.ndarray) -> dict[str, list[int]]:
+    """Rows of all faults of one signal, by kind."""
+    trace = Trace("run", TIMES, {"y": series}, {"y": "m"}, {"y": 0.01})
+    return {fault.kind: fault.rows.tolist() for fault in screen(trace)}
+
+
+def test_cubic_through_four_neighbours() -> None:
+    """Cubics are followed exactly by groups of every length; a step of one sample is not."""
+    t = np.arange(40.0)
+    for length in (1, 2, 6):
+        assert np.allclose(deviations(0.01 * t**3 - t, length), 0.0, atol=1e-9)
+        assert np.allclose(weights(length).sum(axis=1), 1.0)
+    lifted = np.zeros(40)
+    lifted[10:13] = 1.0
+    assert deviations(lifted, 3)[8].tolist() == [1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("length", [2, 3, 4, 5, 6])
+@pytest.mark.parametrize("size", [0.3, -2.0])
+def test_groups_are_found_with_all_their_samples(length: int, size: float) -> None:
+    """Four groups of equal or of alternating sign, in one record of 800 samples."""
+    rows = np.concatenate([first + np.arange(length) for first in (60, 231, 402, 655)])
+    for signs in (np.ones(length), (-1.0) ** np.arange(length)):
+        series = wave()
+        series[rows] += size * np.tile(signs, 4)
+        assert found_in(series) == {"spikes": rows.tolist()}
+
+
+def test_neighbouring_spikes_of_other_sign_are_one_group() -> None:
+    """Two spikes with one good sample between them are found together with it."""
+    series = wave()
+    series[300] += 1.0
+    series[302] -= 1.0
+    assert found_in(series) == {"spikes": [300, 301, 302]}
+
+
+def test_clean_noise_holds_no_groups() -> None:
+    """None in two hundred clean records of 800 samples, half of them with coloured noise."""
+    alarms = 0
+    for seed in range(200):
+        rng = np.random.default_rng((1, seed))
+        noise = rng.standard_normal(TIMES.size)
+        if seed % 2:
+            for k in range(1, noise.size):
+                noise[k] = 0.8 * noise[k - 1] + 0.6 * noise[k]
+        series = np.sin(0.5 * TIMES) + 0.05 * noise
+        alarms += len(bursts(TIMES, series, np.zeros(TIMES.size, dtype=bool), 8.5, 0.02))
+    assert alarms == 0
+
+
+def test_a_short_hump_is_no_group() -> None:
+    """A half sine of ten samples and a ramp that turns back rise from sample to sample."""
+    nothing = np.zeros(TIMES.size, dtype=bool)
+    hump = np.zeros(TIMES.size)
+    hump[200:211] = np.sin(np.linspace(0.0, np.pi, 11))
+    assert not bursts(TIMES, hump, nothing, 8.5, 0.02)
+    ramp = np.interp(np.arange(800), [0, 300, 303, 306, 800], [0.0, 0.0, 1.0, 0.0, 0.0])
+    assert not bursts(TIMES, ramp, nothing, 8.5, 0.02)
+
+
+def test_groups_after_steps_of_the_inputs_are_answers() -> None:
+    """Four groups that begin right after the four steps of an input are no spikes."""
+    starts = np.array([100, 300, 500, 700])
+    pushed = np.zeros(TIMES.size, dtype=bool)
+    pushed[(starts[:, None] + np.arange(3)).ravel()] = True
+    for shift, expected in ((0, 0), (40, 8)):
+        series = wave()
+        series[(starts[:, None] + shift + np.arange(2)).ravel()] += 1.0
+        trace = Trace("run", TIMES, {"y": series}, {"y": "m"}, {"y": 0.01}, pushed=pushed)
+        faults, (marked,) = screened([trace])
+        assert sum(fault.rows.size for fault in faults) == expected
+        assert ("y" in marked.fast) is (shift == 0)
+
+
+@pytest.mark.parametrize("signal", ["w", "q", "theta", "z"])
+def test_groups_in_a_log_are_the_only_finding(signal: str) -> None:
+    """Three bursts of two to five samples of a dive: spikes, no bias, scale or delay."""
+    problem = load_problem("remus_diving_plane")
+    record = simulate(
+        problem.model, problem.experiments["zigzag_10_10"], rng=np.random.default_rng(1)
+    )
+    outputs = record.outputs.copy()
+    column = outputs[:, record.channels.output_names.index(signal)]
+    size = 8.0 * column.std()
+    for first, length in ((100, 2), (290, 3), (480, 5)):
+        column[first : first + length] += size
+    found = check(Dataset((record.with_outputs(outputs),)), problem)
+    assert [(one.kind, one.signals, one.size) for one in found.serious] == [
+        ("spikes", (signal,), 10.0)
+    ]
+
+
+RUNS = ((100, 3), (290, 8), (520, 15))
+ROWS = np.concatenate([np.arange(first, first + length) for first, length in RUNS])
+
+
+def wave_dropouts(seed: int = 0) -> np.ndarray:
+    """A sine about 3 with noise."""
+    rng = np.random.default_rng(seed)
+    return 3.0 + np.sin(0.5 * TIMES) + 0.01 * rng.standard_normal(TIMES.size)
+
+
+@pytest.mark.parametrize("value", [0.0, 6.0, -1.0])
+def test_runs_that_a_signal_falls_to_at_once_are_dropouts(value: float) -> None:
+    """Runs of 3, 8 and 15 samples below or above everything else, with all their samples."""
+    series = wave_dropouts()
+    series[ROWS] = value
+    assert found_in(series) == {"dropouts": ROWS.tolist()}
+
+
+def test_a_single_run_of_zeros_is_a_dropout() -> None:
+    """Beyond all other values one run is enough."""
+    series = wave_dropouts()
+    series[290:298] = 0.0
+    assert found_in(series) == {"dropouts": list(range(290, 298))}
+
+
+@pytest.mark.parametrize("limit", [2.2, 3.5, 3.8])
+def test_a_limit_that_is_approached_cuts_off(limit: float) -> None:
+    """A signal that runs into a limit with its usual steps is cut off there, at every crest."""
+    series = (
+        np.maximum(wave_dropouts(), limit) if limit < 3.0 else np.minimum(wave_dropouts(), limit)
+    )
+    found = found_in(series)
+    assert set(found) == {"saturated"}
+    # Where noise takes it over the limit for one or two samples, these are no runs.
+    assert len(found["saturated"]) > 0.8 * np.sum(series == limit)
+
+
+def test_a_sensor_that_stands_still_is_frozen() -> None:
+    """Its value is one of its own, and it goes on from elsewhere."""
+    series = wave_dropouts()
+    series[200:230] = series[200]
+    assert found_in(series) == {"frozen": list(range(201, 230))}
+
+
+def test_the_end_of_a_short_hold_is_no_step() -> None:
+    """Five equal samples of a quick signal, and the jump to where it is by then."""
+    rng = np.random.default_rng(0)
+    series = np.sin(2.0 * TIMES) + 0.01 * rng.standard_normal(TIMES.size)
+    for first in (100, 333, 610):
+        series[first : first + 5] = series[first]
+    assert "step" not in found_in(series)
+
+
+@pytest.mark.parametrize("signal", ["u", "z"])
+def test_zeros_in_a_log_are_dropouts_and_nothing_else(signal: str) -> None:
+    """The speed and the depth of a dive are positive: zeros there are no limit."""
+    problem = load_problem("remus_diving_plane")
+    records = []
+    for number, name in enumerate(("zigzag_5_5", "zigzag_10_10")):
+        run = simulate(
+            problem.model, problem.experiments[name], rng=np.random.default_rng(number), name=name
+        )
+        outputs = run.outputs.copy()
+        outputs[ROWS, run.channels.output_names.index(signal)] = 0.0
+        records.append(run.with_outputs(outputs))
+    found = check(Dataset(tuple(records)), problem)
+    assert [(one.kind, one.signals, one.size) for one in found.serious] == [
+        ("dropouts", (signal,), 52.0)
+    ]
+
+
+GOOD = np.zeros(800, dtype=bool)
+
+
+def wave_steps(seed: int = 0, noise: float = 0.01) -> np.ndarray:
+    """A sine with noise."""
+    rng = np.random.default_rng(seed)
+    return np.sin(0.5 * TIMES) + noise * rng.standard_normal(TIMES.size)
+
+
+def jumping(data: Dataset, jumps: dict[str, tuple[int, int, float]]) -> Dataset:
+    """Copies of records; a signal jumps in one of them (number, first row after, size)."""
+    records = list(data.records)
+    for name, (number, row, size) in jumps.items():
+        outputs = records[number].outputs.copy()
+        outputs[row:, data.channels.output_names.index(name)] += size
+        records[number] = records[number].with_outputs(outputs)
+    return Dataset(tuple(records))
+
+
+def ships() -> Dataset:
+    """A clean log of a ship."""
+    rng = np.random.default_rng(2)
+    return log(SHIP, motions(SHIP, rng), (), 0.0, rng)
+
+
+def dives() -> Dataset:
+    """A clean log of a diving vehicle."""
+    rng = np.random.default_rng(2)
+    return log(DIVER, motions(DIVER, rng), (), 0.0, rng)
+
+
+@pytest.mark.parametrize("size", [0.9, -1.0, 5.0])
+@pytest.mark.parametrize("row", [15, 400, 783])
+def test_row_and_size_of_a_jump(row: int, size: float) -> None:
+    """A jump is found at its sample, within four standard errors of its size."""
+    series = wave_steps()
+    series[row:] += size
+    (found,) = steps(TIMES, series, GOOD, 0.05)
+    assert found.row == row
+    # Lines through five samples, half a sample ahead, are uncertain by 1.28 times the noise.
+    assert found.size == pytest.approx(size, abs=4.0 * 0.0128)
+
+
+def test_sizes_are_better_than_those_of_two_short_lines() -> None:
+    """Over a hundred records the error is below the noise; two short lines have 1.28 times it."""
+    errors = []
+    for seed in range(100):
+        series = wave_steps(seed)
+        series[400:] += 1.0
+        (found,) = steps(TIMES, series, GOOD, 0.05)
+        errors.append(found.size - 1.0)
+    assert np.std(errors) < 0.011
+    assert abs(np.mean(errors)) < 0.003
+
+
+def test_motion_is_no_jump() -> None:
+    """Noise, ramps, corners, and one sample that is off hold no jump."""
+    alarms = 0
+    for seed in range(200):
+        series = wave_steps(seed, 0.2 * (seed % 5) / 4.0 + 0.01)
+        alarms += len(steps(TIMES, series, GOOD, 0.05))
+    assert alarms == 0
+    ramp = np.interp(np.arange(800), [0, 300, 304, 800], [0.0, 0.0, 1.0, 1.0])
+    assert not steps(TIMES, ramp, GOOD, 0.05)
+    spike = wave_steps()
+    spike[300] += 2.0
+    trace = Trace("run", TIMES, {"y": spike}, {"y": "m"}, {"y": 0.01})
+    assert [fault.kind for fault in screen(trace)] == ["spikes"]
+
+
+def test_jumps_after_steps_of_the_inputs_are_answers() -> None:
+    """Four jumps right after the four steps of an input are none; elsewhere they are."""
+    starts = np.array([100, 300, 500, 700])
+    pushed = np.zeros(TIMES.size, dtype=bool)
+    pushed[(starts[:, None] + np.arange(3)).ravel()] = True
+    for shift, expected in ((0, 0), (40, 4)):
+        series = wave_steps()
+        for sign, start in zip((1.0, -1.0, 1.0, -1.0), starts, strict=True):
+            series[start + shift :] += sign
+        trace = Trace("run", TIMES, {"y": series}, {"y": "m"}, {"y": 0.01}, pushed=pushed)
+        faults, _ = screened([trace])
+        assert sum(fault.rows.size for fault in faults) == expected
+
+
+@pytest.mark.parametrize(
+    ("data", "model", "signal", "size", "unit"),
+    [
+        (ships(), SHIP.model, "psi", np.pi / 2.0, "rad"),
+        (ships(), SHIP.model, "r", -0.1, "rad/s"),
+        (dives(), DIVER.model, "z", 2.0, "m"),
+    ],
+)
+def test_a_jump_is_the_only_finding_and_is_undone(
+    data: Dataset, model: Model, signal: str, size: float, unit: str
+) -> None:
+    """A compass, a gyro and a depth that were set anew: size, record, and the equations after."""
+    spoilt = jumping(data, {signal: (1, 400, size)})
+    found = check(spoilt, model, inputs=False)
+    (one,) = found.serious
+    assert (one.kind, one.signals, one.records, one.unit) == (
+        "step",
+        (signal,),
+        (data[1].name,),
+        unit,
+    )
+    noise = (SHIP if model is SHIP.model else DIVER).noise[signal]
+    assert one.size == pytest.approx(size, abs=4.0 * 1.28 * noise)
+    assert one.correction is not None
+    assert one.correction.rows == {data[1].name: (400,)}
+    assert f"t = {data[1].times[400]:.6g} s" in one.says
+    clean = check(data, model, inputs=False)
+    for before, after in zip(clean.balances, found.balances, strict=True):
+        assert after.after == pytest.approx(before.after, abs=0.02)
+    assert quick_check(spoilt, model).named("step", signal) is not None
+    stored = json.loads(json.dumps(found.to_dict()))["findings"][0]["correction"]
+    assert stored["rows"] == {data[1].name: [400]}
+    assert stored["sizes"][data[1].name] == [one.size]
+
+
+def test_size_is_said_in_degrees_and_corrected_copies_pass() -> None:
+    """Jumps of two signals in one log are both undone in the copies."""
+    data = ships()
+    spoilt = jumping(data, {"psi": (0, 300, np.pi / 2.0), "y": (2, 500, -40.0)})
+    found = check(spoilt, SHIP.model, inputs=False)
+    assert {(f.kind, f.signals) for f in found.serious} == {("step", ("psi",)), ("step", ("y",))}
+    heading = found.named("step", "psi")
+    assert heading is not None
+    assert heading.size == pytest.approx(np.pi / 2.0, abs=4.0 * 0.004)
+    assert f"{np.degrees(heading.size):+.3g} deg" in heading.says
+    copies, done = corrected_copies(spoilt, SHIP.model, found)
+    assert len(done) == 2
+    assert np.allclose(copies[0].output("psi"), data[0].output("psi"), atol=0.03)
+    assert np.allclose(copies[2].output("y"), data[2].output("y"), atol=0.6)
+    assert check(copies, SHIP.model, inputs=False).ok
+
+
+def test_an_underwater_vehicle_whose_compass_was_reset() -> None:
+    """In six degrees of freedom, in all four records, between the steps of the rudder."""
+    problem = load_problem("remus_6dof")
+    model = problem.true_model()
+    runs = [
+        simulate(model, run, rng=np.random.default_rng((3, k)), name=name)
+        for k, (name, run) in enumerate(problem.experiments.items())
+    ]
+    data = Dataset(tuple(runs))
+    spoilt = data
+    for k in range(len(runs)):
+        spoilt = jumping(spoilt, {"psi": (k, 150, np.pi / 2.0)})
+    (one,) = check(spoilt, problem).serious
+    assert (one.kind, one.signals, one.records) == ("step", ("psi",), data.names)
+    assert one.correction is not None
+    assert all(rows == (150,) for rows in one.correction.rows.values())
+    assert one.size == pytest.approx(np.pi / 2.0, abs=0.05)
+
+
+def test_a_heading_that_catches_up_is_not_shifted() -> None:
+    """A compass that coasted through a turn is right after its jump: nothing is subtracted."""
+    data = ships()
+    outputs = data[1].outputs.copy()
+    heading = outputs[:, data.channels.output_names.index("psi")]
+    turned = np.abs(heading[30:] - heading[:-30])
+    first = int(np.argmax(turned))
+    rng = np.random.default_rng(0)
+    heading[first : first + 30] = heading[first] + 0.004 * rng.standard_normal(30)
+    records = (data[0], data[1].with_outputs(outputs), data[2])
+    found = check(Dataset(records), SHIP.model, inputs=False)
+    one = found.named("step", "psi")
+    assert one is not None
+    assert one.size == pytest.approx(heading[first + 30] - heading[first], abs=0.05)
+    assert one.correction is None
+    assert "caught up" in one.says
+
+
+def clean_log(vehicle: Vehicle, seed: int = 0, colour: float = 0.0) -> Dataset:
+    """A log without faults."""
+    rng = np.random.default_rng(seed)
+    return log(vehicle, motions(vehicle, rng), (), colour, rng)
+
+
+def with_output(data: Dataset, number: int, name: str, series: np.ndarray) -> Dataset:
+    """Copies of records, one output of one of them replaced."""
+    outputs = data[number].outputs.copy()
+    outputs[:, data.channels.output_names.index(name)] = series
+    records = list(data.records)
+    records[number] = data[number].with_outputs(outputs)
+    return Dataset(tuple(records))
+
+
+def wandering(data: Dataset) -> Dataset:
+    """The yaw rate of the second record comes from the first one."""
+    return with_output(data, 1, "r", data[0].output("r"))
+
+
+def heading(jump: float, turning: float, noise: float = 0.002) -> Trace:
+    """A heading and its rate over 200 s at 5 Hz; the heading jumps at 100 s."""
+    rng = np.random.default_rng(5)
+    t = np.arange(1000) * 0.2
+    psi = turning * np.sin(0.1 * t) + jump * (t >= 100.0)
+    r = 0.1 * turning * np.cos(0.1 * t)
+    return Trace(
+        "run",
+        t,
+        {
+            "psi": psi + noise * rng.standard_normal(t.size),
+            "r": r + 0.1 * noise * rng.standard_normal(t.size),
+        },
+        {"psi": "rad", "r": "rad/s"},
+        {"psi": noise, "r": 0.1 * noise},
+    )
+
+
+def test_share_and_time_of_a_misfit() -> None:
+    """A jump of 90 degrees is what is left of a heading that swings by half a radian."""
+    (equation,) = (one for one in relations(SHIP.model, set(), set()) if one.target == "psi")
+    found = misfit(heading(np.pi / 2.0, 0.5), equation)
+    assert found is not None
+    # One block changes by pi/2, the other 199 by 0.05 cos(0.1 t).
+    usual = 199.0 * 0.05**2 / 2.0
+    assert found.share == pytest.approx(np.sqrt((np.pi / 2.0) ** 2 / (usual + 2.56)), rel=0.05)
+    assert found.time == pytest.approx(100.0, abs=1.0)
+    assert misfit(heading(0.0, 0.5), equation) is None
+
+
+def test_noise_that_leaves_everything_is_no_misfit() -> None:
+    """A heading that hardly turns is all noise, and no equation fails for that."""
+    (equation,) = (one for one in relations(SHIP.model, set(), set()) if one.target == "psi")
+    quiet = heading(0.0, 1e-4)
+    assert misfit(quiet, equation) is None
+    still = replace(quiet, noise={"psi": 1e-5, "r": 1e-6})
+    found = misfit(still, equation)
+    assert found is not None
+    assert found.share > 0.9
+
+
+def test_the_equation_the_record_and_the_time_are_named() -> None:
+    """A rate of another record is no sign, unit or size: the heading stays unexplained there."""
+    data = clean_log(SHIP)
+    found = check(wandering(data), SHIP.model, inputs=False)
+    one = found.named("unexplained", "psi")
+    assert one is not None
+    assert one.records == (data[1].name,)
+    assert one.size > SHARE
+    assert found.contradictory
+    psi_r = next(row for row in found.balances if row.relation == "psi' = r")
+    assert psi_r.after > 0.2
+    assert check(data, SHIP.model, inputs=False).ok
+
+
+def test_only_bad_samples_are_corrected_then() -> None:
+    """A unit that was found is not undone while an equation fails; empty cells are written."""
+    data = clean_log(SHIP)
+    spoilt = wandering(data)
+    spiky = spoilt[0].output("u").copy()
+    spiky[[200, 500]] += 3.0
+    spoilt = with_output(spoilt, 0, "u", spiky)
+    for number in range(3):
+        spoilt = with_output(spoilt, number, "y", -spoilt[number].output("y"))
+    found = check(spoilt, SHIP.model, inputs=False)
+    assert found.named("sign", "y") is not None
+    copies, done = corrected_copies(spoilt, SHIP.model, found)
+    assert done == (found.named("spikes", "u").says,)
+    assert "sign y" in why_not_more(found)
+    for before, after in zip(spoilt, copies, strict=True):
+        kept = np.isfinite(after.outputs)
+        assert np.array_equal(after.outputs[kept], before.outputs[kept])
+    assert np.flatnonzero(np.isnan(copies[0].output("u"))).tolist() == [200, 500]
+    good = replace(found, findings=tuple(f for f in found.findings if f.kind != "unexplained"))
+    assert why_not_more(good) == ""
+    copies, _ = corrected_copies(spoilt, SHIP.model, good)
+    assert np.array_equal(copies[2].output("y"), -spoilt[2].output("y"))
+
+
+def test_fix_writes_what_was_logged_where_an_equation_fails(tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]
+    """The command says why it corrects nothing, and its copies equal the records."""
+    problem = load_problem("remus_diving_plane")
+    rng = np.random.default_rng(3)
+    runs = Dataset(
+        tuple(
+            simulate(problem.model, problem.experiments[name], rng=rng, name=name)
+            for name in ("zigzag_5_5", "zigzag_10_10", "steps")
+        )
+    )
+    runs = with_output(runs, 1, "theta", runs[2].output("theta"))
+    for record in runs:
+        write_csv(record, tmp_path / f"{record.name}.csv")
+    fixed = tmp_path / "fixed"
+    assert main(["check", "remus_diving_plane", str(tmp_path), "--fix", str(fixed)]) == 1
+    assert "Not corrected" in capsys.readouterr().err
+    logged = read_csv(tmp_path, problem.channels)
+    for record in read_csv(fixed, problem.channels):
+        assert np.allclose(record.outputs, logged[record.name].outputs, rtol=1e-9)
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.7, 0.95])
+def test_noise_of_any_colour_is_no_misfit(colour: float) -> None:
+    """Clean logs of both vehicles leave less than a third of every left side."""
+    for vehicle in (DIVER, SHIP):
+        found = check(clean_log(vehicle, 3, colour), vehicle.model, inputs=False)
+        assert found.named("unexplained") is None
+        assert max(row.after for row in found.balances) < SHARE
+
+
+TWIN = Model(
+    name="twin screw",
+    states=(State("u", "m/s"), State("r", "rad/s")),
+    inputs=(Input("port", "N"), Input("starboard", "N")),
+    outputs=(Output("u", "m/s"), Output("r", "rad/s")),
+    axes={"X": "u", "N": "r"},
+    inertia={("X", "u"): "m", ("N", "r"): "I"},
+    parameters=(Parameter("m", 100.0, "kg"), Parameter("I", 80.0, "kg m^2")),
+    effects=(Force("screws", {"X": "port + starboard - 40*u", "N": "port - starboard - 60*r"}),),
+    step=0.05,
+)
+TIMES_SIGNALS = np.arange(400) * 0.1
+INPUTS = {
+    "port": 20 * np.sin(0.7 * TIMES_SIGNALS),
+    "starboard": 15 * np.sin(0.4 * TIMES_SIGNALS + 1),
+}
+
+
+@pytest.mark.parametrize("kind", [deadband, backlash, rate_limit, actuator_lag])
+def test_of_two_signals_is_of_each(kind) -> None:  # type: ignore[no-untyped-def]
+    """One effect of both screws moves the vessel as two effects, one of each, of the same size."""
+    unit = {} if kind is actuator_lag else {"unit": "N"}
+    both = TWIN + kind("both", ("port", "starboard"), value=0.4, **unit)
+    apart = TWIN + [kind(f"of_{s}", s, value=0.4, **unit) for s in ("port", "starboard")]
+    found, expected, without = (
+        simulate_inputs(model, TIMES_SIGNALS, inputs=INPUTS).outputs
+        for model in (both, apart, TWIN)
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    assert np.abs(found - without).max() > 1e-3
+
+
+def test_a_size_for_every_record() -> None:
+    """Amplitudes are free in every record under names of their own; the shape is shared."""
+    wind = steady_wind(axes=("X", "Y", "N"))
+    found = in_each_record(wind)
+    assert found.amplitude_names == ("E_wind_north_by_record", "E_wind_east_by_record")
+    assert found.shape_names == ("arm_wind_by_record",)
+    assert [p.per_record for p in found.parameters] == [True, True, False]
+    same = {f"{p.name}_by_record": p.value for p in wind.parameters}
+    assert {p.name: p.value for p in found.parameters} == same
+    for axis, text in found.terms.items():
+        assert text.replace("_by_record", "") == wind.terms[axis]
+    trim = actuator_offset("trim", "port", "N", value=3.0)
+    shared, own = (simulate_inputs(TWIN + e, TIMES_SIGNALS, inputs=INPUTS) for e in (trim,
+                   in_each_record(trim)))  # fmt: skip
+    np.testing.assert_array_equal(shared.outputs, own.outputs)
+
+
+def test_an_effect_with_memory_is_refused() -> None:
+    """Two effects cannot share what one remembers: what to do is said."""
+    with pytest.raises(ModelError, match="per_record=True"):
+        in_each_record(backlash("play", "port", "N"))
+
+
+SHIP_CONSTANCY = Model(
+    name="Nomoto ship",
+    states=(State("psi", "rad", scale=0.3), State("r", "rad/s", scale=0.05)),
+    inputs=(Input("delta", "rad", interpolation="linear"),),
+    outputs=(Output("psi", "rad"), Output("r", "rad/s")),
+    kinematics={"psi": "r", "r": "(K*delta - r)/T"},
+    parameters=(
+        Parameter("K", 0.15, "1/s", lower=0.01, upper=2.0),
+        Parameter("T", 10.0, "s", lower=0.5, upper=100.0),
+    ),
+    step=0.5,
+)
+SCALE = sensor_scale("scale_r", "r", scale=0.03)
+STEP, FINE = 0.5, 0.05
+PERIODS = (50.0, 36.0, 28.0, 19.0, 33.0, 22.0)
+
+
+def records(seed: int, *, scale: float, smoothing: float, cubic: float) -> Dataset:
+    """Zigzags of a ship, slow and quick, by Euler's rule at 0.05 s.
+
+    Parameters
+    ----------
+    seed : int
+    scale : float
+        Relative error of the yaw rate.
+    smoothing : float
+        Variance of the symmetric window with which the yaw rate was smoothed, s^2: it is short by
+        half of this times the square of the frequency.
+    cubic : float
+        Damping that the model does not have, s^2.
+    """
+    rng = np.random.default_rng((5, seed))
+    runs = []
+    for index, period in enumerate(PERIODS):
+        times = np.arange(0.0, 100.0 + FINE / 2, FINE)
+        rudder = 0.3 * np.clip(4 * np.sin(2 * np.pi * times / period), -1, 1)
+        heading, rate = np.zeros(len(times)), np.zeros(len(times))
+        for k in range(len(times) - 1):
+            turn = (0.17 * rudder[k] - rate[k] - cubic * rate[k] ** 3) / 9.0
+            rate[k + 1] = rate[k] + FINE * turn
+            heading[k + 1] = heading[k] + FINE * 0.5 * (rate[k] + rate[k + 1])
+        second = np.gradient(np.gradient(rate, FINE), FINE)
+        seen = (1 + scale) * (rate + 0.5 * smoothing * second)
+        outputs = np.column_stack([heading, seen])[:: round(STEP / FINE)]
+        outputs += np.array([2e-4, 1e-5]) * rng.standard_normal(outputs.shape)
+        chosen = slice(None, None, round(STEP / FINE))
+        runs.append(
+            Record(
+                f"run_{index}",
+                times[chosen],
+                rudder[chosen, None],
+                outputs,
+                SHIP_CONSTANCY.channels,
+            )
+        )
+    return Dataset(runs)
+
+
+def asked(seed: int, **truth: float) -> tuple[float, float, tuple[Sizes, ...]]:
+    """Gain and size of a scale on four runs, two validating, and what speaks against it."""
+    runs = list(records(seed, **truth))
+    study, base = Study.begin(
+        SHIP_CONSTANCY, Dataset(runs[:4]), Dataset(runs[4:]), [SCALE], known_noise=False
+    )
+    fit = study.estimate(study.candidates, base.values, base, max_iterations=25)
+    assert fit is not None
+    size = fit.values["E_scale_r"]
+    return base.objective - fit.objective, size, imitates(study, fit, SCALE, lambda: base)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("scale", "smoothing", "claimed"),
+    [
+        (0.0, 0.2, False),  # the rate was smoothed: a scale gains, another in every record
+        (0.002, 0.0, True),  # as small, but the same in every record
+        (0.03, 0.2, True),  # large, beside the smoothing
+    ],
+)
+def test_small_scale_is_claimed_where_it_is_the_same_in_all_records(
+    seed: int, scale: float, smoothing: float, claimed: bool
+) -> None:
+    """On a ship whose damping is missing, by the sizes that records show and not by the gain."""
+    gain, size, against = asked(seed, scale=scale, smoothing=smoothing, cubic=60.0)
+    assert gain > 5 * threshold(1, 1)
+    assert (not against) == claimed
+    # The smoothing takes some tenths of a per cent of it.
+    assert size == pytest.approx(scale, abs=0.0005 + 0.02 * smoothing)
+    assert all(one.chance < CHANCE for one in against)
+
+
+def test_claim_that_does_not_repeat_is_taken_back() -> None:
+    """At its end a search drops such a claim and says why; one that repeats stays."""
+    for smoothing, scale in ((0.2, 0.0), (0.0, 0.002)):
+        runs = list(records(1, scale=scale, smoothing=smoothing, cubic=60.0))
+        study, base = Study.begin(
+            SHIP_CONSTANCY, Dataset(runs[:4]), Dataset(runs[4:]), [SCALE], known_noise=False
+        )
+        fit = study.estimate(study.candidates, base.values, base, max_iterations=25)
+        assert fit is not None
+        one = Added(study.candidates[0], None, 100.0, 10.0, 20.0, ("scale_r",))
+        left = without_imitations(Standing(study, (one,), fit, (base, fit)))
+        assert [effect.name for effect in left.effects] == (["scale_r"] if scale else [])
+        assert len(left.doubts) == (0 if scale else 1)
+        assert len(left.path) == len(left.added) + 1
+
+
+def test_sizes_of_records_are_those_that_were_simulated() -> None:
+    """Each record shows its own scale; Cochran's statistic is that of one size where it is one."""
+    one = list(records(3, scale=0.01, smoothing=0.0, cubic=0.0))
+    other = list(records(3, scale=0.02, smoothing=0.0, cubic=0.0))
+    for runs, true in ((one, [0.01] * 6), ([*one[:3], *other[3:]], [0.01] * 3 + [0.02] * 3)):
+        study, base = Study.begin(
+            SHIP_CONSTANCY, Dataset(runs[:4]), Dataset(runs[4:6]), [SCALE], known_noise=False
+        )
+        fit = study.estimate(study.candidates, base.values, base)
+        assert fit is not None
+        (found,) = sizes_by_record(study, fit, SCALE)
+        # The quickest zigzag, which turns least, tells it to a tenth.
+        assert found.each == pytest.approx(true, rel=0.15)
+        assert found.differ == (true[-1] != true[0])
+        assert (found.chance > CHANCE) == (true[-1] == true[0])
+        # A further ship of such a fleet.
+        low, high = found.elsewhere
+        assert low < np.mean(true) < high

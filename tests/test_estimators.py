@@ -1,0 +1,405 @@
+"""What every estimator promises, and filters that estimate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from oed_sysid import (
+    Dataset,
+    Experiment,
+    Force,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    State,
+    load_problem,
+)
+from oed_sysid.baselines import (
+    CovarianceMatrixAdaptation,
+    DifferentialEvolution,
+    DifferentialSwarm,
+    EquationError,
+    GibbsRegression,
+    JointKalmanFilter,
+    LeastSquaresSVM,
+    OnlineRegression,
+    OutputError,
+    ParticleSwarm,
+    SupportVectorRegression,
+    TotalLeastSquares,
+)
+from oed_sysid.baselines.benchmark import load_scenario
+from oed_sysid.baselines.online import KalmanStream
+from oed_sysid.data.record import Record
+from oed_sysid.errors import ModelError
+from oed_sysid.experiments.manoeuvres import Multisine
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.multistart import Multistart
+from oed_sysid.likelihood.noise_levels import credible_levels, noise_floor, white_levels
+from oed_sysid.physics.channels import Channels
+from oed_sysid.testing import check_estimator
+
+YAW = Model(
+    "yaw",
+    (State("psi", "rad"), State("r", "rad/s", scale=0.1)),
+    (Input("delta", "rad", interpolation="linear"),),
+    (Output("psi", "rad", noise_std=2e-3), Output("r", "rad/s", noise_std=1e-3)),
+    kinematics={"psi": "r"},
+    axes={"N": "r"},
+    inertia={("N", "r"): "I"},
+    effects=(
+        Force(
+            "hull",
+            {"N": "N_r*r + N_absrr*r*abs(r) + N_delta*delta"},
+            (
+                Parameter("N_r", -1.0, "N m s", lower=-3.0, upper=0.0),
+                Parameter("N_absrr", -4.0, "kg m^2", lower=-10.0, upper=0.0),
+                Parameter("N_delta", 0.8, "N m", lower=0.0, upper=3.0),
+            ),
+        ),
+    ),
+    parameters=(Parameter("I", 5.0, "kg m^2", fixed=True),),
+)
+TEST = Experiment(
+    "multisine", Multisine("delta", (0.02, 0.05, 0.1, 0.16), amplitudes=(0.2,) * 4), duration=80.0
+)
+
+# Estimator, accuracy without noise, coverage promised (None: intervals exclude a stated bias).
+# Differences of a rudder that has corners at the samples are good to a thousandth, local
+# cubics smear more; the others simulate.
+CASES = [
+    (MultipleShooting(), 1e-6, 0.85, 10),
+    (OutputError(), 1e-6, 0.85, 10),
+    (Multistart(n_starts=3, n_jobs=1), 1e-6, None, 0),
+    (JointKalmanFilter(), 1e-4, 0.85, 10),
+    (JointKalmanFilter(kind="unscented"), 1e-3, 0.8, 4),
+    (EquationError(rule="simpson"), 5e-3, 0.85, 10),
+    (EquationError(window=9), 5e-3, None, 0),
+    (TotalLeastSquares(window=9), 5e-3, None, 0),
+    (LeastSquaresSVM(C=1e8), 5e-3, 0.85, 10),
+    (SupportVectorRegression(), 1e-2, None, 0),
+    (OnlineRegression(C=1e8), 5e-3, 0.85, 5),
+    (OnlineRegression(C=1e8, method="incremental"), 5e-3, None, 0),
+    (OnlineRegression(C=1e8, method="incremental", window=200), 5e-3, None, 0),
+    (OnlineRegression(C=1e8, window=400), 5e-3, None, 0),
+    (OnlineRegression(method="forgetting", forgetting=0.998), 5e-3, None, 0),
+    (GibbsRegression(rule="simpson", n_draws=300), 5e-3, None, 0),
+    (GibbsRegression(rule="simpson", n_draws=2000, draw="coordinate"), 1e-2, None, 0),
+    (DifferentialSwarm(n_particles=40, n_generations=120), 1e-3, None, 0),
+    (DifferentialEvolution(n_particles=30, n_generations=80), 1e-3, None, 0),
+    (CovarianceMatrixAdaptation(n_generations=120), 1e-3, None, 0),
+    (ParticleSwarm(n_particles=30, n_generations=80), 1e-2, None, 0),
+]
+
+
+@pytest.mark.parametrize(
+    ("estimator", "tolerance", "coverage", "n_repeats"),
+    CASES,
+    ids=[f"{type(case[0]).__name__}-{i}" for i, case in enumerate(CASES)],
+)
+def test_contract(
+    estimator: object, tolerance: float, coverage: float | None, n_repeats: int
+) -> None:
+    """It finds the truth without noise, covers it with noise, and changes nothing."""
+    check_estimator(
+        estimator,  # type: ignore[arg-type]
+        YAW,
+        (TEST,),
+        rng=np.random.default_rng(7),
+        tolerance=tolerance,
+        coverage=coverage,
+        n_repeats=n_repeats,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "estimator",
+    [
+        DifferentialSwarm(n_particles=40, n_generations=120),
+        DifferentialEvolution(n_particles=30, n_generations=80),
+        CovarianceMatrixAdaptation(n_generations=120),
+    ],
+    ids=lambda estimator: type(estimator).__name__,
+)
+def test_searches_cover_the_truth(estimator: object) -> None:
+    """Intervals of the population searches hold the truth over noise realisations."""
+    check_estimator(
+        estimator,  # type: ignore[arg-type]
+        YAW,
+        (TEST,),
+        rng=np.random.default_rng(8),
+        coverage=0.85,
+        n_repeats=12,
+    )
+
+
+@dataclass(frozen=True)
+class Shifted:
+    """An estimator that breaks one promise on purpose."""
+
+    fault: str
+    name: str = "shifted"
+
+    def fit(self, model: Model, dataset: object) -> Fit:
+        """Fit well, then spoil it."""
+        fit = MultipleShooting().fit(model, dataset)  # type: ignore[arg-type]
+        if self.fault == "value":
+            return replace(fit, estimates=1.01 * fit.estimates)
+        if self.fault == "errors":
+            return replace(fit, covariance=1e-4 * fit.covariance)
+        if self.fault == "random":
+            noise = 1e-9 * np.random.default_rng().standard_normal(len(fit.estimates))
+            return replace(fit, estimates=fit.estimates + noise)
+        return replace(fit, names=fit.names[::-1])
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("value", "is off by"),
+        ("errors", "intervals hold the truth"),
+        ("random", "two results"),
+        ("names", "returns"),
+    ],
+)
+def test_contract_finds_broken_promises(fault: str, message: str) -> None:
+    """The check fails, with the right words, for an estimator that breaks a promise."""
+    with pytest.raises(AssertionError, match=message):
+        check_estimator(Shifted(fault), YAW, (TEST,), rng=np.random.default_rng(1), n_repeats=5)
+
+
+# A ramp of unknown slope: linear in states and parameter together.
+RAMP = Model(
+    "ramp",
+    (State("x", "m"),),
+    (),
+    (Output("x", "m", noise_std=0.3),),
+    {"x": "slope"},
+    parameters=(Parameter("slope", 0.0, "m/s", scale=1.0),),
+)
+
+
+def ramp_data(n: int = 60) -> Dataset:
+    """Noisy samples of a ramp of slope 2."""
+    t = 0.1 * np.arange(n)
+    x = 2.0 * t + 0.3 * np.random.default_rng(0).standard_normal(n)
+    return Dataset((Record("ramp", t, np.empty((n, 0)), x, RAMP.channels),))
+
+
+@pytest.mark.parametrize("kind", ["extended", "unscented"])
+def test_linear_model_gives_regularised_least_squares(kind: str) -> None:
+    """For a linear model either filter equals least squares with the same priors."""
+    data = ramp_data()
+    record = data[0]
+    fit = JointKalmanFilter(kind=kind, parameter_std={"slope": 5.0}).fit(RAMP, data)
+    from oed_sysid.likelihood.start_guess import measured_states
+
+    start = measured_states(RAMP, record)[0][0]
+    design = np.column_stack([np.ones(60), record.times]) / 0.3
+    rows = np.vstack([design, [[1 / 3.0, 0.0], [0.0, 1 / 5.0]]])
+    right = np.concatenate([record.output("x") / 0.3, [start / 3.0, 0.0]])
+    solution = np.linalg.lstsq(rows, right, rcond=None)[0]
+    spread = np.linalg.inv(rows.T @ rows)
+    assert fit.values["slope"] == pytest.approx(solution[1], rel=1e-8)
+    assert fit.std_errors["slope"] == pytest.approx(np.sqrt(spread[1, 1]), rel=1e-8)
+
+
+def test_filters_find_the_parameters_of_an_auv() -> None:
+    """From values 20 per cent off, surge drag returns within its errors, near output error."""
+    problem = load_problem("remus_diving_plane")
+    model = problem.model.fix(*problem.model.free_names).free("X_uu", "Z_uuds", "M_uuds")
+    rng = np.random.default_rng(3)
+    data = Dataset((simulate(model, problem.experiment("zigzag_10_10"), rng=rng),))
+    start = model.with_values({name: 0.8 * model.values[name] for name in model.free_names})
+    reference = OutputError().fit(start, data)
+    for kind in ("extended", "unscented"):
+        fit = JointKalmanFilter(kind=kind).fit(start, data)
+        assert 0.9 < fit.extras["innovation"] < 1.1
+        for name in model.free_names:
+            assert fit.values[name] == pytest.approx(model.values[name], rel=0.03)
+            gap = abs(fit.values[name] - reference.values[name])
+            assert gap < 4 * reference.std_errors[name]
+        track = fit.extras["history"]["X_uu"]
+        assert len(track) == data.n_samples
+        spread = fit.extras["history_std"]["X_uu"]
+        assert spread[-1] < 0.1 * spread[0]
+
+
+def test_drift_is_followed() -> None:
+    """With drift allowed the filter follows a slope that changes; without it, it averages."""
+    t = 0.1 * np.arange(400)
+    x = np.where(t < 20, t, 20 + 3 * (t - 20))
+    x = x + 0.05 * np.random.default_rng(1).standard_normal(400)
+    data = Dataset((Record("bend", t, np.empty((400, 0)), x, RAMP.channels),))
+    follows = JointKalmanFilter(drift_std={"slope": 0.5}, process_std={"x": 0.1}).fit(RAMP, data)
+    rigid = JointKalmanFilter().fit(RAMP, data)
+    assert follows.values["slope"] == pytest.approx(3.0, abs=0.2)
+    assert follows.extras["history"]["slope"][150] == pytest.approx(1.0, abs=0.3)
+    assert abs(rigid.values["slope"] - 3.0) > 0.5
+
+
+def test_missing_samples_widen_the_errors() -> None:
+    """Samples that are missing are passed over, and the errors grow."""
+    data = ramp_data()
+    outputs = data[0].outputs.copy()
+    outputs[1::2] = np.nan
+    full = JointKalmanFilter().fit(RAMP, data)
+    half = JointKalmanFilter().fit(RAMP, Dataset((data[0].with_outputs(outputs),)))
+    assert half.std_errors["slope"] == pytest.approx(np.sqrt(2) * full.std_errors["slope"], rel=0.1)
+
+
+def test_unknown_names_are_refused() -> None:
+    """Settings that name a state or parameter that does not exist are errors."""
+    with pytest.raises(ModelError, match="process_std names 'y'"):
+        JointKalmanFilter(process_std={"y": 1.0}).fit(RAMP, ramp_data())
+    with pytest.raises(ModelError, match="kind is"):
+        JointKalmanFilter(kind="particle")
+
+
+@pytest.mark.slow
+def test_points_far_out_make_the_unscented_filter_too_sure() -> None:
+    """On the torpedo 95 % intervals hold the truth nine times of ten, but not from far points."""
+    scenario = load_scenario("torpedo")
+    model = scenario.with_noise(scenario.noise(1.0))
+    held: dict[float, list[bool]] = {3.0**0.5: [], 4.0: []}
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        data = Dataset(tuple(simulate(model, run, rng=rng) for run in scenario.train))
+        away = {n: v * (1 + 0.3 * rng.uniform(-1, 1)) for n, v in scenario.truth.items()}
+        for reach, found in held.items():
+            filter_ = JointKalmanFilter("unscented", reach=reach)
+            fit = filter_.fit(model.with_values(away), data)
+            intervals = {name: fit.interval(name) for name in fit.names}
+            found += [low <= scenario.truth[n] <= high for n, (low, high) in intervals.items()]
+    near, far = (float(np.mean(found)) for found in held.values())
+    assert near >= 0.85
+    assert far < near - 0.1
+
+
+PROBLEM = load_problem("nomoto_sparse_heading")
+RECORD = simulate(
+    PROBLEM.model, PROBLEM.experiment("zigzag_15_15"), rng=np.random.default_rng(0)
+).thin(10)
+AWAY = PROBLEM.model.with_values({"K": 1.5, "T": 0.5})
+
+
+@pytest.mark.parametrize("kind", ["extended", "unscented"])
+def test_stream_gives_the_history_of_the_filter(kind: str) -> None:
+    """After every sample values and errors are those of the filter on the whole record."""
+    settings = JointKalmanFilter(kind)
+    fit = settings.fit(AWAY, Dataset((RECORD,)))
+    stream = KalmanStream(AWAY, settings)
+    for k, moment in enumerate(RECORD.times[:60]):
+        sample = {"delta": RECORD.input("delta")[k], "psi": RECORD.output("psi")[k]}
+        stream.update(float(moment), sample)
+        for name in ("K", "T"):
+            assert stream.values[name] == pytest.approx(fit.extras["history"][name][k], rel=1e-9)
+            expected = fit.extras["history_std"][name][k]
+            assert stream.std_errors[name] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_new_run_keeps_what_is_known() -> None:
+    """A second run begins with the parameters and errors that the first ended with."""
+    stream = KalmanStream(AWAY)
+    for k in range(30):
+        sample = {"delta": RECORD.input("delta")[k], "psi": RECORD.output("psi")[k]}
+        stream.update(float(RECORD.times[k]), sample)
+    values, errors = stream.values, stream.std_errors
+    stream.start()
+    assert stream.values == pytest.approx(values)
+    assert stream.std_errors == pytest.approx(errors)
+    stream.update(0.0, {"delta": 0.0, "psi": 0.0})
+    assert stream.n_samples == 31
+
+
+def test_impossible_samples_are_refused() -> None:
+    """A missing command, a clock set back and unknown noise are errors with advice."""
+    stream = KalmanStream(AWAY)
+    stream.update(1.0, {"delta": 0.1, "psi": 0.0})
+    with pytest.raises(ModelError, match="has no delta"):
+        stream.update(2.0, {"psi": 0.0})
+    with pytest.raises(ModelError, match="not later"):
+        stream.update(1.0, {"delta": 0.1, "psi": 0.0})
+
+
+DECAY = Model(
+    "decay",
+    states=(State("x", "m"),),
+    inputs=(),
+    outputs=(Output("x", "m"),),
+    kinematics={"x": "-k*x"},
+    parameters=(Parameter("k", 0.5, "1/s", fixed=True),),
+)
+
+
+@pytest.mark.parametrize("start", ["near", "wide"])
+def test_initial_state_of_a_known_model(start: str) -> None:
+    """The initial state is the closed-form least-squares amplitude of the known decay."""
+    times = np.arange(0.0, 6.0, 0.1)
+    shape = np.exp(-0.5 * times)
+    rng = np.random.default_rng(5)
+    measured = 2.0 * shape + 0.05 * rng.standard_normal(times.size)
+    data = Dataset((Record("decay", times, [], measured, DECAY.channels),))
+    fit = MultipleShooting(start=start).fit(DECAY, data)
+    expected = shape @ measured / (shape @ shape)
+    assert fit.status.ok
+    assert fit.names == ()
+    assert fit.covariance.shape == (0, 0)
+    assert fit.initial_states[0][0] == pytest.approx(expected, rel=1e-5)
+    assert "decay" in fit.report()
+
+
+CHANNELS = Channels((), (Output("y", "m", "level"),))
+
+
+def record(motion: np.ndarray, noise: float, seed: int = 0) -> Record:
+    """A motion at 10 Hz with white noise added."""
+    rng = np.random.default_rng(seed)
+    values = motion + noise * rng.standard_normal(len(motion))
+    times = 0.1 * np.arange(len(motion))
+    return Record("r", times, np.zeros((len(times), 0)), values[:, np.newaxis], CHANNELS)
+
+
+@pytest.mark.parametrize("frequency", [0.02, 0.5, 1.5], ids=["slow", "faster", "seven samples"])
+def test_white_noise_is_seen_below_a_motion_a_hundred_times_larger(frequency: float) -> None:
+    """However fast the motion, up to seven samples a period, the level is found within a fifth."""
+    motion = np.sin(2 * np.pi * frequency * 0.1 * np.arange(3000))
+    levels, seen = white_levels(Dataset((record(motion, 0.01),)))
+    assert seen[0]
+    assert levels[0] == pytest.approx(0.01, rel=0.2)
+
+
+def test_missing_samples_between_the_measured_ones_do_not_matter() -> None:
+    """A sensor with every fourth sample shows the noise that it has."""
+    full = record(np.zeros(4000), 0.3)
+    sparse = np.where(np.arange(4000) % 4 == 0, full.outputs[:, 0], np.nan)
+    assert noise_floor(Dataset((full.with_outputs(sparse[:, np.newaxis]),)))[0] == pytest.approx(
+        0.3, rel=0.1
+    )
+
+
+def test_motion_without_noise_is_not_called_noise() -> None:
+    """Where every order of differences shows less, the level is only an upper limit, and small."""
+    motion = np.sin(0.1 * 0.1 * np.arange(500))
+    levels, _ = white_levels(Dataset((record(motion, 0.0),)))
+    assert levels[0] < 1e-6
+
+
+def test_a_filtered_log_is_not_measured_without_error() -> None:
+    """The last digit of a file is no sensor's noise; noise that one sees is left as it is."""
+    motion = np.sin(0.2 * 0.1 * np.arange(3000))
+    rounded = Dataset((record(np.round(motion, 8), 0.0),))
+    levels, seen = credible_levels(rounded)
+    assert not seen[0]
+    assert levels[0] == pytest.approx(1e-3 * np.std(motion), rel=0.1)
+    fine = Dataset((record(motion, 1e-4),))
+    levels, seen = credible_levels(fine)
+    assert seen[0]
+    assert levels[0] == pytest.approx(1e-4, rel=0.2)
