@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -60,7 +59,7 @@ from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.journal import Journal
+from oed_sysid.runtime.journal import Journal, opened
 from oed_sysid.runtime.threads import single_threaded
 
 # Factor of a declared noise level from which it is worth a word.
@@ -148,12 +147,20 @@ def improve(
     ready = prepared(train, test)
     train, test = ready.train, ready.validation
     candidates, told = settled(model, train, candidates, asked)
-    settings = {
-        "known_noise": known_noise,
-        "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],
-        "max_effects": max_effects,
-    }
-    keep = opened(journal, model, train, test, candidates, settings)
+    keep = opened(
+        journal,
+        "improve",
+        lambda: {
+            "model": encode(model),
+            "candidates": [encode(effect) for effect in candidates],
+            "train": [[record.name, record.content_hash] for record in train],
+            "validation": [[record.name, record.content_hash] for record in test or ()],
+            "known_noise": known_noise,
+            "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],
+            "max_effects": max_effects,
+        },
+        shared={"train": train, "validation": test},
+    )
     begin = partial(Study.begin, model, train, test, candidates, known_noise=known_noise)
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
@@ -428,34 +435,27 @@ def _result(
         for fit in path
     ]
     errors = [relative(one, sigma, study) for one in rms]
-    steps = []
-    for number, one in enumerate(state.added, start=1):
-        steps.append(
-            Step(
-                effect=_at_estimates(one.effect, fits[number].model.values),
-                group=one.group,
-                gain=one.gain,
-                needed=one.needed,
-                test_gain=one.validation_gain,
-                train_error=errors[number]["train"],
-                test_error=errors[number]["test"],
-                fit=fits[number],
-                rms=rms[number],
-            )
+    steps = [
+        Step(
+            effect=_at_estimates(one.effect, fits[number].model.values),
+            group=one.group,
+            gain=one.gain,
+            needed=one.needed,
+            test_gain=one.validation_gain,
+            train_error=errors[number]["train"],
+            test_error=errors[number]["test"],
+            fit=fits[number],
+            rms=rms[number],
         )
+        for number, one in enumerate(state.added, start=1)
+    ]
     yardstick = Yardstick.of(study.train, sigma)
     worst = rms[-1]["test"] if study.validation is not None else rms[-1]["train"]
-    names = study.base.output_names
-    # Noise that nobody declared is what the fastest wiggles show, whatever a fit took for noise.
-    fast = np.where(study.estimated, np.minimum(sigma, credible_levels(study.train)[0]), sigma)
-    excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0))
-    shares, ratios = (
-        {name: float(v) for name, v in zip(names, excess / unit, strict=True) if not np.isnan(v)}
-        for unit in (yardstick.spread, fast)
-    )
+    shares, ratios = _missed(study, sigma, worst, yardstick)
     term = None
     if proposals is not None and proposals.best is not None:
         term = Term.of(proposals, steps[-1], state.replaced)
+    claimed = {step.added for step in steps}
     return Improvement(
         model=fits[-1].model,
         base=base_fit.model,
@@ -469,23 +469,33 @@ def _result(
             end.left,
             shares=shares,
             over_wiggles=ratios,
-            declared=tuple(n for n, e in zip(names, study.estimated, strict=True) if not e),
+            declared=tuple(np.array(study.base.output_names)[~study.estimated].tolist()),
             suspect=_suspect(log, steps),
         ),
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
         yardstick=yardstick,
-        rejected=tuple(
-            name
-            for name in dict.fromkeys(found.rejected)
-            if name not in {step.added for step in steps}
-        ),
+        rejected=tuple(dict.fromkeys(n for n in found.rejected if n not in claimed)),
         proposed=() if term is None else (term.to_dict(),),
         notes=(*notes, *state.doubts),
         log=log,
         skipped=study.skipped,
         last=found.last if steps else None,
     )
+
+
+def _missed(
+    study: Study, sigma: np.ndarray, worst: np.ndarray, yardstick: Yardstick
+) -> tuple[dict[str, float], ...]:
+    """What whole runs miss of every output beyond noise, over its spread and over its noise."""
+    # Noise that nobody declared is what the fastest content shows, whatever a fit took for noise.
+    fast = np.where(study.estimated, np.minimum(sigma, credible_levels(study.train)[0]), sigma)
+    excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0))
+    pairs = (
+        zip(study.base.output_names, excess / unit, strict=True)
+        for unit in (yardstick.spread, fast)
+    )
+    return tuple({name: float(v) for name, v in pair if not np.isnan(v)} for pair in pairs)
 
 
 def _suspect(log: LogCheck | None, steps: Sequence[Step]) -> str:
@@ -516,43 +526,3 @@ def relative(rms: Mapping[str, np.ndarray], sigma: np.ndarray, study: Study) -> 
         total = float(np.sum(count[seen] * (rms[key][seen] / sigma[seen]) ** 2))
         found[key] = float(np.sqrt(total / count.sum())) if seen.any() else np.nan
     return found
-
-
-def opened(
-    journal: Journal | None,
-    model: Model,
-    train: Dataset,
-    validation: Dataset | None,
-    candidates: Sequence[Effect],
-    settings: Mapping[str, Any],
-) -> Journal:
-    """Open a journal for one improvement.
-
-    Parameters
-    ----------
-    journal : Journal or None
-        None keeps nothing.
-    model : Model
-    train, validation : Dataset
-    candidates : sequence of Effect
-    settings : mapping
-        Further arguments of :func:`~oed_sysid.evidence.improve.improve`.
-
-    Returns
-    -------
-    Journal
-        With steps of an earlier call with equal content, if there was one.
-    """
-    keep = journal or Journal()
-    if keep.folder is None:
-        return keep
-    content = {
-        "task": "improve",
-        "model": encode(model),
-        "candidates": [encode(effect) for effect in candidates],
-        "train": [[record.name, record.content_hash] for record in train],
-        "validation": [[record.name, record.content_hash] for record in validation or ()],
-        **settings,
-    }
-    keep.open(content, shared={"train": train, "validation": validation})
-    return keep
