@@ -1,9 +1,4 @@
-"""Commands around problems and records: problems, new, simulate.
-
-The command that hands a model on: export.
-
-The command that opens the application in a browser: app.
-"""
+"""Commands around problems, records and models: problems, new, simulate, export, app."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The command that reads vehicles' own logs: import.
-
-The command that looks at logs before any model: check.
-"""
+"""Commands about logs before any model: import, check."""
 
 from __future__ import annotations
 
