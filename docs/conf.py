@@ -121,6 +121,7 @@ def write_reference() -> None:
         prefix = "oed_sysid." if package == "oed_sysid" else ""
         lines += [f"   {prefix}{name}" for name in named[package]]
         _write(folder / f"{pages[-1]}.rst", [*lines, ""])
+    pages.insert(1, write_effects(folder))
     words = (
         "Every public name: its arguments with shapes and units, what it raises, and an example."
     )
@@ -132,6 +133,26 @@ def write_reference() -> None:
         if page.stem not in {*pages, *names, "index"}:
             page.unlink()
     _write(folder / "index.rst", ["Reference", "=========", "", words, "", *toctree, ""])
+
+
+def write_effects(folder: Path) -> str:
+    """A page with every effect of the library, from its table; returns the page's name."""
+    library = import_module("oed_sysid.physics").LIBRARY
+    columns = ("effect", "stage", "term", "unit", "shows in", "source")
+    lines = ["Every effect of the library", "===========================", ""]
+    lines += ["Braces hold arguments of the constructor, ``{E}`` is the amplitude.", ""]
+    lines += [".. list-table::", "   :header-rows: 1", ""]
+    rows = [columns]
+    for name, entry in library.items():
+        row = entry.row
+        terms = row.derivative or "; ".join(row.terms.values()) or "as given"
+        unit = "of the derivative" if row.derivative else row.unit or "of each amplitude"
+        cells = (f"``{terms}``", f"``{unit}``", row.needs, row.source)
+        rows.append((f":func:`~oed_sysid.physics.{name}`", row.kind.stage, *cells))
+    for cells in rows:
+        lines += [f"   {'*' if not i else ' '} - {cell}" for i, cell in enumerate(cells)]
+    _write(folder / "library_of_effects.rst", [*lines, ""])
+    return "library_of_effects"
 
 
 def _write(path: Path, lines: list[str]) -> None:

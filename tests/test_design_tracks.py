@@ -36,7 +36,7 @@ from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.manoeuvres import Doublet, Piecewise
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.results import figure_card
-from oed_sysid.results.card_plots import DANGER
+from oed_sysid.results.design_plots import DANGER
 
 SEA = NoiseModel(
     np.array([5e-3, 2e-3]),

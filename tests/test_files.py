@@ -25,7 +25,7 @@ from oed_sysid.experiments.problem import new_problem
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.results import Page, save_figure
 from oed_sysid.runtime import files
-from oed_sysid.runtime.cell_store import CellStore
+from oed_sysid.runtime.journal import CellStore
 
 ROOT = Path(__file__).resolve().parent.parent
 FIT = Fit.load(ROOT / "tests" / "saved" / "fit_format_1.json")

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from benchmarks.killed import killed
-from oed_sysid.design.experiment_design import opened as design_journal
 from oed_sysid.experiments.experiment import Limits
-from oed_sysid.runtime.journal import Journal, package_digest
+from oed_sysid.likelihood.archive import encode
+from oed_sysid.runtime.journal import Journal, opened, package_digest
 
 # Three steps of random numbers; the number of calls of the work is written beside.
 THREE_STEPS = """
@@ -208,9 +208,10 @@ def test_old_journals_are_dropped(tmp_path: Path) -> None:
 
 def test_settings_without_equality_keep_nothing(tmp_path: Path) -> None:
     """A criterion of the user's own that cannot be told from another is not resumed."""
-    kept = design_journal(Journal(tmp_path), {"limits": Limits(), "criterion": object()})
+    settings = {"limits": Limits(), "criterion": object()}
+    kept = opened(Journal(tmp_path), "design", lambda: encode(settings))
     assert kept.folder is None
-    kept = design_journal(Journal(tmp_path), {"limits": Limits(), "criterion": 1})
+    kept = opened(Journal(tmp_path), "design", lambda: encode(settings | {"criterion": 1}))
     assert kept.place is not None
 
 

@@ -17,7 +17,7 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from oed_sysid.errors import DataError
-from oed_sysid.runtime.cell_store import CellStore
+from oed_sysid.runtime.journal import CellStore, unsealed
 from oed_sysid.runtime.parallel import CellProgress, ParallelError, run_cells
 
 CELLS = {f"seed {seed}": seed for seed in range(6)}
@@ -132,7 +132,7 @@ def test_several_writers_and_a_reader_never_see_half_a_file(tmp_path: Path) -> N
     """While two processes write the same cells over and over, every read is whole."""
     code = (
         "import sys, numpy as np; from pathlib import Path; "
-        "from oed_sysid.runtime.cell_store import CellStore; s = CellStore(Path(sys.argv[1]))\n"
+        "from oed_sysid.runtime.journal import CellStore; s = CellStore(Path(sys.argv[1]))\n"
         "for n in range(60): s.write(f'{n % 3}', np.full(20000, n % 3))"
     )
     writers = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path)]) for _ in range(2)]
@@ -143,7 +143,7 @@ def test_several_writers_and_a_reader_never_see_half_a_file(tmp_path: Path) -> N
                 assert np.array_equal(value, np.full(20000, int(key)))
                 n_read += 1
             for path in tmp_path.glob("*.cell"):
-                assert store._entry(path) is not None
+                assert unsealed(path.read_bytes()) is not None
     finally:
         codes = [writer.wait() for writer in writers]
     assert codes == [0, 0]

@@ -7,6 +7,7 @@ holds 95 % of new measurements (1.96 standard deviations either way).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from html import escape
 
 import numpy as np
 import plotly.graph_objects as go
@@ -16,9 +17,10 @@ from oed_sysid.app.commands import factor, shown
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.evidence.compare import Comparison
 from oed_sysid.evidence.locate import CLEAR, Located
+from oed_sysid.likelihood.disturbances import Place
 from oed_sysid.likelihood.information import effective_sample_size
 from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.results.force_plots import slice_means
+from oed_sysid.results.improvement_plots import slice_means
 from oed_sysid.results.style import model_style
 from oed_sysid.runtime.display import TWO_SIDED_95
 
@@ -214,33 +216,35 @@ def clearest(located: Located, equation: str, signals: Mapping[str, np.ndarray])
 
 def chain(located: Located) -> str:
     """Return the signal chain as HTML, each place coloured by how close it comes to the best."""
-    from html import escape
-
     top = max((located.gains.get(p.name, 0.0) for p in located.places), default=0.0)
-    group = located.group
     stages = []
     for stage, words in _STAGES.items():
         here = [place for place in located.places if place.stage == stage]
         if not here and stage != "command":
             continue
-        boxes = []
-        for place in here:
-            gain = located.gains.get(place.name, 0.0)
-            behind = top - gain
-            best = " best" if place.name == located.best else ""
-            level = 4 if place.name in group else 0
-            if not level and gain > CLEAR:
-                level = 1 + sum(behind < share * top for share in _NEAR)
-            said = "best" if best else f"{behind:,.0f} behind" if gain > CLEAR else "chance"
-            size = located.levels.get(place.name, 0.0)
-            tip = f"{place.name}: log-likelihood gain {gain:.0f}; size {size:.2g} {place.unit}"
-            boxes.append(
-                f'<span class="place l{level}{best}" title="{escape(tip)}">'
-                f"{escape(place.signal)}<small>{said}</small></span>"
-            )
-        inner = "".join(boxes) or '<span class="place l0">as logged</span>'
+        inner = (
+            "".join(_box(located, place, top) for place in here)
+            or '<span class="place l0">as logged</span>'
+        )
         stages.append(f'<div class="stage"><h4>{words}</h4>{inner}</div>')
     return f'<div class="oed-chain">{"<b>→</b>".join(stages)}</div>'
+
+
+def _box(located: Located, place: Place, top: float) -> str:
+    """One place of the chain, coloured by how far its gain is behind the best one."""
+    gain = located.gains.get(place.name, 0.0)
+    behind = top - gain
+    best = " best" if place.name == located.best else ""
+    level = 4 if place.name in located.group else 0
+    if not level and gain > CLEAR:
+        level = 1 + sum(behind < share * top for share in _NEAR)
+    said = "best" if best else f"{behind:,.0f} behind" if gain > CLEAR else "chance"
+    size = located.levels.get(place.name, 0.0)
+    tip = f"{place.name}: log-likelihood gain {gain:.0f}; size {size:.2g} {place.unit}"
+    return (
+        f'<span class="place l{level}{best}" title="{escape(tip)}">'
+        f"{escape(place.signal)}<small>{said}</small></span>"
+    )
 
 
 # Shares of the best gain that a place may be behind for the two stronger colours.

@@ -3,7 +3,7 @@
 A page asks for a job and is drawn again and again while it runs; a click, a change of page or a
 reload of the browser does not disturb it. Nobody waits for somebody else's job, and a job that is
 stopped ends at once, whatever it is calculating. Results are kept by what was asked
-(:class:`~oed_sysid.runtime.cell_store.CellStore`), so that the same question is answered once.
+(:class:`~oed_sysid.runtime.journal.CellStore`), so that the same question is answered once.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import Any
 
 from oed_sysid.app.work import Done, Failed, Request, unexpected, unpacked
 from oed_sysid.errors import OedSysidError
-from oed_sysid.runtime.cell_store import CellStore
+from oed_sysid.runtime.journal import CellStore
 from oed_sysid.runtime.version import __version__
 
 Tell = Callable[[str], None]

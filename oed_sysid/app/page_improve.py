@@ -66,6 +66,25 @@ def _tell_apart(study: Study, found: Improvement) -> None:
 def _step_back(study: Study, found: Improvement) -> None:
     """Choose which effects to keep, and judge several such choices side by side."""
     st.subheader("Take a step back")
+    groups = _chosen_groups(study, found)
+    if not groups:
+        st.caption("Without an effect this is the nominal model.")
+        return
+    st.caption("Side by side: nominal; " + "; ".join(" + ".join(group) for group in groups))
+    line = commands.compare(study, groups).replace("compare.html", "kept.html")
+    titles = "; ".join(", ".join(group) for group in groups)
+    about = Asked(f"Improve: with {titles}", "kept", line, script.compare(study, groups))
+    outcome = work("Fit with these", about, study, tasks.compare, groups)
+    if outcome is not None:
+        st.dataframe(side_by_side(outcome.result), hide_index=True)
+        st.caption("Root mean square errors on the validation records, each in its unit.")
+        show_page(outcome.page, views.of_comparison(outcome.result, "kept"))
+        html_download(outcome.page, "kept")
+    command(line)
+
+
+def _chosen_groups(study: Study, found: Improvement) -> tuple[tuple[str, ...], ...]:
+    """Ask for groups of effects, kept one beside the other."""
     known = [effect.name for effect in study.problem.effects]
     added = [step.added for step in found.steps if step.added in known]
     keys = partial(choices.kept, study.source, study.variant)
@@ -84,21 +103,7 @@ def _step_back(study: Study, found: Improvement) -> None:
                     disabled=not held, width="stretch"):  # fmt: skip
         state[beside] = [list(group) for group in held[:-1]]
         st.rerun()
-    groups = (*held, *([now] if now and now not in held else []))
-    if not groups:
-        st.caption("Without an effect this is the nominal model.")
-        return
-    st.caption("Side by side: nominal; " + "; ".join(" + ".join(group) for group in groups))
-    line = commands.compare(study, groups).replace("compare.html", "kept.html")
-    titles = "; ".join(", ".join(group) for group in groups)
-    about = Asked(f"Improve: with {titles}", "kept", line, script.compare(study, groups))
-    outcome = work("Fit with these", about, study, tasks.compare, groups)
-    if outcome is not None:
-        st.dataframe(side_by_side(outcome.result), hide_index=True)
-        st.caption("Root mean square errors on the validation records, each in its unit.")
-        show_page(outcome.page, views.of_comparison(outcome.result, "kept"))
-        html_download(outcome.page, "kept")
-    command(line)
+    return (*held, *([now] if now and now not in held else []))
 
 
 def side_by_side(found: Comparison) -> list[dict[str, str]]:

@@ -69,10 +69,7 @@ def work(
     if job is not None and job.at_work:
         _progress(job)
         return None
-    if job is not None and job.state == "failed":
-        message(job.failure)
-    if job is not None and job.state == "stopped":
-        st.info("Stopped. Press again to begin anew.")
+    _say_ended(job)
     if st.button(button, type="primary", key=f"ask:{about.file}"):
         visit.note(key, about)
         desk.ask(name, key, Request.of(study, task, *arguments))
@@ -80,6 +77,14 @@ def work(
     if job is None and key in visit.asked():
         st.caption("This was asked for, but the program ended before it was done.")
     return None
+
+
+def _say_ended(job: Job | None) -> None:
+    """Say how work ended that has no result."""
+    if job is not None and job.state == "failed":
+        message(job.failure)
+    if job is not None and job.state == "stopped":
+        st.info("Stopped. Press again to begin anew.")
 
 
 @st.fragment(run_every=_POLL)

@@ -25,7 +25,7 @@ from oed_sysid.app.study import Study
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.problem import load_problem
-from oed_sysid.runtime.cell_store import CellStore
+from oed_sysid.runtime.journal import CellStore
 
 
 @dataclass(frozen=True)

@@ -220,13 +220,17 @@ def _check_measured(model: Model, needed: tuple[str, ...]) -> None:
 
 
 # Weight and sample of each force that a difference is explained by, and whether its actuator
-# signals are those just before the sample: actuators may jump there.
-AFTER, BEFORE = 0, 1
-STENCILS: Mapping[str, tuple[tuple[float, int, int], ...]] = {
-    "euler": ((1.0, 0, AFTER),),
-    "trapezoid": ((0.5, 0, AFTER), (0.5, 1, BEFORE)),
-    "simpson": ((1 / 6, 0, AFTER), (1 / 3, 1, BEFORE), (1 / 3, 1, AFTER), (1 / 6, 2, BEFORE)),
-    "local": ((0.5, 0, AFTER), (0.5, 0, BEFORE)),
+# signals are those just after or before the sample: actuators may jump there.
+STENCILS: Mapping[str, tuple[tuple[float, int, str], ...]] = {
+    "euler": ((1.0, 0, "after"),),
+    "trapezoid": ((0.5, 0, "after"), (0.5, 1, "before")),
+    "simpson": (
+        (1 / 6, 0, "after"),
+        (1 / 3, 1, "before"),
+        (1 / 3, 1, "after"),
+        (1 / 6, 2, "before"),
+    ),
+    "local": ((0.5, 0, "after"), (0.5, 0, "before")),
 }
 # Samples that a difference reaches over.
 SPANS = {"euler": 1, "trapezoid": 1, "simpson": 2}
@@ -336,9 +340,10 @@ def rows_from(
     rates: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Targets and regressors of one run, see :func:`rows_of`."""
-    signals = actuator_signals(form, times, inputs)
+    after, before = actuator_signals(form, times, inputs)
+    signals = {"after": after, "before": before}
     if rates is not None:
-        return form.evaluate(states, np.asarray(rates, float), signals[AFTER], times)
+        return form.evaluate(states, np.asarray(rates, float), signals["after"], times)
     span = SPANS.get(rule, 0)
     n = max(len(times) - span, 0)
     if span:

@@ -147,7 +147,7 @@ class JointKalmanFilter:
             began=began,
             status=consistency(filter_.innovation**2, filter_.count) if ok else DIVERGED,
             iterations=len(tracks),
-            initial_states=[self.initial] * len(dataset),
+            known=self.initial,
             extras={
                 "history": dict(zip(model.free_names, tracks.T, strict=True)),
                 "history_std": dict(zip(model.free_names, spreads.T, strict=True)),

@@ -20,13 +20,12 @@ from oed_sysid.baselines.regression import (
 )
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.experiments.trajectory import simulate_batch
 from oed_sysid.likelihood.fit import Fit, Status
 from oed_sysid.likelihood.information import Information, coloured_score_covariance
 from oed_sysid.likelihood.noise_levels import given_levels, noise_floor
-from oed_sysid.likelihood.start_guess import check_channels, measured_states
+from oed_sysid.likelihood.start_guess import check_channels, first_state
 from oed_sysid.physics.model import Model
 
 
@@ -116,16 +115,8 @@ class TrajectoryCost:
                 f"initial names {unknown[0]!r}; model {model.name!r} has the states "
                 f"{', '.join(model.state_names)}."
             )
-        self._starts = [self._start(record) for record in dataset]
+        self._starts = [first_state(model, record, self.initial) for record in dataset]
         self.n_evaluations = 0
-
-    def _start(self, record: Record) -> np.ndarray:
-        own = np.zeros(len(self.model.states))
-        for position, series in measured_states(self.model, record).items():
-            own[position] = series[0]
-        for name, value in self.initial.items():
-            own[self.model.state_names.index(name)] = value
-        return own
 
     def at(self, shares: np.ndarray) -> np.ndarray:
         """Parameters ``(n, n_free)`` at shares of the way from the lower to the upper bounds."""
@@ -198,7 +189,7 @@ class TrajectoryCost:
             began=began,
             status=status,
             iterations=iterations,
-            initial_states=[self.initial] * len(self.dataset),
+            known=self.initial,
             extras={"evaluations": self.n_evaluations, **(extras or {})},
         )
 

@@ -34,7 +34,7 @@ from oed_sysid.likelihood.information import (
     effective_sample_size,
 )
 from oed_sysid.likelihood.noise_levels import given_levels
-from oed_sysid.likelihood.start_guess import check_channels, measured_states
+from oed_sysid.likelihood.start_guess import check_channels, first_state
 from oed_sysid.physics.model import Model
 
 CONVERGED = Status("converged", "")
@@ -57,7 +57,7 @@ def fit_from_values(
     coloured: bool = False,
     status: Status = CONVERGED,
     iterations: int = 1,
-    initial_states: Sequence[Mapping[str, float]] | None = None,
+    known: Mapping[str, float] | None = None,
     extras: Mapping[str, Any] | None = None,
 ) -> Fit:
     """Simulate every record with the estimated values and build the result.
@@ -84,8 +84,8 @@ def fit_from_values(
         Divergence in simulation overrides it.
     iterations : int
         Iterations or samples.
-    initial_states : sequence of mapping, optional
-        Known start values per record; others are measured, or zero.
+    known : mapping of str to float, optional
+        Known start of some states in all records; others are measured, or zero.
     extras : mapping, optional
         What else the estimator has to tell.
     """
@@ -96,12 +96,8 @@ def fit_from_values(
     runner = kernel(fitted)
     predictions, residuals, states, initial = [], [], [], []
     diverged = False
-    for index, record in enumerate(dataset):
-        own = np.zeros(runner.n_own)
-        for position, series in measured_states(model, record).items():
-            own[position] = series[0]
-        for name, value in (initial_states[index] if initial_states else {}).items():
-            own[model.state_names.index(name)] = value
+    for record in dataset:
+        own = first_state(model, record, known)
         z, _ = runner.start(own, record.inputs[0], fitted.value_vector, record.times[0])
         run = runner.run(record.times, record.inputs, fitted.value_vector, z)
         diverged |= not run.ok

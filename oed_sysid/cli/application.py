@@ -19,6 +19,7 @@ from oed_sysid.cli import (
     commands_programme,
 )
 from oed_sysid.cli.arguments import Command
+from oed_sysid.cli.options import described
 
 EPILOG = (
     "Exit codes: 0 done; 1 the work ended without a usable result, such as a fit that did not "
@@ -69,5 +70,7 @@ for module in (
 ):
     for command in module.COMMANDS:
         name = command.__name__.rstrip("_")  # import is a word of Python
-        app.command(name, cls=Command, no_args_is_help=name not in ("problems", "app"))(command)
+        app.command(name, cls=Command, no_args_is_help=name not in ("problems", "app"))(
+            described(command)
+        )
 app.add_typer(commands_benchmark.app)

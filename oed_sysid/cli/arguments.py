@@ -100,10 +100,7 @@ class Command(TyperCommand):
         """Read a line; limits become values of ``--limit``."""
         names = [param.name for param in self.params]
         several = [word for param in self.params for word in param.opts if _is_list(param)]
-        # Where a command has neither files nor records to judge with, nothing is translated.
-        older = {old: new for old, new in OLDER.items() if new in several}
-        older |= {old: new for old, new in OLDER.items() if not new and "files" in names}
-        args = spread(args, several, older)
+        args = spread(args, several, _older(several, has_files="files" in names))
         meant: dict[str, str] = {}
         # A problem is a program: completing a word must not run it.
         if "limit" in names and not ctx.resilient_parsing:
@@ -115,6 +112,11 @@ class Command(TyperCommand):
         if said:
             ctx.params["limit"] = [*(ctx.params.get("limit") or ()), *said]
         return rest
+
+
+def _older(several: Sequence[str], *, has_files: bool) -> dict[str, str]:
+    """Older words that a command understands: those of its options, and of its files."""
+    return {old: new for old, new in OLDER.items() if (new in several if new else has_files)}
 
 
 def _is_list(param: Any) -> bool:

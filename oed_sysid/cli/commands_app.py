@@ -2,24 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
-
 
 def app(
-    problem: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[PROBLEM]",
-            help="Problem to begin with: a shipped one or a folder of your own.",
-            show_default=False,
-        ),
-    ] = None,
-    port: Annotated[int, typer.Option("--port", help="Port of this computer.")] = 8501,
-    no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Do not open a browser; only say the address.")
-    ] = False,
+    problem: str | None = None,
+    port: int = 8501,
+    no_browser: bool = False,
 ) -> None:
     """Open the same in a browser, on this computer only. Needs the extra 'app'.
 

@@ -6,12 +6,12 @@ import importlib
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from oed_sysid.cli.arguments import Command
-from oed_sysid.cli.options import JsonFile, PictureFile, folder_place
+from oed_sysid.cli.options import described
 from oed_sysid.cli.terminal import answer, draw, note, progress, store, write
 from oed_sysid.errors import OedSysidError
 
@@ -27,59 +27,16 @@ app = typer.Typer(
 
 
 def estimators(
-    problems: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--problems",
-            metavar="PROBLEM...",
-            help="Shipped problems or folders; by default the six with published methods.",
-            show_default=False,
-        ),
-    ] = None,
-    names: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--estimators",
-            metavar="NAME...",
-            help="By default all that do not search by whole populations; 'all' takes these too.",
-            show_default=False,
-        ),
-    ] = None,
-    noise: Annotated[
-        list[float] | None,
-        typer.Option(
-            "--noise",
-            metavar="LEVEL...",
-            help="Per cent of each output's peak.",
-            show_default="0 0.5 1 3",
-        ),
-    ] = None,
-    declared: Annotated[
-        bool,
-        typer.Option("--declared", help="Noise in multiples of what the problem declares instead."),
-    ] = False,
-    sampling: Annotated[
-        list[int] | None,
-        typer.Option(
-            "--sampling",
-            metavar="FACTOR...",
-            help="Multiples of the problem's sample time.",
-            show_default="1",
-        ),
-    ] = None,
-    seeds: Annotated[int, typer.Option("--seeds", metavar="N", min=1, help="Repetitions.")] = 3,
-    jobs: Annotated[int, typer.Option("--jobs", metavar="N", help="Processes.")] = 2,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            metavar="FOLDER",
-            help="Tables, picture and finished runs, which are never run again.",
-            callback=folder_place,
-        ),
-    ] = Path("out/benchmark"),
-    json_file: JsonFile = None,
-    picture: PictureFile = None,
+    problems: list[str] | None = None,
+    names: list[str] | None = None,
+    noise: list[float] | None = None,
+    declared: bool = False,
+    sampling: list[int] | None = None,
+    seeds: int = 3,
+    jobs: int = 2,
+    out: Path = Path("out/benchmark"),
+    json_file: Path | None = None,
+    picture: Path | None = None,
 ) -> None:
     """Compare estimators: errors, bias, coverage, prediction, time, and who cannot or fails.
 
@@ -117,25 +74,10 @@ def estimators(
 
 
 def missing_physics(
-    plan: Annotated[
-        str,
-        typer.Argument(
-            help="Kinds and numbers of cases, such as 'single/white:40 none/white:20'.",
-            show_default="all of the published benchmark, hours",
-        ),
-    ] = "",
-    jobs: Annotated[int, typer.Option("--jobs", metavar="N", help="Processes.")] = 2,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="FOLDER",
-            help="Where finished cases are kept, and the table; by default the checkout's own.",
-            show_default=False,
-            callback=folder_place,
-        ),
-    ] = None,
-    json_file: JsonFile = None,
+    plan: str = "",
+    jobs: int = 2,
+    out: Path | None = None,
+    json_file: Path | None = None,
 ) -> None:
     """Hide effects in simulated vehicles and count how often the right one is found.
 
@@ -165,4 +107,4 @@ def missing_physics(
 
 COMMANDS = (estimators, missing_physics)
 for command in COMMANDS:
-    app.command(name=command.__name__.replace("_", "-"), cls=Command)(command)
+    app.command(name=command.__name__.replace("_", "-"), cls=Command)(described(command))

@@ -4,20 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from oed_sysid.cli.options import (
-    Files,
-    HtmlFile,
-    IfValidated,
-    JsonFile,
-    PictureFile,
-    ProblemName,
-    Variant,
-    folder_place,
-)
 from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.terminal import deliver, drawn, note, progress
 from oed_sysid.errors import DataError
@@ -25,23 +14,14 @@ from oed_sysid.runtime.files import make_folder
 
 
 def check(
-    problem: ProblemName,
-    files: Files,
-    validate: IfValidated = None,
-    model: Variant = None,
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
-    picture: PictureFile = None,
-    fix: Annotated[
-        Path | None,
-        typer.Option(
-            "--fix",
-            metavar="FOLDER",
-            help="Write corrected copies of the records to FOLDER; the originals are left alone.",
-            show_default=False,
-            callback=folder_place,
-        ),
-    ] = None,
+    problem: str,
+    files: list[str],
+    validate: list[str] | None = None,
+    model: str | None = None,
+    json_file: Path | None = None,
+    html_file: Path | None = None,
+    picture: Path | None = None,
+    fix: Path | None = None,
 ) -> None:
     """Check logs for faults before any model: signs, units, axes, bias, delay, spikes and more.
 

@@ -5,11 +5,8 @@ from __future__ import annotations
 import shlex
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from oed_sysid.cli.options import JsonFile, PictureFile, ProblemName, Variant
 from oed_sysid.cli.terminal import answer, draw, note, progress, quiet, say, store, table
 from oed_sysid.errors import DataError, OedSysidError, ProblemError
 from oed_sysid.runtime.files import check_place
@@ -20,16 +17,9 @@ if TYPE_CHECKING:
 
 
 def problems(
-    problem: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[PROBLEM]",
-            help="A shipped problem or a folder: says what it holds, with its equations.",
-            show_default=False,
-        ),
-    ] = None,
-    model: Variant = None,
-    json_file: JsonFile = None,
+    problem: str | None = None,
+    model: str | None = None,
+    json_file: Path | None = None,
 ) -> None:
     """List the shipped problems, or describe one.
 
@@ -45,7 +35,10 @@ def problems(
         say("\n".join(f"  {line}" for line in chosen.model.equations().splitlines()))
         say("\nExperiments")
         say("\n".join(f"  {run.describe()}" for run in chosen.experiments.values()) or "  none")
-        store(_summary(chosen) | {"equations": chosen.model.equations().splitlines()}, json_file)
+        facts = _summary(chosen) | {"equations": chosen.model.equations().splitlines()}
+        if notes := chosen.notes():
+            facts["notes"] = list(notes)
+        store(facts, json_file)
         return
     found, rows = [], []
     for name in list_problems():
@@ -65,33 +58,10 @@ def problems(
 
 
 def new(
-    folder: Annotated[Path, typer.Argument(help="The folder to make; its name names the problem.")],
-    template: Annotated[
-        str,
-        typer.Option(
-            "--template",
-            metavar="KIND",
-            help="generic, ship, auv, usv, torpedo or sailboat.",
-        ),
-    ] = "generic",
-    log: Annotated[
-        Path | None,
-        typer.Option(
-            "--from",
-            metavar="CSV",
-            help="A log with units in its headers: channels and a first linear model come from it.",
-            show_default=False,
-        ),
-    ] = None,
-    inputs: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--input",
-            metavar="NAME...",
-            help="With --from: a column that is a command; by default its name says so.",
-            show_default=False,
-        ),
-    ] = None,
+    folder: Path,
+    template: str = "generic",
+    log: Path | None = None,
+    inputs: list[str] | None = None,
 ) -> None:
     """Write a starter folder for a vehicle of your own.
 
@@ -106,32 +76,14 @@ def new(
 
 
 def simulate(
-    problem: ProblemName,
-    experiment: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--experiment",
-            metavar="NAME...",
-            help="Which experiments; by default all of them.",
-            show_default=False,
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="CSV",
-            help="File to write, or a folder for one file per experiment.",
-            show_default="<experiment>.csv",
-        ),
-    ] = None,
-    model: Variant = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the measurement noise.")] = 0,
-    no_noise: Annotated[bool, typer.Option("--no-noise", help="Without noise.")] = False,
-    truth: Annotated[
-        bool, typer.Option("--truth", help="Simulate the problem's truth, where it states one.")
-    ] = False,
-    picture: PictureFile = None,
+    problem: str,
+    experiment: list[str] | None = None,
+    out: Path | None = None,
+    model: str | None = None,
+    seed: int = 0,
+    no_noise: bool = False,
+    truth: bool = False,
+    picture: Path | None = None,
 ) -> None:
     """Simulate experiments of a problem and write what would be logged as CSV.
 

@@ -3,45 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from oed_sysid.cli.terminal import answer, note, say
 from oed_sysid.errors import DataError
 
 
 def export(
-    fit: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FIT",
-            help="What `fit --save FIT` or `improve --save FIT` kept.",
-            show_default=False,
-        ),
-    ],
-    kind: Annotated[
-        str,
-        typer.Option(
-            "--as",
-            metavar="KIND",
-            help="c, python, casadi, fmu, matlab, control or sympy.",
-            show_default=False,
-        ),
-    ],
-    out: Annotated[
-        Path,
-        typer.Option("--out", metavar="PATH", help="Folder, or the file where there is one."),
-    ] = Path("model"),
-    at: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--at",
-            metavar="NAME=VALUE...",
-            help="With --as control: inputs and states of the trim, SI.",
-            show_default=False,
-        ),
-    ] = None,
+    fit: Path,
+    kind: str,
+    out: Path = Path("model"),
+    at: list[str] | None = None,
 ) -> None:
     """Write a fitted model for another program, with the covariance of its parameters.
 

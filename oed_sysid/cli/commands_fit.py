@@ -5,24 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from oed_sysid.cli.options import (
-    Disturbances,
-    Files,
-    Fresh,
-    HtmlFile,
-    IfValidated,
-    JournalFolder,
-    JsonFile,
-    KnownNoise,
-    PictureFile,
-    ProblemName,
-    Validate,
-    Variant,
-    file_place,
     noise_settings,
 )
 from oed_sysid.cli.reading import read_records, read_records_of
@@ -51,28 +38,18 @@ if TYPE_CHECKING:
 
 
 def fit(
-    problem: ProblemName,
-    files: Files,
-    validate: IfValidated = None,
-    model: Variant = None,
-    known_noise: KnownNoise = False,
-    disturbances: Disturbances = "auto",
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
-    picture: PictureFile = None,
-    save: Annotated[
-        Path | None,
-        typer.Option(
-            "--save",
-            metavar="FILE",
-            help="Keep the whole fit, data included, for report, export, compare --with, design "
-            "--after and Fit.load.",
-            show_default=False,
-            callback=file_place,
-        ),
-    ] = None,
-    kept_in: JournalFolder = None,
-    fresh: Fresh = False,
+    problem: str,
+    files: list[str],
+    validate: list[str] | None = None,
+    model: str | None = None,
+    known_noise: bool = False,
+    disturbances: str = "auto",
+    json_file: Path | None = None,
+    html_file: Path | None = None,
+    picture: Path | None = None,
+    save: Path | None = None,
+    kept_in: Path | None = None,
+    fresh: bool = False,
 ) -> None:
     """Estimate the parameters of a problem's model from measured records.
 
@@ -119,27 +96,18 @@ def fit(
 
 
 def compare(
-    problem: ProblemName,
-    files: Files,
-    validate: Validate,
-    added: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--with",
-            metavar="EFFECT|FIT...",
-            help="Also compare the model with these candidates added, one by one; a+b adds two. "
-            "A file that --save wrote joins with the fit that it holds.",
-            show_default=False,
-        ),
-    ] = None,
-    model: Variant = None,
-    known_noise: KnownNoise = False,
-    disturbances: Disturbances = "auto",
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
-    picture: PictureFile = None,
-    kept_in: JournalFolder = None,
-    fresh: Fresh = False,
+    problem: str,
+    files: list[str],
+    validate: list[str],
+    added: list[str] | None = None,
+    model: str | None = None,
+    known_noise: bool = False,
+    disturbances: str = "auto",
+    json_file: Path | None = None,
+    html_file: Path | None = None,
+    picture: Path | None = None,
+    kept_in: Path | None = None,
+    fresh: bool = False,
 ) -> None:
     """Fit to training records and say where predictions of validation records fail.
 
@@ -230,22 +198,10 @@ def _end(fits: Sequence[Fit], *, suspect: bool) -> None:
 
 
 def report(
-    saved: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FIT",
-            help="What `oed-sysid fit --save FIT` kept, or the numbers of --json.",
-            show_default=False,
-        ),
-    ],
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", metavar="FILE", help="The report, one HTML file.", callback=file_place
-        ),
-    ] = Path("report.html"),
-    validate: IfValidated = None,
-    picture: PictureFile = None,
+    saved: Path,
+    out: Path = Path("report.html"),
+    validate: list[str] | None = None,
+    picture: Path | None = None,
 ) -> None:
     """Write the report on a saved fit, with its predictions of validation records.
 

@@ -5,24 +5,13 @@ from __future__ import annotations
 import re
 import time
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from oed_sysid.cli.options import (
-    Disturbances,
-    Files,
-    Fresh,
-    HtmlFile,
-    JournalFolder,
-    JsonFile,
-    KnownNoise,
-    PictureFile,
-    ProblemName,
-    ToValidate,
-    Variant,
     disturbances_of,
-    file_place,
 )
 from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.terminal import (
@@ -41,14 +30,14 @@ if TYPE_CHECKING:
 
 
 def diagnose(
-    problem: ProblemName,
-    files: Files,
-    model: Variant = None,
-    known_noise: KnownNoise = False,
-    disturbances: Disturbances = "auto",
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
-    picture: PictureFile = None,
+    problem: str,
+    files: list[str],
+    model: str | None = None,
+    known_noise: bool = False,
+    disturbances: str = "auto",
+    json_file: Path | None = None,
+    html_file: Path | None = None,
+    picture: Path | None = None,
 ) -> None:
     """Say where a model fails and which effects may be missing, without adding any.
 
@@ -80,30 +69,19 @@ def diagnose(
 
 
 def improve(
-    problem: ProblemName,
-    files: Files,
-    validate: ToValidate = None,
-    model: Variant = None,
-    known_noise: KnownNoise = False,
-    disturbances: Disturbances = "auto",
-    max_effects: Annotated[
-        int, typer.Option("--max-effects", min=1, help="Most effects to add.")
-    ] = 4,
-    save: Annotated[
-        str | None,
-        typer.Option(
-            "--save",
-            metavar="FILE",
-            help="Keep the fit of the improved model, for report, export, compare --with and "
-            "design --after.",
-            callback=file_place,
-        ),
-    ] = None,
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
-    picture: PictureFile = None,
-    kept_in: JournalFolder = None,
-    fresh: Fresh = False,
+    problem: str,
+    files: list[str],
+    validate: list[str] | None = None,
+    model: str | None = None,
+    known_noise: bool = False,
+    disturbances: str = "auto",
+    max_effects: int = 4,
+    save: str | None = None,
+    json_file: Path | None = None,
+    html_file: Path | None = None,
+    picture: Path | None = None,
+    kept_in: Path | None = None,
+    fresh: bool = False,
 ) -> None:
     """Find the effects that a model lacks, and test the claim on validation records.
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from oed_sysid.cli.options import JsonFile, PictureFile, Variant, file_place, folder_place
-from oed_sysid.cli.terminal import answer, draw, note, progress, say, store
+from oed_sysid.cli.terminal import answer, draw, drawn, note, progress, say, store
 from oed_sysid.errors import DataError
+from oed_sysid.runtime.display import counted
 from oed_sysid.runtime.files import make_folder
 
 if TYPE_CHECKING:
@@ -19,58 +19,16 @@ if TYPE_CHECKING:
 
 
 def import_(
-    log: Annotated[
-        Path,
-        typer.Argument(
-            metavar="LOG",
-            help="ULog, DataFlash .bin, ROS bag, MCAP, NMEA 0183, .mat, Excel, Parquet or CSV.",
-            show_default=False,
-        ),
-    ],
-    listing: Annotated[
-        bool, typer.Option("--list", help="Show every field with rate, span, unit and range.")
-    ] = False,
-    find: Annotated[
-        str, typer.Option("--find", metavar="TEXT", help="With --list: fields that hold TEXT.")
-    ] = "",
-    mapping: Annotated[
-        Path | None,
-        typer.Option(
-            "--map",
-            metavar="TOML",
-            help="Which field is which channel, and where to cut; the same file serves the next "
-            "log.",
-            show_default=False,
-        ),
-    ] = None,
-    draft: Annotated[
-        Path | None,
-        typer.Option(
-            "--draft",
-            metavar="TOML",
-            help="With --problem: write a first mapping from names and units, to be corrected.",
-            show_default=False,
-            callback=file_place,
-        ),
-    ] = None,
-    problem: Annotated[
-        str | None,
-        typer.Option(
-            "--problem",
-            metavar="PROBLEM",
-            help="Whose channels these are; by default what the mapping says.",
-            show_default=False,
-        ),
-    ] = None,
-    model: Variant = None,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", metavar="FOLDER", help="Where the records go, as CSV.", callback=folder_place
-        ),
-    ] = Path("data"),
-    json_file: JsonFile = None,
-    picture: PictureFile = None,
+    log: Path,
+    listing: bool = False,
+    find: str = "",
+    mapping: Path | None = None,
+    draft: Path | None = None,
+    problem: str | None = None,
+    model: str | None = None,
+    out: Path = Path("data"),
+    json_file: Path | None = None,
+    picture: Path | None = None,
 ) -> None:
     """Make records of a vehicle's own log: list its fields, map them to channels, cut, check.
 
@@ -80,7 +38,6 @@ def import_(
 
     [bold]Example[/bold]: oed-sysid import trial.ulg --map ship.toml --out my_ship/sea
     """
-    from oed_sysid.data.logs import draft as guess
     from oed_sysid.data.logs import open_log
     from oed_sysid.data.mapping import read_mapping
     from oed_sysid.experiments.problem import load_problem
@@ -89,25 +46,11 @@ def import_(
     with progress(f"Reading {log.name}"):
         found = open_log(log)
     if listing or (mapping is None and draft is None):
-        first, *rest = found.describe(find).splitlines()
-        answer(first, "\n".join(rest))
-        keys = ("field", "samples", "rate", "span", "unit", "range")
-        rows = [dict(zip(keys, row, strict=True)) for row in found.rows(find)]
-        store({"log": str(log), "kind": found.kind, "fields": rows}, json_file)
+        _list(log, found, find, json_file)
         return
-    named = problem or (chosen.problem if chosen else "")
+    named = problem or ("" if chosen is None else chosen.problem)
     if draft is not None:
-        if not named:
-            raise DataError("--draft needs --problem: whose channels are wanted?")
-        wanted = load_problem(_place(named, None), variant=model).channels
-        made = guess(found, wanted, problem=named)
-        if made is None:
-            raise DataError(
-                f"No field of {log.name} has the name of an output: "
-                f"{', '.join(wanted.output_names)}. Write the mapping by hand; see --list."
-            )
-        made.write(draft)
-        note(f"Written: {draft}. Read it: names are guesses, missing inputs are zero.")
+        _draft(log, found, named, model, draft)
         return
     assert chosen is not None
     target = load_problem(_place(named, mapping), variant=model) if named else None
@@ -118,16 +61,12 @@ def import_(
 
     dataset = result.dataset
     checked = signal_check(dataset) if target is None else quick_check(dataset, target.model)
-    n = len(files)
-    answer(f"{n} {'record' if n == 1 else 'records'} written to {out}. {checked.verdict}")
+    answer(f"{counted(len(files), 'record')} written to {out}. {checked.verdict}")
     for file, record in zip(files, dataset, strict=True):
         rate = record.n_samples / max(record.duration, 1e-9)
         say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
     say(checked.report())
-    if picture is not None:
-        from oed_sysid.results import figure_record
-
-        draw(partial(figure_record, dataset.records[0]), picture)
+    draw(partial(drawn, "figure_record", dataset.records[0]), picture)
     store(
         {"log": str(log), "files": [str(file) for file in files], "notes": list(result.notes)}
         | {"check": checked.to_dict()},
@@ -136,6 +75,33 @@ def import_(
     )
     if checked.suspect:
         raise typer.Exit(1)
+
+
+def _list(log: Path, found: Log, find: str, json_file: Path | None) -> None:
+    """Say which fields a log has."""
+    first, *rest = found.describe(find).splitlines()
+    answer(first, "\n".join(rest))
+    keys = ("field", "samples", "rate", "span", "unit", "range")
+    rows = [dict(zip(keys, row, strict=True)) for row in found.rows(find)]
+    store({"log": str(log), "kind": found.kind, "fields": rows}, json_file)
+
+
+def _draft(log: Path, found: Log, named: str, model: str | None, place: Path) -> None:
+    """Write a first mapping from names and units."""
+    from oed_sysid.data.logs import draft
+    from oed_sysid.experiments.problem import load_problem
+
+    if not named:
+        raise DataError("--draft needs --problem: whose channels are wanted?")
+    wanted = load_problem(_place(named, None), variant=model).channels
+    made = draft(found, wanted, problem=named)
+    if made is None:
+        raise DataError(
+            f"No field of {log.name} has the name of an output: "
+            f"{', '.join(wanted.output_names)}. Write the mapping by hand; see --list."
+        )
+    made.write(place)
+    note(f"Written: {place}. Read it: names are guesses, missing inputs are zero.")
 
 
 def _place(named: str, mapping: Path | None) -> str:

@@ -2,31 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from oed_sysid.cli.options import (
-    Criterion,
-    Effort,
-    Family,
-    Fresh,
-    HtmlFile,
-    JournalFolder,
-    JsonFile,
-    PictureFile,
-    ProblemName,
-    Sea,
-    ToReveal,
-    ToTellApart,
-    Variant,
-    ending_of,
-    file_place,
-    folder_place,
-)
 from oed_sysid.cli.reading import read_records
 from oed_sysid.cli.terminal import (
     deliver,
@@ -45,6 +25,7 @@ if TYPE_CHECKING:
     from oed_sysid.design.search import Progress as SearchProgress
     from oed_sysid.experiments.experiment import Experiment, Limits
     from oed_sysid.experiments.problem import Problem
+    from oed_sysid.runtime.journal import Journal
 
 # Starts that are refined, rough manoeuvres tried, and steps of refinement.
 N_FINISHES = 3
@@ -52,28 +33,13 @@ EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
 
 
 def rank(
-    problem: ProblemName,
-    files: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[CSV...]",
-            help="Records in hand instead of planned experiments.",
-            show_default=False,
-        ),
-    ] = None,
-    experiment: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--experiment",
-            metavar="NAME...",
-            help="Planned experiments, together; by default all of the problem.",
-            show_default=False,
-        ),
-    ] = None,
-    model: Variant = None,
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
-    picture: PictureFile = None,
+    problem: str,
+    files: list[str] | None = None,
+    experiment: list[str] | None = None,
+    model: str | None = None,
+    json_file: Path | None = None,
+    html_file: Path | None = None,
+    picture: Path | None = None,
 ) -> None:
     """Rank parameters by what experiments tell about them, before fitting anything.
 
@@ -96,147 +62,39 @@ def rank(
     )
 
 
-def _card_place(value: Any) -> Any:
-    return ending_of(value, (".txt", ".html", ".pdf"), "a card")
-
-
 def design(
-    problem: ProblemName,
-    like: Annotated[
-        str | None,
-        typer.Option(
-            "--like",
-            metavar="EXPERIMENT",
-            help="Experiment that lends its length, sampling, constant inputs and start state.",
-            show_default="the problem's first",
-        ),
-    ] = None,
-    duration: Annotated[
-        float | None,
-        typer.Option("--duration", metavar="S", help="Length of the run, s.", show_default=False),
-    ] = None,
-    limit: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--limit",
-            metavar="NAME=VALUE...",
-            help="What must be kept, in degrees and SI units: pitch=20, depth=80:120. The "
-            "problem's own options are easier: `oed-sysid design PROBLEM --help` lists them.",
-            show_default="those of the problem",
-        ),
-    ] = None,
-    certainty: Annotated[
-        float | None,
-        typer.Option(
-            "--certainty",
-            metavar="P",
-            help="Keep the limits with this probability although coefficients are uncertain; takes "
-            "a minute. 0 only states the probability.",
-            show_default="0.95 with --after, else 0",
-        ),
-    ] = None,
-    uncertainty: Annotated[
-        float,
-        typer.Option(
-            "--uncertainty",
-            metavar="SHARE",
-            help="How wrong coefficients may be; after a fit its own covariance is used.",
-        ),
-    ] = 0.3,
-    criterion: Criterion = "D",
-    discriminate: ToTellApart = None,
-    reveal: ToReveal = None,
-    family: Family = "levels",
-    avoid: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--avoid",
-            metavar="LOW:HIGH...",
-            help="Frequencies that must not be excited, Hz; for --family multisine.",
-            show_default=False,
-        ),
-    ] = None,
-    effort: Effort = "quick",
-    after: Annotated[
-        Path | None,
-        typer.Option(
-            "--after",
-            metavar="FIT",
-            help="Complete what a fit knows already, as kept by --save of fit or improve.",
-            show_default=False,
-        ),
-    ] = None,
-    sea: Sea = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="CSV",
-            help="Commands to play, one row per sample.",
-            show_default=False,
-            callback=file_place,
-        ),
-    ] = None,
-    card: Annotated[
-        Path | None,
-        typer.Option(
-            "--card",
-            metavar="FILE",
-            help="One page for those on board: .txt, .html or .pdf (these with the track and the "
-            "sea room that it needs).",
-            show_default=False,
-            callback=_card_place,
-        ),
-    ] = None,
-    length: Annotated[
-        float | None,
-        typer.Option(
-            "--length", metavar="M", help="Of the vehicle, for the sea room.", show_default=False
-        ),
-    ] = None,
-    servo: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--servo",
-            metavar="INPUT=CHANNEL...",
-            help="RC channels of the inputs for --overrides; their ends are those of the limits.",
-            show_default=False,
-        ),
-    ] = None,
-    overrides: Annotated[
-        Path | None,
-        typer.Option(
-            "--overrides",
-            metavar="CSV",
-            help="Commands as servo pulses, to send as MAVLink RC_CHANNELS_OVERRIDE.",
-            show_default=False,
-            callback=file_place,
-        ),
-    ] = None,
-    bag: Annotated[
-        Path | None,
-        typer.Option(
-            "--bag",
-            metavar="FOLDER",
-            help="Commands as a ROS 2 bag to play.",
-            show_default=False,
-            callback=folder_place,
-        ),
-    ] = None,
-    model: Variant = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the search.")] = 0,
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
-    picture: PictureFile = None,
-    kept_in: JournalFolder = None,
-    fresh: Fresh = False,
+    problem: str,
+    like: str | None = None,
+    duration: float | None = None,
+    limit: list[str] | None = None,
+    certainty: float | None = None,
+    uncertainty: float = 0.3,
+    criterion: str = "D",
+    discriminate: list[str] | None = None,
+    reveal: list[str] | None = None,
+    family: str = "levels",
+    avoid: list[str] | None = None,
+    effort: str = "quick",
+    after: Path | None = None,
+    sea: str | None = None,
+    out: Path | None = None,
+    card: Path | None = None,
+    length: float | None = None,
+    servo: list[str] | None = None,
+    overrides: Path | None = None,
+    bag: Path | None = None,
+    model: str | None = None,
+    seed: int = 0,
+    json_file: Path | None = None,
+    html_file: Path | None = None,
+    picture: Path | None = None,
+    kept_in: Path | None = None,
+    fresh: bool = False,
 ) -> None:
     """Design the manoeuvre that tells most about the parameters, within the limits.
 
     [bold]Example[/bold]: oed-sysid design auv_diving_plane --duration 120 --max-fin 10
     """
-    from dataclasses import replace
-
     import numpy as np
 
     from oed_sysid.cli.limit_words import with_limits
@@ -245,12 +103,8 @@ def design(
         Knowledge,
         Search,
         Trial,
-        accuracy_range,
-        assess_limits,
         design_experiment,
         predicted_tracks,
-        write_bag,
-        write_overrides,
     )
     from oed_sysid.experiments.problem import load_problem
     from oed_sysid.likelihood.fit import Fit
@@ -262,12 +116,9 @@ def design(
         note(f"Limit: {words}.")
     # What cannot be written is said now, not after the work.
     servos = {} if overrides is None else _servos(servo or [], limits)
-    if bag is not None and bag.exists():
-        raise FileError(f"{str(bag)!r} exists already. Name a folder that does not.")
+    _check_bag(bag)
     spread = None if after else uncertainty
-    caution: Caution | str | None = "auto" if after and certainty is None else None
-    if certainty:
-        caution = Caution(certainty, spread)
+    caution = Caution(certainty, spread) if certainty else _usual_caution(after, certainty)
     n_starts, _, n_steps = _choice("effort", effort, EFFORTS)
     nominal = Fit.load(after) if after else chosen.model
     noise = _noise(chosen, nominal, sea)
@@ -284,22 +135,7 @@ def design(
                 journal=keep,
                 progress=partial(_tell, show, n_starts, n_steps),
             )
-            if found.assurance is None:
-                show.say("simulating other vehicles")
-                stated = partial(
-                    assess_limits, found.model, found.experiment, limits=limits, spread=spread,
-                    prior=found.prior, rng=np.random.default_rng(seed), vehicles=200,
-                    sea=found.sea,
-                )  # fmt: skip
-                found = replace(found, assurance=keep.once("assurance", stated))
-            if found.sea is not None:
-                show.say("accuracy on other vehicles")
-                other = partial(
-                    accuracy_range, found.model, found.experiment,
-                    rng=np.random.default_rng(seed), noise=found.sea, spread=spread,
-                    prior=found.prior,
-                )  # fmt: skip
-                found = replace(found, spread=keep.once("accuracy", other))
+            found = _on_other_vehicles(found, limits, spread, seed, keep, show)
         deliver(
             found.document(title=chosen.title),
             found.to_dict(),
@@ -309,19 +145,53 @@ def design(
         if out is not None:
             found.write_csv(out)
             note(f"Written: {out}")
-        if card is not None and card.suffix.lower() in (".html", ".pdf"):
+        if card is not None:
             show_track = partial(
                 predicted_tracks, found.model, found.experiment, spread=spread, sea=found.sea,
                 prior=found.prior, rng=np.random.default_rng(seed), length=length,
             )  # fmt: skip
-            _card(found, keep.once("track", show_track), card, chosen.title)
-        elif card is not None:
-            write(found.sea_trial_card() + "\n", card)
-        played = found.trajectory.times, found.trajectory.inputs
-        if overrides is not None:
-            note(f"Written: {write_overrides(overrides, found.model, *played, servos=servos)}")
-        if bag is not None:
-            note(f"Written: {write_bag(bag, found.model, *played)}")
+            _card(found, partial(keep.once, "track", show_track), card, chosen.title)
+        _write_played(found, overrides, servos, bag)
+
+
+def _on_other_vehicles(
+    found: Design, limits: Limits, spread: float | None, seed: int, keep: Journal, show: Shown
+) -> Design:
+    """State how likely the limits are kept and, at sea, how accurate other vehicles become."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from oed_sysid.design import accuracy_range, assess_limits
+
+    if found.assurance is None:
+        show.say("simulating other vehicles")
+        stated = partial(
+            assess_limits, found.model, found.experiment, limits=limits, spread=spread,
+            prior=found.prior, rng=np.random.default_rng(seed), vehicles=200, sea=found.sea,
+        )  # fmt: skip
+        found = replace(found, assurance=keep.once("assurance", stated))
+    if found.sea is not None:
+        show.say("accuracy on other vehicles")
+        other = partial(
+            accuracy_range, found.model, found.experiment, rng=np.random.default_rng(seed),
+            noise=found.sea, spread=spread, prior=found.prior,
+        )  # fmt: skip
+        found = replace(found, spread=keep.once("accuracy", other))
+    return found
+
+
+def _write_played(
+    found: Design, overrides: Path | None, servos: dict[str, Servo], bag: Path | None
+) -> None:
+    """Write the commands for an autopilot: as servo pulses, or as a bag."""
+    from oed_sysid.design import write_bag, write_overrides
+
+    played = found.trajectory.times, found.trajectory.inputs
+    if overrides is not None:
+        note(f"Written: {write_overrides(overrides, found.model, *played, servos=servos)}")
+    if bag is not None:
+        note(f"Written: {write_bag(bag, found.model, *played)}")
 
 
 def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None:
@@ -332,14 +202,30 @@ def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None
     show.share((done * n_steps + now.round + 1) / rounds, at_most=True)
 
 
-def _card(design: Design, tracks: PredictedTracks | None, path: Path, title: str) -> None:
-    """Write the card as a page or as one sheet of A4."""
+def _check_bag(bag: Path | None) -> None:
+    if bag is not None and bag.exists():
+        raise FileError(f"{str(bag)!r} exists already. Name a folder that does not.")
+
+
+def _usual_caution(after: Path | None, certainty: float | None) -> str | None:
+    """How limits are kept where nobody said how surely: after a fit they are, else not."""
+    return "auto" if after is not None and certainty is None else None
+
+
+def _card(
+    design: Design, tracks: Callable[[], PredictedTracks | None], path: Path, title: str
+) -> None:
+    """Write the card as text, as a page or as one sheet of A4."""
     from oed_sysid.results import figure_card, save_figure
 
-    if path.suffix.lower() == ".html":
-        design.card(tracks, title=title).write(path)
+    kind = path.suffix.lower()
+    if kind == ".txt":
+        write(design.sea_trial_card() + "\n", path)
+        return
+    if kind == ".html":
+        design.card(tracks(), title=title).write(path)
     else:
-        save_figure(figure_card(design, tracks), path)
+        save_figure(figure_card(design, tracks()), path)
     note(f"Written: {path}")
 
 

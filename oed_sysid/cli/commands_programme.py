@@ -4,21 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from oed_sysid.cli.options import (
-    HtmlFile,
-    JsonFile,
-    PictureFile,
-    ProblemName,
-    Sea,
-    ToReveal,
-    ToTellApart,
-    Variant,
-    folder_place,
-)
 from oed_sysid.cli.terminal import answer, deliver, drawn, note, progress, store
 from oed_sysid.errors import DesignError
 
@@ -26,107 +13,29 @@ if TYPE_CHECKING:
     from oed_sysid.experiments.experiment import Experiment, Limits
     from oed_sysid.experiments.problem import Problem
 
-Patterns = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--patterns",
-        metavar="EXPERIMENT...",
-        help="Experiments that lend speeds, starts and sampling; by default all of the problem.",
-        show_default=False,
-    ),
-]
-Limit = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--limit",
-        metavar="NAME=VALUE...",
-        help="What must be kept, in degrees and SI units; also as --max-pitch 20, --min-depth 80.",
-        show_default="those of the problem",
-    ),
-]
-Duration = Annotated[
-    float | None,
-    typer.Option("--duration", metavar="S", help="Length of each run, s.", show_default=False),
-]
-Turnaround = Annotated[
-    float, typer.Option("--turnaround", metavar="MIN", help="Between two runs, min.")
-]
-Uncertainty = Annotated[
-    float | None,
-    typer.Option(
-        "--uncertainty",
-        metavar="SHARE",
-        help="How wrong coefficients may be; without it their priors or the fit's covariance.",
-        show_default=False,
-    ),
-]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of the search.")]
-
 
 def programme(
-    problem: ProblemName,
-    runs: Annotated[
-        int | None,
-        typer.Option(
-            "--runs", metavar="N", min=1, help="Largest number of runs.", show_default=False
-        ),
-    ] = None,
-    hours: Annotated[
-        float | None,
-        typer.Option("--hours", metavar="H", help="Time for everything, h.", show_default=False),
-    ] = None,
-    sea: Sea = None,
-    patterns: Patterns = None,
-    limit: Limit = None,
-    duration: Duration = None,
-    turnaround: Turnaround = 10.0,
-    criterion: Annotated[
-        str,
-        typer.Option(
-            "--criterion",
-            metavar="D|A",
-            help="What shall be small: D the errors of all parameters together, A their mean.",
-        ),
-    ] = "A",
-    discriminate: ToTellApart = None,
-    reveal: ToReveal = None,
-    uncertainty: Uncertainty = None,
-    sensor: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--sensor",
-            metavar="OUTPUT=H...",
-            help="Outputs that need not be measured, and the hours that each costs.",
-            show_default=False,
-        ),
-    ] = None,
-    rounds: Annotated[
-        int, typer.Option("--rounds", metavar="N", min=0, help="Rounds of refined commands.")
-    ] = 1,
-    after: Annotated[
-        Path | None,
-        typer.Option(
-            "--after",
-            metavar="FIT",
-            help="Complete what a fit knows already; its random forces are those expected.",
-            show_default=False,
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="FOLDER",
-            help="Commands of every run as tables to play.",
-            show_default=False,
-            callback=folder_place,
-        ),
-    ] = None,
-    model: Variant = None,
-    seed: Seed = 0,
-    json_file: JsonFile = None,
-    html_file: HtmlFile = None,
-    picture: PictureFile = None,
+    problem: str,
+    runs: int | None = None,
+    hours: float | None = None,
+    sea: str | None = None,
+    patterns: list[str] | None = None,
+    limit: list[str] | None = None,
+    duration: float | None = None,
+    turnaround: float = 10.0,
+    criterion: str = "A",
+    discriminate: list[str] | None = None,
+    reveal: list[str] | None = None,
+    uncertainty: float | None = None,
+    sensor: list[str] | None = None,
+    rounds: int = 1,
+    after: Path | None = None,
+    out: Path | None = None,
+    model: str | None = None,
+    seed: int = 0,
+    json_file: Path | None = None,
+    html_file: Path | None = None,
+    picture: Path | None = None,
 ) -> None:
     """Plan several runs together: which, how often, in which order, and how near the optimum.
 
@@ -169,52 +78,20 @@ def programme(
 
 
 def campaign(
-    folder: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FOLDER",
-            help="Where the journal of the trial is kept.",
-            show_default=False,
-            callback=folder_place,
-        ),
-    ],
-    problem: Annotated[
-        str | None,
-        typer.Option(
-            "--problem",
-            metavar="PROBLEM",
-            help="Begins a campaign: what is to be identified.",
-            show_default=False,
-        ),
-    ] = None,
-    goal: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--goal",
-            metavar="PARAMETER=PERCENT...",
-            help="What is to be known, such as M_uw=3 or all=5.",
-            show_default=False,
-        ),
-    ] = None,
-    hours: Annotated[
-        float | None,
-        typer.Option("--hours", metavar="H", help="Time for the whole trial.", show_default=False),
-    ] = None,
-    record: Annotated[
-        Path | None,
-        typer.Option(
-            "--record", metavar="CSV", help="Log of the run just done.", show_default=False
-        ),
-    ] = None,
-    sea: Sea = None,
-    patterns: Patterns = None,
-    limit: Limit = None,
-    duration: Duration = None,
-    turnaround: Turnaround = 10.0,
-    uncertainty: Uncertainty = None,
-    model: Variant = None,
-    seed: Seed = 0,
-    json_file: JsonFile = None,
+    folder: Path,
+    problem: str | None = None,
+    goal: list[str] | None = None,
+    hours: float | None = None,
+    record: Path | None = None,
+    sea: str | None = None,
+    patterns: list[str] | None = None,
+    limit: list[str] | None = None,
+    duration: float | None = None,
+    turnaround: float = 10.0,
+    uncertainty: float | None = None,
+    model: str | None = None,
+    seed: int = 0,
+    json_file: Path | None = None,
 ) -> None:
     """Say after each run whether to stop, or what to run next and what it would buy.
 

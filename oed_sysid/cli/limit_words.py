@@ -89,7 +89,17 @@ def limit_words(model: Model, limits: Limits) -> list[tuple[str, tuple[str, ...]
     >>> [words[:2] for side, words, _ in offered if side == "min" and "pitch" in words]
     [('pitch', 'theta')]
     """
-    offered: list[tuple[str, tuple[str, ...], str]] = []
+    offered = _offered_of_inputs(model, limits)
+    taken = {word for _, words, _ in offered for word in words}
+    return offered + _offered_of_signals(model, limits, taken)
+
+
+Offered = list[tuple[str, tuple[str, ...], str]]
+
+
+def _offered_of_inputs(model: Model, limits: Limits) -> Offered:
+    """Ranges and slopes of what is commanded."""
+    offered: Offered = []
     for moved in model.inputs:
         words = _words(model, moved, sorted(set().union(*SURFACES)))
         label = f"{moved.label or 'input'} {moved.name}"
@@ -103,9 +113,14 @@ def limit_words(model: Model, limits: Limits) -> list[tuple[str, tuple[str, ...]
         offered.append(("max", rates, f"slope of {moved.name}, {_unit(moved)}/s{stands}"))
     if model.inputs:
         offered.append(("max", ("rate",), "slope of every angle that is commanded, deg/s"))
+    return offered
+
+
+def _offered_of_signals(model: Model, limits: Limits, taken: set[str]) -> Offered:
+    """Ranges of outputs and states, by words that are not taken."""
+    offered: Offered = []
     signals: dict[str, State | Output] = {o.name: o for o in model.outputs}
     signals |= {s.name: s for s in model.states}
-    taken = {word for _, words, _ in offered for word in words}
     for name, channel in signals.items():
         words = tuple(w for w in _words(model, channel, SIGNALS) if w not in taken)
         if not words:

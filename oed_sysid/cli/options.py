@@ -1,10 +1,17 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options of all commands: one table.
+
+A command declares what it takes in its signature, in plain types; the row of a parameter's
+name, or of ``command.name`` where a command means something of its own by it, says how it is
+written and what it is. :func:`described` joins the two for typer.
+"""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
@@ -41,6 +48,11 @@ def ending_of(value: Any, endings: tuple[str, ...], what: str) -> Any:
     return file_place(value)
 
 
+def card_place(value: Any) -> Any:
+    """As :func:`file_place`, of a sea-trial card; an option's callback."""
+    return ending_of(value, (".txt", ".html", ".pdf"), "a card")
+
+
 def _problems(incomplete: str) -> list[str]:
     """Shipped problems whose names begin so; folders are completed by the shell itself."""
     from oed_sysid.experiments.problem import list_problems
@@ -48,166 +60,244 @@ def _problems(incomplete: str) -> list[str]:
     return [name for name in list_problems() if name.startswith(incomplete)]
 
 
-def _one_of(*choices: str) -> Callable[[str], list[str]]:
-    def complete(incomplete: str) -> list[str]:
-        return [choice for choice in choices if choice.startswith(incomplete)]
+@dataclass(frozen=True)
+class Row:
+    """One argument or option.
 
-    return complete
+    Parameters
+    ----------
+    help : str
+        What it is.
+    metavar : str
+        What stands for its value; choices are divided by ``|``.
+    flag : str or None
+        How an option is written, by default as the parameter is called; empty for an argument.
+    check : callable, optional
+        Refuses a value before the work.
+    shown : bool or str
+        What is said of the default.
+    least : int, optional
+        Least number.
+    """
+
+    help: str
+    metavar: str = ""
+    flag: str | None = None
+    check: Callable[[Any], Any] | None = None
+    shown: bool | str = True
+    least: int | None = None
+
+    def declared(self, name: str, default: Any) -> Any:
+        """Return what typer is told about a parameter of a command."""
+        required = default is inspect.Parameter.empty
+        settings: dict[str, Any] = {
+            "help": self.help,
+            "metavar": self.metavar or None,
+            "callback": self.check,
+            "show_default": False if required or (default is None and self.shown is True)
+            else self.shown,
+            "min": self.least,
+        }  # fmt: skip
+        if self.flag == "":
+            known = _problems if self.metavar == "PROBLEM" else None
+            return typer.Argument(**settings, autocompletion=known)
+        choices = [word for word in self.metavar.split("|") if len(word) == 1 or word.islower()]
+        complete = _one_of(choices) if default in choices else None
+        flag = self.flag or f"--{name.replace('_', '-')}"
+        return typer.Option(flag, **settings, autocompletion=complete)
 
 
-_PROBLEM = "A shipped problem (see: oed-sysid problems) or the path of a folder of your own."
-ProblemName = Annotated[
-    str,
-    typer.Argument(metavar="PROBLEM", help=_PROBLEM, show_default=False, autocompletion=_problems),
-]
-Files = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="CSV...",
-        help="Training records: files, folders or patterns.",
-        show_default=False,
-    ),
-]
-Validate = Annotated[
-    list[str],
-    typer.Option(
-        "--validate",
-        metavar="CSV...",
-        help="Validation records; nothing is fitted to them.",
-        show_default=False,
-    ),
-]
-IfValidated = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--validate",
-        metavar="CSV...",
-        help="Validation records; nothing is fitted to them.",
-        show_default=False,
-    ),
-]
-ToValidate = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--validate",
-        metavar="CSV...",
-        help="Validation records; nothing is fitted to them. Without any, the last two fifths of a "
-        "single record are kept for that.",
-        show_default=False,
-    ),
-]
-Effort = Annotated[
-    str,
-    typer.Option(
-        "--effort",
-        metavar="quick|normal|thorough",
-        help="How many starts and steps: seconds, a minute, several minutes.",
-        autocompletion=_one_of("quick", "normal", "thorough"),
-    ),
-]
-Criterion = Annotated[
-    str,
-    typer.Option(
-        "--criterion",
-        metavar="D|A|E",
-        help="What shall be small: D the errors of all parameters together, A their mean, E the "
-        "worst combination.",
-        autocompletion=_one_of("D", "A", "E"),
-    ),
-]
-Family = Annotated[
-    str,
-    typer.Option(
-        "--family",
-        metavar="levels|multisine|pulses",
-        help="Kind of command.",
-        autocompletion=_one_of("levels", "multisine", "pulses"),
-    ),
-]
-Variant = Annotated[
-    str | None,
-    typer.Option(
-        "--model",
-        metavar="NAME",
-        help="Which of the problem's models is the nominal one, if it has several.",
-        show_default=False,
-    ),
-]
-Sea = Annotated[
-    str | None,
-    typer.Option(
-        "--sea",
-        metavar="STATE",
-        help="Random forces to expect: still, calm, moderate, rough, or levels by equation as "
-        "Z=0.3,M=0.06,time=2; with a fit those that it found.",
-        show_default=False,
-    ),
-]
-JsonFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--json",
-        metavar="FILE",
-        help="Also write the result to FILE as JSON.",
-        show_default=False,
-        callback=file_place,
-    ),
-]
-HtmlFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--html",
-        metavar="FILE",
-        help="Also write a report with pictures, one file that can be mailed.",
-        show_default=False,
-        callback=file_place,
-    ),
-]
-PictureFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--picture",
-        metavar="FILE",
-        help="Also draw the result (PNG, PDF, SVG).",
-        show_default=False,
-        callback=picture_place,
-    ),
-]
-KnownNoise = Annotated[
-    bool,
-    typer.Option(
-        "--known-noise",
-        help="Trust the noise levels that the problem declares instead of estimating them.",
-    ),
-]
-ToTellApart = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--discriminate",
-        metavar="EFFECT...",
-        help="Tell these candidates apart instead of sharpening parameters.",
-        show_default=False,
-    ),
-]
-ToReveal = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--reveal",
-        metavar="EFFECT...|all",
-        help="Make these candidates visible, should they be missing, or all of the problem; "
-        "with --after what its records have shown already counts.",
-        show_default=False,
-    ),
-]
-Disturbances = Annotated[
-    str,
-    typer.Option(
-        "--disturbances",
-        metavar="auto|none|all|NAMES",
-        help="Where random forces may act: found out, nowhere, everywhere, or in the equations "
-        "named, as Z,M.",
-    ),
-]
+def _one_of(choices: list[str]) -> Callable[[str], list[str]]:
+    return lambda incomplete: [one for one in choices if one.startswith(incomplete)]
+
+
+# fmt: off
+ROWS = {
+    "problem": Row(
+        "A shipped problem (see: oed-sysid problems) or the path of a folder of your own.",
+        "PROBLEM", flag=""),
+    "app.problem": Row(
+        "Problem to begin with: a shipped one or a folder of your own.", "[PROBLEM]", flag=""),
+    "problems.problem": Row(
+        "A shipped problem or a folder: says what it holds, with its equations.",
+        "[PROBLEM]", flag=""),
+    "import_.problem": Row(
+        "Whose channels these are; by default what the mapping says.", "PROBLEM"),
+    "campaign.problem": Row("Begins a campaign: what is to be identified.", "PROBLEM"),
+    "port": Row("Port of this computer."),
+    "no_browser": Row("Do not open a browser; only say the address."),
+    "problems": Row(
+        "Shipped problems or folders; by default the six with published methods.", "PROBLEM..."),
+    "names": Row(
+        "By default all that do not search by whole populations; 'all' takes these too.",
+        "NAME...", flag="--estimators"),
+    "noise": Row("Per cent of each output's peak.", "LEVEL...", shown="0 0.5 1 3"),
+    "declared": Row("Noise in multiples of what the problem declares instead."),
+    "sampling": Row("Multiples of the problem's sample time.", "FACTOR...", shown="1"),
+    "seeds": Row("Repetitions.", "N", least=1),
+    "jobs": Row("Processes.", "N"),
+    "out": Row(
+        "Tables, picture and finished runs, which are never run again.",
+        "FOLDER", check=folder_place),
+    "missing_physics.out": Row(
+        "Where finished cases are kept, and the table; by default the checkout's own.",
+        "FOLDER", check=folder_place),
+    "simulate.out": Row(
+        "File to write, or a folder for one file per experiment.", "CSV", shown="<experiment>.csv"),
+    "export.out": Row("Folder, or the file where there is one.", "PATH"),
+    "report.out": Row("The report, one HTML file.", "FILE", check=file_place),
+    "import_.out": Row("Where the records go, as CSV.", "FOLDER", check=folder_place),
+    "design.out": Row("Commands to play, one row per sample.", "CSV", check=file_place),
+    "programme.out": Row("Commands of every run as tables to play.", "FOLDER", check=folder_place),
+    "json_file": Row(
+        "Also write the result to FILE as JSON.", "FILE", flag="--json", check=file_place),
+    "picture": Row("Also draw the result (PNG, PDF, SVG).", "FILE", check=picture_place),
+    "plan": Row(
+        "Kinds and numbers of cases, such as 'single/white:40 none/white:20'.",
+        flag="", shown="all of the published benchmark, hours"),
+    "files": Row("Training records: files, folders or patterns.", "CSV...", flag=""),
+    "rank.files": Row("Records in hand instead of planned experiments.", "[CSV...]", flag=""),
+    "validate": Row("Validation records; nothing is fitted to them.", "CSV..."),
+    "improve.validate": Row(
+        "Validation records; nothing is fitted to them. Without any, the last two fifths of a "
+        "single record are kept for that.", "CSV..."),
+    "model": Row("Which of the problem's models is the nominal one, if it has several.", "NAME"),
+    "html_file": Row(
+        "Also write a report with pictures, one file that can be mailed.",
+        "FILE", flag="--html", check=file_place),
+    "fix": Row(
+        "Write corrected copies of the records to FOLDER; the originals are left alone.",
+        "FOLDER", check=folder_place),
+    "folder": Row("The folder to make; its name names the problem.", flag=""),
+    "campaign.folder": Row(
+        "Where the journal of the trial is kept.", "FOLDER", flag="", check=folder_place),
+    "template": Row("generic, ship, auv, usv, torpedo or sailboat.", "KIND"),
+    "log": Row(
+        "A log with units in its headers: channels and a first linear model come from it.",
+        "CSV", flag="--from"),
+    "import_.log": Row(
+        "ULog, DataFlash .bin, ROS bag, MCAP, NMEA 0183, .mat, Excel, Parquet or CSV.",
+        "LOG", flag=""),
+    "inputs": Row(
+        "With --from: a column that is a command; by default its name says so.",
+        "NAME...", flag="--input"),
+    "experiment": Row("Which experiments; by default all of them.", "NAME..."),
+    "rank.experiment": Row(
+        "Planned experiments, together; by default all of the problem.", "NAME..."),
+    "seed": Row("Seed of the search.", least=0),
+    "simulate.seed": Row("Seed of the measurement noise.", least=0),
+    "no_noise": Row("Without noise."),
+    "truth": Row("Simulate the problem's truth, where it states one."),
+    "fit": Row("What `fit --save FIT` or `improve --save FIT` kept.", "FIT", flag=""),
+    "kind": Row("c, python, casadi, fmu, matlab, control or sympy.", "KIND", flag="--as"),
+    "at": Row("With --as control: inputs and states of the trim, SI.", "NAME=VALUE..."),
+    "known_noise": Row(
+        "Trust the noise levels that the problem declares instead of estimating them."),
+    "disturbances": Row(
+        "Where random forces may act: found out, nowhere, everywhere, or in the equations "
+        "named, as Z,M.", "auto|none|all|NAMES"),
+    "save": Row(
+        "Keep the whole fit, data included, for report, export, compare --with, design --after "
+        "and Fit.load.", "FILE", check=file_place),
+    "improve.save": Row(
+        "Keep the fit of the improved model, for report, export, compare --with and design "
+        "--after.", "FILE", check=file_place),
+    "kept_in": Row(
+        "Where finished steps are kept until the command ends, so that it goes on from them "
+        "when it is called again after an interruption.",
+        "FOLDER", flag="--journal", check=folder_place, shown="in the user's cache"),
+    "fresh": Row("Start over: forget what an interrupted call has finished."),
+    "added": Row(
+        "Also compare the model with these candidates added, one by one; a+b adds two. A file "
+        "that --save wrote joins with the fit that it holds.", "EFFECT|FIT...", flag="--with"),
+    "saved": Row("What `oed-sysid fit --save FIT` kept, or the numbers of --json.", "FIT", flag=""),
+    "max_effects": Row("Most effects to add.", least=1),
+    "listing": Row("Show every field with rate, span, unit and range.", flag="--list"),
+    "find": Row("With --list: fields that hold TEXT.", "TEXT"),
+    "mapping": Row(
+        "Which field is which channel, and where to cut; the same file serves the next log.",
+        "TOML", flag="--map"),
+    "draft": Row(
+        "With --problem: write a first mapping from names and units, to be corrected.",
+        "TOML", check=file_place),
+    "like": Row(
+        "Experiment that lends its length, sampling, constant inputs and start state.",
+        "EXPERIMENT", shown="the problem's first"),
+    "duration": Row("Length of each run, s.", "S"),
+    "design.duration": Row("Length of the run, s.", "S"),
+    "limit": Row(
+        "What must be kept, in degrees and SI units; also as --max-pitch 20, --min-depth 80.",
+        "NAME=VALUE...", shown="those of the problem"),
+    "design.limit": Row(
+        "What must be kept, in degrees and SI units: pitch=20, depth=80:120. The problem's own "
+        "options are easier: `oed-sysid design PROBLEM --help` lists them.",
+        "NAME=VALUE...", shown="those of the problem"),
+    "certainty": Row(
+        "Keep the limits with this probability although coefficients are uncertain; takes a "
+        "minute. 0 only states the probability.", "P", shown="0.95 with --after, else 0"),
+    "uncertainty": Row(
+        "How wrong coefficients may be; without it their priors or the fit's covariance.", "SHARE"),
+    "design.uncertainty": Row(
+        "How wrong coefficients may be; after a fit its own covariance is used.", "SHARE"),
+    "criterion": Row(
+        "What shall be small: D the errors of all parameters together, A their mean, E the "
+        "worst combination.", "D|A|E"),
+    "programme.criterion": Row(
+        "What shall be small: D the errors of all parameters together, A their mean.", "D|A"),
+    "discriminate": Row(
+        "Tell these candidates apart instead of sharpening parameters.", "EFFECT..."),
+    "reveal": Row(
+        "Make these candidates visible, should they be missing, or all of the problem; with "
+        "--after what its records have shown already counts.", "EFFECT...|all"),
+    "family": Row("Kind of command.", "levels|multisine|pulses"),
+    "avoid": Row(
+        "Frequencies that must not be excited, Hz; for --family multisine.", "LOW:HIGH..."),
+    "effort": Row(
+        "How many starts and steps: seconds, a minute, several minutes.", "quick|normal|thorough"),
+    "after": Row("Complete what a fit knows already, as kept by --save of fit or improve.", "FIT"),
+    "programme.after": Row(
+        "Complete what a fit knows already; its random forces are those expected.", "FIT"),
+    "sea": Row(
+        "Random forces to expect: still, calm, moderate, rough, or levels by equation as "
+        "Z=0.3,M=0.06,time=2; with a fit those that it found.", "STATE"),
+    "card": Row(
+        "One page for those on board: .txt, .html or .pdf (these with the track and the sea "
+        "room that it needs).", "FILE", check=card_place),
+    "length": Row("Of the vehicle, for the sea room.", "M"),
+    "servo": Row(
+        "RC channels of the inputs for --overrides; their ends are those of the limits.",
+        "INPUT=CHANNEL..."),
+    "overrides": Row(
+        "Commands as servo pulses, to send as MAVLink RC_CHANNELS_OVERRIDE.",
+        "CSV", check=file_place),
+    "bag": Row("Commands as a ROS 2 bag to play.", "FOLDER", check=folder_place),
+    "runs": Row("Largest number of runs.", "N", least=1),
+    "hours": Row("Time for everything, h.", "H"),
+    "campaign.hours": Row("Time for the whole trial.", "H"),
+    "patterns": Row(
+        "Experiments that lend speeds, starts and sampling; by default all of the problem.",
+        "EXPERIMENT..."),
+    "turnaround": Row("Between two runs, min.", "MIN"),
+    "sensor": Row(
+        "Outputs that need not be measured, and the hours that each costs.", "OUTPUT=H..."),
+    "rounds": Row("Rounds of refined commands.", "N", least=0),
+    "goal": Row("What is to be known, such as M_uw=3 or all=5.", "PARAMETER=PERCENT..."),
+    "record": Row("Log of the run just done.", "CSV"),
+}
+# fmt: on
+
+
+def described(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose signature says what the table does."""
+    hints = get_type_hints(command)
+    listed = []
+    for name, one in inspect.signature(command).parameters.items():
+        row = ROWS.get(f"{command.__name__}.{name}") or ROWS[name]
+        declared = row.declared(name, one.default)
+        listed.append(one.replace(annotation=Annotated[hints[name], declared]))
+    command.__signature__ = inspect.Signature(listed)  # type: ignore[attr-defined]
+    command.__annotations__ = {one.name: one.annotation for one in listed}
+    return command
 
 
 def noise_settings(known_noise: bool, disturbances: str) -> dict[str, Any]:
@@ -223,20 +313,3 @@ def disturbances_of(text: str) -> str | tuple[str, ...]:
     if text in ("auto", "none", "all"):
         return text
     return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-JournalFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--journal",
-        metavar="FOLDER",
-        help="Where finished steps are kept until the command ends, so that it goes on from them "
-        "when it is called again after an interruption.",
-        show_default="in the user's cache",
-        callback=folder_place,
-    ),
-]
-Fresh = Annotated[
-    bool,
-    typer.Option("--fresh", help="Start over: forget what an interrupted call has finished."),
-]

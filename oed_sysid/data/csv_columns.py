@@ -109,12 +109,11 @@ class Columns:
 
     def _times(self, index: int) -> np.ndarray:
         """Times in s as they are, or since the first row where the log counts from elsewhere."""
-        header, values = self.table.headers[index], self.table.values[:, index]
+        values = self.table.values[:, index]
         if index in self.table.stamps:
             self._used.add(index)
             self.suspicions.append(
-                f"Column {header!r} of {self.path.name} holds times of a clock: t = 0 is "
-                f"{self.table.stamps[index]}."
+                f"{self._where(index)} holds times of a clock: t = 0 is {self.table.stamps[index]}."
             )
             return values
         times = self._convert(index, Input("time", "s"))
@@ -126,8 +125,7 @@ class Columns:
         if EPOCH[0] < first * seconds < EPOCH[1]:
             moment = datetime.fromtimestamp(float(first * seconds), UTC)
             self.suspicions.append(
-                f"Column {header!r} of {self.path.name} counts from 1970: t = 0 is "
-                f"{moment:%Y-%m-%dT%H:%M:%S.%fZ}."
+                f"{self._where(index)} counts from 1970: t = 0 is {moment:%Y-%m-%dT%H:%M:%S.%fZ}."
             )
             return np.asarray((values - first) * seconds)
         self._check_seconds(index, times, unit)
@@ -139,7 +137,7 @@ class Columns:
         for factor, other in ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
             if unit == "s" and EPOCH[0] < first * factor < EPOCH[1]:
                 raise DataError(
-                    f"Column {header!r} of {self.path.name} starts at {first:.12g}, which is no "
+                    f"{self._where(index)} starts at {first:.12g}, which is no "
                     f"time in s but looks like {other} since 1970. Write the header as "
                     f"'t [{other}]'."
                 )
@@ -148,7 +146,7 @@ class Columns:
             if unit == "s" and low < first < high and 0.0 < step < 0.01 and times[-1] < high:
                 moment = datetime.fromtimestamp((first - origin) * DAY, UTC)
                 raise DataError(
-                    f"Column {header!r} of {self.path.name} starts at {first:.12g} and steps by "
+                    f"{self._where(index)} starts at {first:.12g} and steps by "
                     f"{step:.3g}: it seems to count days ({moment:%Y-%m-%d %H:%M}). Write seconds "
                     f"since the first row, 86400*({header} - {first:.12g})."
                 )
@@ -164,7 +162,7 @@ class Columns:
             )
         if step >= SUSPICIOUS_STEP and unit == "s" and "time" not in self.units:
             self._suspect_unit(
-                f"Column {header!r} of {self.path.name} steps by {step:.4g} s. If it is in "
+                f"{self._where(index)} steps by {step:.4g} s. If it is in "
                 f"milliseconds, write the header as 't [ms]'."
             )
 
@@ -173,6 +171,13 @@ class Columns:
 
     def _cell(self, row: int, column: int) -> str:
         return f"{self.table.values[row, column]:.12g}"
+
+    def _where(self, index: int, row: int | None = None) -> str:
+        """Words for a column, or for a cell of it."""
+        header = self.table.headers[index]
+        if row is None:
+            return f"Column {header!r} of {self.path.name}"
+        return f"Row {self.table.row_numbers[row]} of {self.path.name}, column {header!r}"
 
     def input(self, channel: Input) -> np.ndarray:
         """Return an input in SI, shape ``(n_rows,)``, checked to be known throughout."""
@@ -189,8 +194,7 @@ class Columns:
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise DataError(
-                f"Row {self.table.row_numbers[bad[0]]} of {self.path.name}, column "
-                f"{self.table.headers[index]!r}: input {channel.name!r} is empty, NaN or infinite "
+                f"{self._where(index, bad[0])}: input {channel.name!r} is empty, NaN or infinite "
                 f"({bad.size} such rows). Inputs have to be known at every time: write what the "
                 "command was, or cut the file there."
             )
@@ -205,15 +209,14 @@ class Columns:
         infinite = np.flatnonzero(np.isinf(values))
         if infinite.size:
             raise DataError(
-                f"Row {self.table.row_numbers[infinite[0]]} of {self.path.name}, column "
-                f"{self.table.headers[index]!r}: output {channel.name!r} is infinite "
+                f"{self._where(index, infinite[0])}: output {channel.name!r} is infinite "
                 f"({infinite.size} such rows). Leave the cell empty for a missing sample."
             )
         self._check_wraps(index, channel, values)
         present = values[np.isfinite(values)]
         if present.size > 1 and np.ptp(present) == 0.0:
             self.suspicions.append(
-                f"Column {self.table.headers[index]!r} of {self.path.name} is {present[0]:.6g} in "
+                f"{self._where(index)} is {present[0]:.6g} in "
                 f"all {present.size} rows: it tells nothing. Is the sensor connected?"
             )
         return values
@@ -224,13 +227,13 @@ class Columns:
         if found is None:
             return
         period, after = found
-        row, header, raw = int(after[0]), self.table.headers[index], self.table.values[:, index]
+        row, raw = int(after[0]), self.table.values[:, index]
         last = raw[:row][np.isfinite(raw[:row])][-1]
         unit = self.units.get(channel.name) or self.parsed[index][1] or channel.unit
         times = "once" if after.size == 1 else f"{after.size} times, first"
         advice = f'declare Output("{channel.name}", "rad", wrap=True) in the problem'
         raise DataError(
-            f"Column {header!r} of {self.path.name} jumps by a full turn {times} in row "
+            f"{self._where(index)} jumps by a full turn {times} in row "
             f"{self.table.row_numbers[row]}, from {last:.6g} to {raw[row]:.6g} {unit}. "
             + (
                 f"The angle is wrapped: {advice}."
@@ -299,7 +302,7 @@ class Columns:
         if header == channel.name:
             # The channel is called so as a whole: "delta_s" is no delta in seconds.
             name, unit = header, None
-        where = f"Column {header!r} of {self.path.name}"
+        where = self._where(index)
         if index in self.table.stamps:
             raise DataError(
                 f"{where} holds times of a clock, but channel {channel.name} needs numbers in "
@@ -371,8 +374,7 @@ class Columns:
         if size.size and size.max() > LARGEST:
             row = int(np.nanargmax(np.where(np.isfinite(values), np.abs(values), -1.0)))
             raise DataError(
-                f"Row {self.table.row_numbers[row]} of {self.path.name}, column "
-                f"{self.table.headers[index]!r}: {values[row]:.3g} is no measurement. Leave the "
+                f"{self._where(index, row)}: {values[row]:.3g} is no measurement. Leave the "
                 "cell empty for a missing sample, or check the unit."
             )
         # Such a mark is the largest of all, so that no other has to be looked for.

@@ -39,7 +39,7 @@ from oed_sysid.data.record import Record, closest
 from oed_sysid.errors import DataError
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import as_html
-from oed_sysid.text.csv_table import read_table, write_table
+from oed_sysid.text.csv_table import Table, read_table, write_table
 from oed_sysid.text.units import parse_header
 
 # -- Datasets --------------------------------------------------------------------------
@@ -216,18 +216,8 @@ class Dataset:
         >>> list(dataset.to_dataframe().columns)
         ['record', 't [s]', 'r [rad/s]']
         """
-        if not isinstance(channels, Channels):
-            raise DataError(
-                f"channels is a {type(channels).__name__}, expected problem.channels or "
-                "model.channels."
-            )
-        records = []
-        for part, found in tables_of(table, name):
-            columns = Columns(found, units or {})
-            records.append(_read_record(columns, part, channels, time))
-            for suspicion in (*columns.suspicions, *records[-1].notes):
-                warnings.warn(suspicion, UserWarning, stacklevel=2)
-        return cls(tuple(records))
+        _check_channels(channels)
+        return cls(tuple(_records(tables_of(table, name), channels, time, units)))
 
     @classmethod
     def from_xarray(
@@ -331,10 +321,7 @@ def read_csv(
     2.5 0.1745
     >>> folder.cleanup()
     """
-    if not isinstance(channels, Channels):
-        raise DataError(
-            f"channels is a {type(channels).__name__}, expected problem.channels or model.channels."
-        )
+    _check_channels(channels)
     files = _files(paths)
     if name is not None and len(files) > 1:
         raise DataError(
@@ -353,13 +340,11 @@ def read_csv(
         stem if stems.count(stem) == 1 else f"{file.parent.name}/{stem}"
         for file, stem in zip(files, stems, strict=True)
     ]
-    records = []
-    for file, default in zip(files, names, strict=True):
-        columns = Columns(read_table(file, columns_of_text=True), units or {})
-        records.append(_read_record(columns, name or default, channels, time))
-        for suspicion in (*columns.suspicions, *records[-1].notes):
-            warnings.warn(suspicion, UserWarning, stacklevel=2)
-    return Dataset(tuple(records))
+    tables = (
+        (name or default, read_table(file, columns_of_text=True))
+        for file, default in zip(files, names, strict=True)
+    )
+    return Dataset(tuple(_records(tables, channels, time, units)))
 
 
 def write_csv(record: Record, path: str | Path) -> None:
@@ -418,6 +403,29 @@ def _files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     if not files:
         raise DataError("No files were given. Name at least one.")
     return files
+
+
+def _check_channels(channels: Channels) -> None:
+    if not isinstance(channels, Channels):
+        raise DataError(
+            f"channels is a {type(channels).__name__}, expected problem.channels or model.channels."
+        )
+
+
+def _records(
+    tables: Iterable[tuple[str, Table]],
+    channels: Channels,
+    time: str | None,
+    units: Mapping[str, str] | None,
+) -> list[Record]:
+    """Records of named tables; what looks suspicious in them is warned of."""
+    records = []
+    for name, table in tables:
+        columns = Columns(table, units or {})
+        records.append(_read_record(columns, name, channels, time))
+        for suspicion in (*columns.suspicions, *records[-1].notes):
+            warnings.warn(suspicion, UserWarning, stacklevel=3)
+    return records
 
 
 def _read_record(columns: Columns, name: str, channels: Channels, time: str | None) -> Record:

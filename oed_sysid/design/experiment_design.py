@@ -50,18 +50,16 @@ from oed_sysid.design.search import (
 from oed_sysid.design.trial import Search, Task, Trial
 from oed_sysid.design.vehicles import Caution, Robust
 from oed_sysid.design.waveforms import Grid
-from oed_sysid.errors import DataError, DesignError, OedSysidError, respelled
+from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.archive import encode
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.journal import Journal
+from oed_sysid.runtime.journal import Journal, opened
 from oed_sysid.runtime.threads import single_threaded
 
-# Rounds with more and stricter vehicles, until fresh ones confirm the probability asked for.
-_N_STRICTER = 3
 # Vehicles of the caution that nobody asked for: it must not take minutes.
 _USUAL_SETS, _USUAL_CHECKS = 80, 400
 # Arguments that are gone.
@@ -159,7 +157,7 @@ def design_experiment(
         "model": model, "trial": trial, "rng": rng.bit_generator.state, "criterion": criterion,
         "search": replace(search, n_workers=None), "knowledge": knowledge, "caution": caution,
     }  # fmt: skip
-    keep = opened(journal, settings)
+    keep = opened(journal, "design", lambda: encode(dict(settings)))
     automatic = caution == "auto"
     if isinstance(caution, str):
         if not automatic:
@@ -216,7 +214,8 @@ def find_design(
         task = replace(task, scenarios=(), waves=())
         objective, found, best, experiment = searched(task)
     assurance = keep.once("other vehicles", partial(task.assured, experiment, rng), rng=rng)
-    for _ in range(_N_STRICTER):
+    # With more and stricter vehicles, until fresh ones confirm the probability asked for.
+    for _ in range(3):
         caution = task.caution
         if assurance is None or caution is None or not task.scenarios:
             break
@@ -276,33 +275,6 @@ def _result(
         n_evaluations=objective.n_evaluations,
         seconds=time.perf_counter() - began,
     )
-
-
-def opened(journal: Journal | None, settings: Mapping[str, Any]) -> Journal:
-    """Open a journal for one design.
-
-    Parameters
-    ----------
-    journal : Journal or None
-        None keeps nothing.
-    settings : mapping of str to object
-        Every argument that shapes the result.
-
-    Returns
-    -------
-    Journal
-        With steps of an earlier call with equal settings, if there was one. Settings of which
-        equality cannot be told, such as a criterion that is no dataclass, keep nothing.
-    """
-    keep = journal or Journal()
-    if keep.folder is None:
-        return keep
-    try:
-        content = encode(dict(settings))
-    except DataError:
-        return Journal()
-    keep.open({"task": "design", "settings": content})
-    return keep
 
 
 def _usual_caution(given: Model | Fit, limits: Limits, knowledge: Knowledge) -> Caution | None:

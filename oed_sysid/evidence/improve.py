@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -60,7 +59,7 @@ from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.journal import Journal
+from oed_sysid.runtime.journal import Journal, opened
 from oed_sysid.runtime.threads import single_threaded
 
 # Factor of a declared noise level from which it is worth a word.
@@ -148,12 +147,20 @@ def improve(
     ready = prepared(train, test)
     train, test = ready.train, ready.validation
     candidates, told = settled(model, train, candidates, asked)
-    settings = {
-        "known_noise": known_noise,
-        "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],
-        "max_effects": max_effects,
-    }
-    keep = opened(journal, model, train, test, candidates, settings)
+    keep = opened(
+        journal,
+        "improve",
+        lambda: {
+            "model": encode(model),
+            "candidates": [encode(effect) for effect in candidates],
+            "train": [[record.name, record.content_hash] for record in train],
+            "validation": [[record.name, record.content_hash] for record in test or ()],
+            "known_noise": known_noise,
+            "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],
+            "max_effects": max_effects,
+        },
+        shared={"train": train, "validation": test},
+    )
     begin = partial(Study.begin, model, train, test, candidates, known_noise=known_noise)
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
@@ -519,43 +526,3 @@ def relative(rms: Mapping[str, np.ndarray], sigma: np.ndarray, study: Study) -> 
         total = float(np.sum(count[seen] * (rms[key][seen] / sigma[seen]) ** 2))
         found[key] = float(np.sqrt(total / count.sum())) if seen.any() else np.nan
     return found
-
-
-def opened(
-    journal: Journal | None,
-    model: Model,
-    train: Dataset,
-    validation: Dataset | None,
-    candidates: Sequence[Effect],
-    settings: Mapping[str, Any],
-) -> Journal:
-    """Open a journal for one improvement.
-
-    Parameters
-    ----------
-    journal : Journal or None
-        None keeps nothing.
-    model : Model
-    train, validation : Dataset
-    candidates : sequence of Effect
-    settings : mapping
-        Further arguments of :func:`~oed_sysid.evidence.improve.improve`.
-
-    Returns
-    -------
-    Journal
-        With steps of an earlier call with equal content, if there was one.
-    """
-    keep = journal or Journal()
-    if keep.folder is None:
-        return keep
-    content = {
-        "task": "improve",
-        "model": encode(model),
-        "candidates": [encode(effect) for effect in candidates],
-        "train": [[record.name, record.content_hash] for record in train],
-        "validation": [[record.name, record.content_hash] for record in validation or ()],
-        **settings,
-    }
-    keep.open(content, shared={"train": train, "validation": validation})
-    return keep

@@ -41,7 +41,7 @@ from oed_sysid.likelihood.disturbances import chosen_places, disturbance
 from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.start_guess import measured_states
+from oed_sysid.likelihood.start_guess import first_state
 from oed_sysid.physics.model import Model
 
 Run = Experiment | Record
@@ -219,9 +219,7 @@ def _recorded(model: Model, record: Record) -> Play:
             f"Record {record.name!r} holds other signals than model {model.name!r} has. Read it "
             "with the model's channels."
         )
-    own = np.zeros(len(model.states))
-    for position, series in measured_states(model, record).items():
-        own[position] = series[0]
+    own = first_state(model, record)
     return Play(record.name, record.times, record.inputs, own, np.isfinite(record.outputs))
 
 

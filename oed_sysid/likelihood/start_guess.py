@@ -292,6 +292,18 @@ def measured_states(model: Model, record: Record) -> dict[int, np.ndarray]:
     return result
 
 
+def first_state(
+    model: Model, record: Record, known: Mapping[str, float] | None = None
+) -> np.ndarray:
+    """State at the first sample, ``(n_states,)``: known, else measured, else zero."""
+    own = np.zeros(len(model.states))
+    for position, series in measured_states(model, record).items():
+        own[position] = series[0]
+    for name, value in (known or {}).items():
+        own[model.state_names.index(name)] = value
+    return own
+
+
 def smooth(series: np.ndarray) -> np.ndarray:
     """Average over five samples, with straight-line ends."""
     if len(series) < 10:

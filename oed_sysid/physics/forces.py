@@ -438,7 +438,7 @@ def rudder_stall(name: str, axis: str, *, rudder: str = "delta", velocity: str =
 
 
 @Row(Force, {"{axis}": "{E}*{thrust}*{rudder}"}, "{unit}", MMG,
-     "the rudder acts in the propeller's race", "rudder angles at several thrusts and speeds")
+     "the rudder acts in the propeller's slipstream", "rudder angles at several thrusts and speeds")
 def rudder_in_slipstream(name: str, axis: str, *, thrust: str = "T", rudder: str = "delta",
                          scale: float = 0.3, value: float = 0.0) -> Derived:
     r"""Rudder force of the slipstream, :math:`E\,T\delta`; for a moment ``E`` holds the arm."""
@@ -526,7 +526,7 @@ def cogging(name: str, axis: str, angle: str, *, periods: int, unit: str = "N m"
 
 
 @Row(Force, {"{axis}": "{k}*clip({position}, -{E}, {E})"}, "{unit}", NORDIN,
-     "play of {position} within which the spring does not act", "small and large {position}",
+     "dead zone of {position} within which the spring does not act", "small and large {position}",
      size={"positive": True, "description": "half-width"})
 def dead_zone(name: str, axis: str, position: str, *, stiffness: float, unit: str = "m",
               stiffness_unit: str = "N/m", scale: float = 0.01, value: float = 0.0) -> Derived:

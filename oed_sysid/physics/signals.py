@@ -111,7 +111,7 @@ def deadband(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale
     """Commands within ``±E`` do nothing, larger ones lose ``E``; of one signal or of several."""
 
 
-@Row(Actuator, {"{c}": "held{_c}"}, "{unit}", TAO, "play between command and actual {signal}",
+@Row(Actuator, {"{c}": "held{_c}"}, "{unit}", TAO, "backlash between command and actual {signal}",
      "reversals of small and large amplitude", size=HALF, each="signal",
      definitions={"held{_c}": "where(actual{_c} > {c} + {E}, {c} + {E}, "
                               "where(actual{_c} < {c} - {E}, {c} - {E}, actual{_c}))"},

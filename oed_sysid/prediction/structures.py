@@ -36,7 +36,7 @@ from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.start_guess import measured_states
+from oed_sysid.likelihood.start_guess import first_state
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.jackknife import Estimator, Purpose, leave_out
 from oed_sysid.runtime.display import align, as_dict
@@ -515,9 +515,7 @@ def _step_error(
     total, count = 0.0, 0
     for record in dataset:
         for part in record.segments(horizon):
-            own = np.zeros(compiled.n_own)
-            for position, series in measured_states(held, part).items():
-                own[position] = series[0]
+            own = first_state(held, part)
             start, _ = compiled.start(own, part.inputs[0], values, part.times[0])
             run = compiled.run(part.times, part.inputs, values, start)
             errors = (run.outputs - part.outputs) / spread

@@ -6,51 +6,57 @@ figure, and returns them; nothing is shown and no global setting is touched.
 one file: the document of the result with its figures drawn.
 """
 
-from oed_sysid.results.card_plots import figure_card, plot_orders, plot_tracks
-from oed_sysid.results.check_plots import figure_check, plot_balance, plot_balances
 from oed_sysid.results.design_plots import (
+    figure_card,
     figure_design,
+    figure_programme,
     plot_accuracy,
     plot_bode,
+    plot_orders,
     plot_output_change,
     plot_sensitivity,
+    plot_tracks,
 )
 from oed_sysid.results.fit_plots import (
     figure_fit,
     figure_whiteness,
     plot_autocorrelation,
     plot_correlation,
+    plot_ellipses,
     plot_input,
     plot_intervals,
     plot_output,
+    plot_profile,
     plot_residual,
-)
-from oed_sysid.results.force_plots import (
-    figure_force,
-    plot_force_against,
-    plot_residual_force,
 )
 from oed_sysid.results.improvement_plots import (
     figure_diagnosis,
+    figure_force,
     plot_error_fall,
+    plot_force_against,
     plot_located,
     plot_ranking,
+    plot_residual_force,
 )
-from oed_sysid.results.live_plots import LiveParameters, plot_history
-from oed_sysid.results.multistart_plots import plot_waterfall
+from oed_sysid.results.live_plots import LiveParameters, plot_history, plot_waterfall
 from oed_sysid.results.page import Page, Picture, card_page, numbers_page, page, style_sheet
-from oed_sysid.results.polar_plots import plot_polar
 from oed_sysid.results.prediction_plots import (
     figure_predictions,
     plot_comparison,
+    plot_polar,
     plot_prediction,
     plot_prediction_error,
 )
-from oed_sysid.results.profile_plots import plot_ellipses, plot_profile
-from oed_sysid.results.programme_plots import figure_programme
-from oed_sysid.results.record_plots import figure_record
+from oed_sysid.results.record_plots import (
+    figure_check,
+    figure_record,
+    plot_balance,
+    plot_balances,
+    plot_phase,
+    plot_track,
+    plot_zigzag,
+)
 from oed_sysid.results.style import finding, model_style, new_figure, save_figure
-from oed_sysid.results.track_plots import plot_phase, plot_track, plot_zigzag
 from oed_sysid.runtime.display import Figure, Report, Section, Table
 
 # The report on every kind of result; the names say which arguments its ``document`` takes.

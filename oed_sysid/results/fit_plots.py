@@ -1,4 +1,4 @@
-"""Pictures of one fit: data and model, residuals, estimates and their uncertainty."""
+"""Pictures of one fit: data, model, residuals, estimates, profile curves and joint regions."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from oed_sysid.data.dataset import Record
+from oed_sysid.errors import DataError
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.information import autocorrelation, effective_sample_size
+from oed_sysid.likelihood.information import Information, autocorrelation, effective_sample_size
+from oed_sysid.likelihood.multistart import Profile
 from oed_sysid.results.style import (
     DATA,
     NEUTRAL,
@@ -194,18 +196,9 @@ def plot_intervals(
     scale = {name: _reference(several, name) for name in names}
     rows = np.arange(len(names))[::-1]
     for index, fit in enumerate(several):
-        look = model_style(index)
         shift = 0.22 * (index - (len(several) - 1) / 2)
-        found = [i for i, name in enumerate(names) if name in fit.values]
-        centre = np.array([fit.values[names[i]] / scale[names[i]] for i in found])
-        half = np.array(
-            [TWO_SIDED_95 * fit.std_errors[names[i]] / abs(scale[names[i]]) for i in found]
-        )
-        ax.errorbar(
-            centre, rows[found] - shift, xerr=np.where(np.isfinite(half), half, 0.0),
-            fmt="osD^v<"[index % 6], ms=4.5, color=look.colour, elinewidth=1.6, capsize=3,
-            label=labels[index] if labels else f"{fit.model.name} (95 %)",
-        )  # fmt: skip
+        label = labels[index] if labels else f"{fit.model.name} (95 %)"
+        _draw_estimates(ax, fit, index, dict(zip(names, rows - shift, strict=True)), scale, label)
     _draw_priors(ax, several[0], names, scale, rows)
     for name, row in zip(names, rows, strict=True):
         if truth and name in truth:
@@ -219,6 +212,20 @@ def plot_intervals(
     # Above: below, its distance from the axis' label would depend on the height.
     spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return say(ax, _least_certain(several))
+
+
+def _draw_estimates(
+    ax: Axes, fit: Fit, index: int, rows: dict[str, float], scale: dict[str, float], label: str
+) -> None:
+    """Draw the estimates of one fit with their intervals, in the look of its position."""
+    found = [name for name in rows if name in fit.values]
+    sizes = np.array([scale[name] for name in found])
+    half = TWO_SIDED_95 * np.array([fit.std_errors[name] for name in found]) / np.abs(sizes)
+    ax.errorbar(
+        np.array([fit.values[name] for name in found]) / sizes, [rows[name] for name in found],
+        xerr=np.where(np.isfinite(half), half, 0.0), fmt="osD^v<"[index % 6], ms=4.5,
+        color=model_style(index).colour, elinewidth=1.6, capsize=3, label=label,
+    )  # fmt: skip
 
 
 def plot_correlation(fit: Fit, *, ax: Axes | None = None) -> Axes:
@@ -363,3 +370,119 @@ __all__ = [
     "plot_output",
     "plot_residual",
 ]
+
+
+def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
+    """Plot the profile likelihood of a parameter, and the parabola that a standard error means.
+
+    Parameters
+    ----------
+    profile : Profile
+        From :func:`~oed_sysid.likelihood.multistart`.
+    ax : Axes, optional
+        Where to draw.
+    """
+    ax = new_axes(ax, size=(5.6, 3.6))
+    look = model_style(1)
+    ax.axhline(profile.threshold, color=TRUTH, ls="--", lw=1.0, label=f"{profile.level:.0%}")
+    bounded = [end for end in (profile.lower, profile.upper) if np.isfinite(end)]
+    ax.plot(profile.values, profile.rises, "o-", color=look.colour, ms=3.5, lw=1.5, label="profile")
+    half = [abs(end - profile.estimate) for end in bounded if end != profile.estimate]
+    if half:
+        fine = np.linspace(profile.values.min(), profile.values.max(), 101)
+        # The parabola through the nearer end: what a symmetric interval would claim.
+        curve = profile.threshold * ((fine - profile.estimate) / min(half)) ** 2
+        ax.plot(fine, curve, color=NEUTRAL, lw=1.2, ls=":", label="if it were quadratic")
+    for end in bounded:
+        ax.axvline(end, color=NEUTRAL, lw=0.9)
+    ax.axvline(profile.estimate, color=TRUTH, lw=0.9)
+    top = max(2.0 * profile.threshold, 1.0)
+    ax.set(
+        xlabel=f"{symbol_of(profile.name)} [{profile.unit or '-'}]",
+        ylabel=r"rise of $-2\,\log L$ [-]",
+        ylim=(min(0.0, float(profile.rises.min())) - 0.03 * top, top),
+    )
+    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    return say(clean(ax), profile.report())
+
+
+def _covariance(information: Information, pair: tuple[str, str]) -> np.ndarray:
+    """Covariance of two parameters, shape ``(2, 2)``."""
+    absent = [name for name in pair if name not in information.names]
+    if absent:
+        raise DataError(f"There is no {absent[0]!r}; there are {', '.join(information.names)}.")
+    rows = [information.names.index(name) for name in pair]
+    covariance: np.ndarray = information.covariance[np.ix_(rows, rows)]
+    if not np.isfinite(covariance).all():
+        raise DataError(f"{pair[0]} and {pair[1]} are not both determined, so there is no ellipse.")
+    return covariance
+
+
+def plot_ellipses(
+    informations: Sequence[Information],
+    pair: tuple[str, str],
+    *,
+    centres: Sequence[tuple[float, float]] | None = None,
+    labels: Sequence[str] | None = None,
+    units: tuple[str, str] | None = None,
+    truth: tuple[float, float] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Plot what records or experiments tell about two parameters together.
+
+    The shadow of an ellipse on each axis is that parameter's 95 % interval; a long thin one means
+    that only a combination of the two is known.
+
+    Parameters
+    ----------
+    informations : sequence of Information
+        Such as ``fit.information`` or ``design.information``.
+    pair : tuple of str
+        Parameters on the horizontal and on the vertical axis.
+    centres : sequence of tuple of float, optional
+        Estimates; zero by default.
+    labels : sequence of str, optional
+        Names.
+    units : tuple of str, optional
+        Units of the two, such as ``fit.model.parameter(name).unit``.
+    truth : tuple of float, optional
+        True values, where they are known.
+    ax : Axes, optional
+        Where to draw.
+
+    Raises
+    ------
+    DataError
+        If a parameter is not among those of an information, or has no finite error.
+    """
+    ax = new_axes(ax, size=(5.2, 4.6))
+    turn = np.linspace(0.0, 2.0 * np.pi, 181)
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+    said = []
+    for number, one in enumerate(informations):
+        covariance = _covariance(one, pair)
+        axes, turned = np.linalg.eigh(covariance)
+        edge = TWO_SIDED_95 * turned @ (np.sqrt(np.maximum(axes, 0.0))[:, None] * circle)
+        centre = (0.0, 0.0) if centres is None else centres[number]
+        look, name = model_style(number), labels[number] if labels else f"case {number + 1}"
+        ax.plot(centre[0] + edge[0], centre[1] + edge[1], color=look.colour, ls=look.dashes,
+                lw=1.6, label=name)  # fmt: skip
+        ax.plot(*centre, "+", color=look.colour, ms=8)
+        errors = np.sqrt(np.diag(covariance))
+        rho = covariance[0, 1] / errors.prod()
+        half = ", ".join(
+            f"{n} ± {TWO_SIDED_95 * e:.2g}{f' {unit}' if unit else ''}"
+            for n, e, unit in zip(pair, errors, units or ("", ""), strict=True)
+        )
+        said.append(f"{name}: {half} (95 %), correlation {rho:+.2f}.")
+    if truth is not None:
+        ax.plot(*truth, "x", color=TRUTH, ms=8, mew=2, label="truth")
+    about = "" if centres is not None else " away from the estimate"
+    x, y = (f"{symbol_of(n)}{about}{_in(u)}" for n, u in zip(pair, units or ("", ""), strict=True))
+    ax.set(xlabel=x, ylabel=y)
+    spread_legend(ax, loc="best")
+    return say(clean(ax), " ".join(said))
+
+
+def _in(unit: str) -> str:
+    return f" [{unit}]" if unit else ""

@@ -1,4 +1,4 @@
-"""The finished steps of a long calculation on disk, so that the next call goes on from them.
+"""What long calculations have finished on disk, so that the next call goes on from there.
 
 A calculation that always takes the same steps from the same content writes what each
 step returned as soon as it is done. Killed, interrupted or out of disk space, it is
@@ -8,13 +8,19 @@ random numbers after it.
 
 Steps lie in a folder named by a digest of everything that shapes them: content as the
 caller states it, the text of this package, and the versions of what it calculates with.
-They are pickles under the key of the user (:mod:`oed_sysid.runtime.cell_store`); what others
-wrote is never read.
+They are pickles under the key of the user; what others wrote is never read.
+
+Calculations that do not depend on each other lie in a :class:`CellStore` by name. It is safe
+against several writers (a file appears whole or not at all, and equal cells have equal results),
+against torn files, and against files from elsewhere: to read a pickle is to run it, so a digest
+made with the user's secret key (:func:`oed_sysid.runtime.files.secret_key`) heads every file. What
+does not fit it is never unpickled; it is calculated again.
 """
 
 from __future__ import annotations
 
 import hashlib
+import hmac
 import io
 import json
 import pickle
@@ -26,9 +32,9 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -36,15 +42,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from oed_sysid.errors import FileError
-from oed_sysid.runtime.cell_store import sealed, unsealed
-from oed_sysid.runtime.files import private_cache, write_bytes, write_text
+from oed_sysid.errors import DataError, FileError
+from oed_sysid.runtime.files import private_cache, secret_key, write_bytes, write_text
 
 Result = TypeVar("Result")
 
 # Seconds between two states of an unfinished step, and days that an abandoned journal is kept.
 EVERY, KEPT_DAYS = 0.5, 30.0
-_SUFFIX, _STATE = ".step", ".state"
+_SUFFIX, _STATE, _CELL = ".step", ".state", ".cell"
 
 
 class Journal:
@@ -204,17 +209,8 @@ class Journal:
         file = self._file(key, part=part)
         if file is None:
             return None
-        try:
-            body = unsealed(file.read_bytes())
-        except OSError:
-            return None
-        if body is None:
-            return None
-        try:
-            stated, content = _Unpickler(io.BytesIO(body), self._shared).load()
-        except Exception:  # a step from which something that it refers to has gone
-            return None
-        return content if stated == key else None
+        kept = _kept(file, lambda body: _Unpickler(io.BytesIO(body), self._shared).load())
+        return kept[1] if kept is not None and kept[0] == key else None
 
     def _write(self, key: str, content: Any, *, part: bool = False) -> None:
         file = self._file(key, part=part)
@@ -260,6 +256,42 @@ class Journal:
             # The same object under two names keeps the first; names must last as long as objects.
             self._names.setdefault(id(part), path)
             self._shared[path] = part
+
+
+def opened(
+    journal: Journal | None,
+    task: str,
+    content: Callable[[], Any],
+    *,
+    shared: Mapping[str, Any] | None = None,
+) -> Journal:
+    """Open a journal for one calculation.
+
+    Parameters
+    ----------
+    journal : Journal or None
+        None keeps nothing.
+    task : str
+        What is calculated.
+    content : callable
+        Returns all that shapes the results, as JSON can hold it; asked only where something
+        is kept. Where it raises a :class:`DataError`, equality cannot be told: nothing is kept.
+    shared : mapping of str to object, optional
+        As of :meth:`Journal.open`.
+
+    Returns
+    -------
+    Journal
+        With steps of an earlier call with equal content, if there was one.
+    """
+    keep = journal or Journal()
+    if keep.folder is None:
+        return keep
+    try:
+        keep.open({"task": task, "content": content()}, shared=shared)
+    except DataError:
+        return Journal()
+    return keep
 
 
 def unfinished_folder() -> Path:
@@ -350,3 +382,89 @@ def _to_the_end(*, at_once: bool = True) -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
     if came:
         raise KeyboardInterrupt
+
+
+# -- independent calculations -----------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class CellStore:
+    """A folder of results by name.
+
+    Only results that this user's processes wrote are read back; to carry a store to
+    another machine, carry the key of the private cache as well.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when the first result is written.
+    """
+
+    folder: Path
+
+    def path(self, key: str) -> Path:
+        """File of one cell: names are free, file names are not."""
+        return self.folder / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}{_CELL}"
+
+    def find(self, keys: Iterable[str]) -> dict[str, Any]:
+        """Return the results that are there, of the cells that are asked for."""
+        entries = {key: _kept(self.path(key), pickle.loads) for key in keys}
+        return {key: entry[1] for key, entry in entries.items() if entry is not None}
+
+    def read(self, key: str) -> Any:
+        """Return one result.
+
+        Raises
+        ------
+        DataError
+            If there is none.
+        """
+        found = self.find([key])
+        if not found:
+            raise DataError(f"The store {self.folder} holds no cell {key!r}.")
+        return found[key]
+
+    def write(self, key: str, result: Any) -> None:
+        """Keep a result."""
+        content = pickle.dumps((key, result), protocol=pickle.HIGHEST_PROTOCOL)
+        write_bytes(self.path(key), sealed(content))
+
+    def keys(self) -> Iterator[str]:
+        """Yield the names of all intact results."""
+        for path in sorted(self.folder.glob(f"*{_CELL}")):
+            entry = _kept(path, pickle.loads)
+            if entry is not None:
+                yield entry[0]
+
+
+def _kept(path: Path, load: Callable[[bytes], Any]) -> tuple[str, Any] | None:
+    """Name and content in a file; None where it is missing, torn or not from this user."""
+    try:
+        body = unsealed(path.read_bytes())
+        return None if body is None else load(body)
+    except Exception:  # no file, a class that has since been changed, a part that has gone
+        return None
+
+
+def sealed(body: bytes) -> bytes:
+    """A body and, in front of it, the digest that says who wrote it.
+
+    >>> unsealed(sealed(b"result"))
+    b'result'
+    """
+    return _digest(body) + body
+
+
+def unsealed(content: bytes) -> bytes | None:
+    """The body that this user sealed; None of what is torn or of another writer.
+
+    >>> unsealed(b"planted") is None
+    True
+    """
+    digest, body = content[:32], content[32:]
+    return body if hmac.compare_digest(_digest(body), digest) else None
+
+
+def _digest(content: bytes) -> bytes:
+    """Digest that only who knows the user's key can make."""
+    return hmac.new(secret_key(), content, hashlib.sha256).digest()

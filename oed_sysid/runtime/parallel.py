@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 from oed_sysid.errors import OedSysidError
-from oed_sysid.runtime.cell_store import CellStore
+from oed_sysid.runtime.journal import CellStore
 from oed_sysid.runtime.threads import one_thread
 
 Cell = TypeVar("Cell")
@@ -96,7 +96,7 @@ def run_cells(
         What each calculation needs, by a name that says what shapes its result.
     store : path, optional
         Folder that keeps the result of every finished cell (see
-        :class:`~oed_sysid.runtime.cell_store.CellStore`). A later call, also after a
+        :class:`~oed_sysid.runtime.journal.CellStore`). A later call, also after a
         crash or with more cells, calculates only what is missing. Without a
         store an error in one cell ends everything; with one, the others finish.
     n_jobs : int

@@ -8,7 +8,6 @@ The contract of an estimator, to be run on every estimator that is added.
 >>> from oed_sysid.experiments.experiment import Experiment
 >>> from oed_sysid.experiments.manoeuvres import Doublet
 >>> from oed_sysid.physics.model import Model
-from oed_sysid.testing.problem_contract import CENTRAL, ROUNDING, STEP
 >>> from oed_sysid.physics.parameters import Parameter
 >>> nomoto = Model(
 ...     "Nomoto", (State("psi", "rad"), State("r", "rad/s")), (Input("delta", "rad"),),
