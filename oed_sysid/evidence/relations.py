@@ -157,23 +157,11 @@ def _declared(
     if is_rate and state in touched:
         return None
     constants = {p.name: p.value for p in model.all_parameters if p.fixed}
-    used: list[str] = []
-    inner: dict[str, str] = {}
-    called = set(expressions.functions(text))
-    pending = sorted(expressions.names(text))
-    while pending:
-        name = pending.pop(0)
-        if name in measured:
-            used.append(name)
-        elif name in model.signals and name not in touched:
-            if name not in inner:
-                inner[name] = model.signals[name]
-                called |= expressions.functions(model.signals[name])
-                pending += sorted(expressions.names(model.signals[name]))
-        elif name not in constants and name != "t":
-            return None
-    if called - set(expressions.FUNCTIONS):
+    signals_of = {name: part for name, part in model.signals.items() if name not in touched}
+    needed = _needed(text, {*measured}, {*constants, "t"}, signals_of)
+    if needed is None:
         return None
+    used, inner = needed
     if is_rate and not _is_kinematic(model, target, {measured[s] for s in used}):
         return None
     aliases = [(s, measured[s]) for s in dict.fromkeys(used) if measured[s] != s]
@@ -192,6 +180,32 @@ def _is_kinematic(model: Model, target: str, signals: set[str]) -> bool:
     return target not in signals or units[target] == "rad"
 
 
+def _needed(
+    text: str, measured: set[str], constants: set[str], inner: Mapping[str, str]
+) -> tuple[list[str], dict[str, str]] | None:
+    """Measured names in an expression and in the inner signals it needs, and these signals.
+
+    None where anything else enters, a function of the user's included.
+    """
+    used: list[str] = []
+    found: dict[str, str] = {}
+    called = set(expressions.functions(text))
+    pending = sorted(expressions.names(text))
+    while pending:
+        name = pending.pop(0)
+        if name in measured:
+            used.append(name)
+        elif name in found:
+            continue
+        elif name in inner:
+            found[name] = inner[name]
+            called |= expressions.functions(inner[name])
+            pending += sorted(expressions.names(inner[name]))
+        elif name not in constants:
+            return None
+    return None if called - set(expressions.FUNCTIONS) else (used, found)
+
+
 def _standard(
     model: Model, spare: set[str], absent: set[str], related: set[str]
 ) -> tuple[Relation, ...]:
@@ -202,18 +216,20 @@ def _standard(
     known = own | {name for name in spare if name in STANDARD_UNITS and name not in units}
     # Where the model has an equation for one of these states, it knows better.
     mine = {s for s in model.kinematics if s in STANDARD} | related
-    result = []
-    for target, forms in STANDARD.items():
-        if target not in known or target in mine:
-            continue
-        for needed, text in forms:
-            names = tuple(needed.split())
-            if known.issuperset(names):
-                step = (f"{target}_prime_", text)
-                signals = tuple(n for n in (*names, target) if n in expressions.names(text))
-                result.append(Relation(target, signals, text, True, False, (step,), {}))
-                break
-    return tuple(result)
+    asked = [target for target in STANDARD if target in known - mine]
+    found = (_standard_form(target, known) for target in asked)
+    return tuple(one for one in found if one is not None)
+
+
+def _standard_form(target: str, known: set[str]) -> Relation | None:
+    """The first equation of a rigid body for a signal whose other signals are known."""
+    for needed, text in STANDARD[target]:
+        names = tuple(needed.split())
+        if known.issuperset(names):
+            step = (f"{target}_prime_", text)
+            signals = tuple(n for n in (*names, target) if n in expressions.names(text))
+            return Relation(target, signals, text, True, False, (step,), {})
+    return None
 
 
 NAMES = {
