@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from oed_sysid.design import (
     candidate_runs,
     design_programme,
 )
-from oed_sysid.design.allocation import Library, enumerated, select, weights
+from oed_sysid.design.allocation import Library, Selection, select, weights
 from oed_sysid.design.criteria import Setting
 from oed_sysid.design.vehicles import draw_models
 from oed_sysid.errors import DesignError
@@ -44,6 +45,20 @@ def library(rng: np.random.Generator, criterion: object, *, prior: float = 0.0) 
     setting = Setting(ship(), ("b",), np.ones(1), noise_of(ship()))
     measure = criterion.bind(setting)  # type: ignore[attr-defined]
     return Library(information, prior * np.eye(4), costs, criterion, measure)
+
+
+def enumerated(library: Library, *, budget: float | None, n_runs: int) -> Selection:
+    """Best of all selections, by trying each."""
+    best, best_value = np.zeros(library.n_runs, dtype=int), -np.inf
+    for size in range(1, n_runs + 1):
+        for chosen in combinations_with_replacement(range(library.n_runs), size):
+            counts = np.bincount(chosen, minlength=library.n_runs)
+            if budget is not None and counts @ library.costs > budget * (1 + 1e-9):
+                continue
+            value = library.value(counts)
+            if value > best_value:
+                best, best_value = counts, value
+    return Selection(best, best_value, best_value)
 
 
 @pytest.mark.parametrize("criterion", [DOptimal(), AOptimal()], ids=lambda c: c.name)

@@ -35,7 +35,10 @@ def problems(
         say("\n".join(f"  {line}" for line in chosen.model.equations().splitlines()))
         say("\nExperiments")
         say("\n".join(f"  {run.describe()}" for run in chosen.experiments.values()) or "  none")
-        store(_summary(chosen) | {"equations": chosen.model.equations().splitlines()}, json_file)
+        facts = _summary(chosen) | {"equations": chosen.model.equations().splitlines()}
+        if notes := chosen.notes():
+            facts["notes"] = list(notes)
+        store(facts, json_file)
         return
     found, rows = [], []
     for name in list_problems():

@@ -39,66 +39,12 @@ from oed_sysid.design.search import Progress, ZigZags
 from oed_sysid.design.trial import Search, Trial
 from oed_sysid.design.vehicles import Caution, Robust
 from oed_sysid.design.waveforms import Grid, Levels, Multisines, Parametrisation, Pulses
-from oed_sysid.errors import respelled_names
+from oed_sysid.errors import respelled_names as _respelled_names
+from oed_sysid.runtime.version import exported
 
-__all__ = [
-    "design_experiment",
-    "design_series",
-    "design_programme",
-    "Trial",
-    "Knowledge",
-    "Search",
-    "Budget",
-    "ProgrammeSearch",
-    "Programme",
-    "Standard",
-    "Candidate",
-    "decide",
-    "Decision",
-    "Goal",
-    "ParameterGoal",
-    "PredictionGoal",
-    "goals_of",
-    "candidate_runs",
-    "campaign",
-    "Stage",
-    "Design",
-    "Reference",
-    "Criterion",
-    "Setting",
-    "DOptimal",
-    "AOptimal",
-    "EOptimal",
-    "ModifiedE",
-    "DsOptimal",
-    "VOptimal",
-    "GOptimal",
-    "Discriminate",
-    "Detect",
-    "Detection",
-    "ByShifts",
-    "Robust",
-    "Caution",
-    "AccuracyRange",
-    "accuracy_range",
-    "Assurance",
-    "AbortRule",
-    "PredictedTracks",
-    "predicted_tracks",
-    "Servo",
-    "write_overrides",
-    "write_bag",
-    "assess_limits",
-    "Parametrisation",
-    "Grid",
-    "Levels",
-    "Multisines",
-    "Pulses",
-    "ZigZags",
-    "Progress",
-]
+__all__ = exported(globals())
 
-__getattr__ = respelled_names(
+__getattr__ = _respelled_names(
     __name__,
     {
         "Reveal": "Detect",

@@ -31,7 +31,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -40,9 +39,6 @@ from oed_sysid.design.missing_effects import ByShifts
 from oed_sysid.errors import DesignError
 
 GAP = 2e-4
-_MOST_SWEEPS = 6000
-_CHECK = 20
-_BISECTIONS = 8
 # Runs tried in an exchange, and starts that are exchanged.
 _TRIED = 4
 
@@ -160,10 +156,10 @@ def relaxed(library: Library, costs: np.ndarray, *, tolerance: float = GAP) -> W
     w = np.full(library.n_runs, 1.0 / library.n_runs)
     best: Weights | None = None
     ceiling, sweep = np.inf, 0
-    for sweep in range(1, _MOST_SWEEPS + 1):
+    for sweep in range(1, 6000 + 1):
         value, by_run = library.slope(w / costs)
         d = np.maximum(by_run / costs, 0.0)
-        if sweep % _CHECK == 1 or sweep == _MOST_SWEEPS:
+        if sweep % 20 == 1 or sweep == 6000:
             # Every sweep gives a bound; the smallest counts.
             ceiling = min(ceiling, value + float(d.max() - w @ d))
             if best is None or value > best.value:
@@ -210,7 +206,7 @@ def weights(
         return last
     low, high = 0.0, 1.0
     found = [first, last]
-    for _ in range(_BISECTIONS):
+    for _ in range(8):
         theta = 0.5 * (low + high)
         middle = relaxed(library, theta * time + (1 - theta) * count, tolerance=tolerance)
         found.append(middle)
@@ -353,28 +349,6 @@ def select(
     found = [*greedy, *map(search.exchanged, distinct)]
     best = max(found, key=library.value)
     return Selection(best, library.value(best), max(map(library.value, greedy)))
-
-
-def enumerated(library: Library, *, budget: float | None, n_runs: int) -> Selection:
-    """Best of all selections; for small libraries only.
-
-    Parameters
-    ----------
-    library : Library
-    budget : float, optional
-    n_runs : int
-        Largest number of runs.
-    """
-    best, best_value = np.zeros(library.n_runs, dtype=int), -np.inf
-    for size in range(1, n_runs + 1):
-        for chosen in combinations_with_replacement(range(library.n_runs), size):
-            counts = np.bincount(chosen, minlength=library.n_runs)
-            if budget is not None and counts @ library.costs > budget * (1 + 1e-9):
-                continue
-            value = library.value(counts)
-            if value > best_value:
-                best, best_value = counts, value
-    return Selection(best, best_value, best_value)
 
 
 def order(library: Library, counts: Sequence[int]) -> list[int]:

@@ -60,7 +60,6 @@ from oed_sysid.likelihood.realisation import at_sea
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
 
-_CONFIDENCE = 0.95
 # Below this probability of keeping the limits a run is not safe, if none was asked for.
 _SAFE = 0.9
 # Ranges of the motion that are stated leave out this share of the vehicles at either end.
@@ -155,7 +154,7 @@ class Assurance:
         """Lower end of the probability's one-sided 95 per cent interval (Clopper, Pearson)."""
         if self.n_kept == 0:
             return 0.0
-        return float(betaincinv(self.n_kept, self.n_checked - self.n_kept + 1, 1 - _CONFIDENCE))
+        return float(betaincinv(self.n_kept, self.n_checked - self.n_kept + 1, 0.05))
 
     @property
     def drawn(self) -> str:

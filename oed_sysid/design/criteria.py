@@ -337,8 +337,3 @@ class GOptimal(_Prediction):
             return -np.log(variances[worst]), np.outer(row, row) / variances[worst]
 
         return measure
-
-
-def schur_information(matrix: np.ndarray, n_drop: int) -> np.ndarray:
-    """Information on the last unknowns, the first eliminated."""
-    return eliminate(matrix, n_drop)[0]

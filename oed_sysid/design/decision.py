@@ -56,7 +56,6 @@ WORTH = 0.01
 IMMATERIAL = 0.1
 # Parameters that are named where records contradict one another, and standard errors from which on.
 NAMED, APART = 3, 2.0
-_MOST_AHEAD = 40
 _VEHICLES = 20
 
 
@@ -616,7 +615,7 @@ class _Outlook:
         """Runs, one after the other, until the goals are met, or nothing helps."""
         steps: list[int] = []
         more = np.zeros_like(self.matrix)
-        while len(steps) < _MOST_AHEAD and np.any(self.deviations(more) > self.wanted):
+        while len(steps) < 40 and np.any(self.deviations(more) > self.wanted):
             best = self._nearest(more)
             if best is None:
                 break

@@ -60,8 +60,6 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.journal import Journal, opened
 from oed_sysid.runtime.threads import single_threaded
 
-# Rounds with more and stricter vehicles, until fresh ones confirm the probability asked for.
-_N_STRICTER = 3
 # Vehicles of the caution that nobody asked for: it must not take minutes.
 _USUAL_SETS, _USUAL_CHECKS = 80, 400
 # Arguments that are gone.
@@ -216,7 +214,8 @@ def find_design(
         task = replace(task, scenarios=(), waves=())
         objective, found, best, experiment = searched(task)
     assurance = keep.once("other vehicles", partial(task.assured, experiment, rng), rng=rng)
-    for _ in range(_N_STRICTER):
+    # With more and stricter vehicles, until fresh ones confirm the probability asked for.
+    for _ in range(3):
         caution = task.caution
         if assurance is None or caution is None or not task.scenarios:
             break

@@ -37,6 +37,7 @@ from oed_sysid.design.missing_effects import missing_physics
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.simulation import Trajectory
 from oed_sysid.information.noise import sea_words
+from oed_sysid.information.ranking import POOR
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import make_folder
@@ -45,10 +46,9 @@ from oed_sysid.text.csv_table import write_table
 if TYPE_CHECKING:
     from oed_sysid.design.result import Design
 
-_MOST_ORDERS = 40
 _WIDTH = 92
-# Relative errors up to which a coefficient counts as found, and as seen at all.
-_GOOD, _USABLE = 0.05, 0.5
+# Relative error up to which a coefficient counts as found.
+_GOOD = 0.05
 
 
 def sea_trial_card(design: Design) -> str:
@@ -129,13 +129,13 @@ def _orders(model: Model, trajectory: Trajectory, units: dict[str, str]) -> list
         return ["  no orders: leave all controls as they are"]
     found.sort()
     lines = [f"  {'at t [s]':>8}  {'order':<26} {'reached [s]':>11}"]
-    for first, last, name, value in found[:_MOST_ORDERS]:
+    for first, last, name, value in found[:40]:
         order = f"{name} to {quantity(value, units[name])}"
         lines.append(
             f"  {trajectory.times[first]:>8.6g}  {order:<26} {trajectory.times[last]:>11.6g}"
         )
-    if len(found) > _MOST_ORDERS:
-        lines.append(f"  ... and {len(found) - _MOST_ORDERS} more")
+    if len(found) > 40:
+        lines.append(f"  ... and {len(found) - 40} more")
     end = trajectory.times[-1]
     lines.append(f"  {end:>8.6g}  end of the run: controls neutral, recover")
     lines.append("  By hand: these orders. Better: play the table that --out writes.")
@@ -229,7 +229,7 @@ def _accuracy(design: Design) -> list[str]:
         )
     lines += [f"  {line}" for line in design.accuracy(sort=True).lines()]
     errors = dict(zip(design.names, design.relative_errors, strict=True))
-    usable = _USABLE if design.sea is None else TRUSTED
+    usable = POOR if design.sea is None else TRUSTED
     for title, low, high in (
         (f"Found to {_GOOD:.0%} or better", 0.0, _GOOD),
         (f"Found to {usable:.0%}", _GOOD, usable),

@@ -51,7 +51,6 @@ from oed_sysid.runtime.threads import single_threaded
 _ROOM = (0.75, 0.5)
 # Fresh vehicles that judge the runs chosen, and those that judge a refined command before.
 _CHECKED, _SCREENED = 100, 60
-_SAMPLES = 150  # of a refined command while it is searched
 _REFINING = Search(Levels(20), n_starts=2, n_candidates=30, n_steps=10, n_workers=1)
 STANDARD = ("zigzag 10/10", "zigzag 20/20", "circle")
 
@@ -432,7 +431,7 @@ class _Planner:
         run, pattern = plan.runs[j], plan.runs[j].experiment
         trial = Trial.like(pattern, self.limits)
         # Fewer samples in the search than at sea: levels are lowered to tell as much.
-        coarse = max(pattern.sample_time, trial.duration / _SAMPLES)
+        coarse = max(pattern.sample_time, trial.duration / 150)
         coarse = float(pattern.sample_time * np.ceil(coarse / pattern.sample_time - 1e-9))
         expected = self._before(plan, j, np.sqrt(pattern.sample_time / coarse))
         bounds = LimitBounds.of(expected.model, self.limits)

@@ -248,6 +248,8 @@ def _columns(
     if one.kind == "bias":
         is_value = left and not relation.is_rate
         return (1.0 if is_value else 0.0), sum(partials[n] for n in here)
+    if one.kind in ("lever", "misalignment"):
+        return 0.0, _geometric(one, series, partials)
     if one.kind == "scale":
         # On the left by what the other signals predict: the noise of y is no part of it.
         fixed = {n: pivot(trace.values[n], trace.units[n]) for n in here}
@@ -256,18 +258,21 @@ def _columns(
     if one.kind == "delay":
         own_rate = -rate if relation.is_rate else -slopes.of(relation.target)
         return (own_rate if left else 0.0), -sum(partials[n] * slopes.of(n) for n in here)
-    if one.kind == "lever":
-        if one.other[0] not in series:
-            return 0.0, 0.0
-        return 0.0, sum(partials[n] * series[one.other[0]] for n in here)
-    if one.kind == "misalignment":
-        first, second = one.signals
-        if first not in series or second not in series:
-            return 0.0, 0.0
-        change = partials.get(second, 0.0) * series[first]
-        return 0.0, change - partials.get(first, 0.0) * series[second]
     # A drift: the position moves although no velocity says so.
     return (trace.times - trace.times[0] if left else 0.0), 0.0
+
+
+def _geometric(
+    one: Candidate, series: dict[str, np.ndarray], partials: dict[str, np.ndarray]
+) -> np.ndarray | float:
+    """What a metre of a lever arm, or a radian of misalignment, adds to the integrand."""
+    if any(name not in series for name in one.other or one.signals):
+        return 0.0
+    if one.kind == "lever":
+        return sum(partials[n] * series[one.other[0]] for n in one.signals if n in partials)
+    first, second = one.signals
+    change = partials.get(second, 0.0) * series[first]
+    return change - partials.get(first, 0.0) * series[second]
 
 
 class _Slopes:
@@ -477,6 +482,75 @@ def gain_of(
     return float(right[list(chosen)] @ np.linalg.solve(inner, right[list(chosen)]))
 
 
+@dataclass(frozen=True)
+class _Selection:
+    """Faults that may be chosen, and what each has to gain and to be worth."""
+
+    gram: np.ndarray
+    right: np.ndarray
+    faults: tuple[Candidate, ...]
+    limits: np.ndarray
+    doubt: np.ndarray
+
+    def gain(self, chosen: list[int]) -> float:
+        """Gain of a set."""
+        return gain_of(self.gram, self.right, self.faults, chosen)
+
+    def price(self, fault: int, gain: float) -> float:
+        """What one has to gain in a set of this gain."""
+        return max(self.limits[fault], SHARE * gain)
+
+    def with_each(self, chosen: list[int], rest: list[int]) -> list[tuple[float, int]]:
+        """Gain of ``rest`` and one more that is material there and not chosen, and which."""
+        able = (k for k in range(len(self.faults)) if self.gram[k, k] > 0.0 and k not in chosen)
+        return [
+            (self.gain([*rest, k]), k)
+            for k in able
+            if is_material(self.gram, self.right, self.doubt, self.faults, [*rest, k])
+        ]
+
+    def added(self, chosen: list[int]) -> list[int]:
+        """The set with the one that gains most beyond its price, if any."""
+        if len(chosen) >= MOST_FAULTS:
+            return chosen
+        gain = self.gain(chosen)
+        trials = [
+            (new - gain - self.price(k, gain), k) for new, k in self.with_each(chosen, chosen)
+        ]
+        return [*chosen, max(trials)[1]] if trials and max(trials)[0] > 0.0 else chosen
+
+    def exchanged(self, chosen: list[int]) -> list[int]:
+        """The set with each replaced in turn by what gains clearly more in its place."""
+        for position in range(len(chosen)):
+            gain = self.gain(chosen)
+            rest = chosen[:position] + chosen[position + 1 :]
+            swaps = self.with_each(chosen, rest)
+            if swaps and max(swaps)[0] > gain + 1.0:
+                chosen = [*rest, max(swaps)[1]]
+        return chosen
+
+    def pruned(self, chosen: list[int]) -> list[int]:
+        """The set without those, the worst first, that do not pay or are immaterial."""
+        chosen = list(chosen)
+        while chosen:
+            gain = self.gain(chosen)
+            without = {k: [j for j in chosen if j != k] for k in chosen}
+            losses = [(gain - self.gain(without[k]) - self.price(k, gain), k) for k in chosen]
+            small = [
+                k
+                for k in chosen
+                if not is_material(self.gram, self.right, self.doubt, self.faults, [*without[k], k])
+            ]
+            worst = min(losses)
+            if worst[0] < 0.0:
+                chosen.remove(worst[1])
+            elif small:
+                chosen.remove(small[0])
+            else:
+                break
+        return chosen
+
+
 def select(
     gram: np.ndarray,
     right: np.ndarray,
@@ -486,60 +560,13 @@ def select(
     start: list[int],
 ) -> list[int]:
     """Forward selection with exchange and drop."""
-    chosen = list(start)
-    able = [k for k in range(len(faults)) if gram[k, k] > 0.0]
-    chosen = [k for k in chosen if k in able]
+    bench = _Selection(gram, right, faults, limits, doubt)
+    chosen = [k for k in start if gram[k, k] > 0.0]
     seen: set[frozenset[int]] = set()
     while frozenset(chosen) not in seen:
         # A set that comes back means that adding and dropping take turns.
         seen.add(frozenset(chosen))
-        gain = gain_of(gram, right, faults, chosen)
-        if len(chosen) < MOST_FAULTS:
-            trials = [
-                (
-                    gain_of(gram, right, faults, [*chosen, k])
-                    - gain
-                    - max(limits[k], SHARE * gain),
-                    k,
-                )
-                for k in able
-                if k not in chosen and is_material(gram, right, doubt, faults, [*chosen, k])
-            ]
-            if trials and max(trials)[0] > 0.0:
-                chosen.append(max(trials)[1])
-        for position in range(len(chosen)):
-            gain = gain_of(gram, right, faults, chosen)
-            rest = chosen[:position] + chosen[position + 1 :]
-            swaps = [
-                (gain_of(gram, right, faults, [*rest, k]), k)
-                for k in able
-                if k not in chosen and is_material(gram, right, doubt, faults, [*rest, k])
-            ]
-            if swaps and max(swaps)[0] > gain + 1.0:
-                chosen = [*rest, max(swaps)[1]]
-        dropped = True
-        while dropped and chosen:
-            gain = gain_of(gram, right, faults, chosen)
-            losses = [
-                (
-                    gain
-                    - gain_of(gram, right, faults, [j for j in chosen if j != k])
-                    - max(limits[k], SHARE * gain),
-                    k,
-                )
-                for k in chosen
-            ]
-            small = [
-                k
-                for k in chosen
-                if not is_material(gram, right, doubt, faults, [*(j for j in chosen if j != k), k])
-            ]
-            worst = min(losses)
-            dropped = worst[0] < 0.0 or bool(small)
-            if worst[0] < 0.0:
-                chosen.remove(worst[1])
-            elif small:
-                chosen.remove(small[0])
+        chosen = bench.pruned(bench.exchanged(bench.added(chosen)))
     return chosen
 
 

@@ -64,7 +64,7 @@ from oed_sysid.evidence.discrete import Changes, changes, unchecked
 from oed_sysid.evidence.inputs import input_findings
 from oed_sysid.evidence.relations import Relation, relations, spare_signals
 from oed_sysid.evidence.result import Balance, Correction, Finding, LogCheck
-from oed_sysid.evidence.screens import screened
+from oed_sysid.evidence.screens import Fault, screened
 from oed_sysid.evidence.traces import QUARTILE, Trace
 from oed_sysid.evidence.words import continuous_finding, discrete_finding, screen_findings
 from oed_sysid.experiments.problem import Problem
@@ -133,25 +133,8 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     traces, equations, findings = _screened(dataset, model, spare=True)
     balances: tuple[Balance, ...] = ()
     if equations:
-        names = dataset.names
-        found, mended = discrete.search(traces, equations)
-        starts = [one.correction for one in found if one.correction.kind in discrete.SIZED]
-        fixed = [one for one in found if one.correction.kind not in discrete.SIZED]
-        if starts:
-            # Sizes are estimated, not guessed: only what is there or not stays undone.
-            mended = [undo(t, [one.correction for one in fixed], equations) for t in traces]
-        findings += [discrete_finding(one, dataset.channels, equations, names) for one in fixed]
-        sizes, _ = continuous.search(mended, equations, start=starts)
-        findings += [
-            continuous_finding(
-                one, dataset.channels, equations, names, allowed=_allowed(model, one.candidate)
-            )
-            for one in sizes
-        ]
-        after = [undo(t, [one.correction for one in sizes], equations) for t in mended]
-        balances = _balances(traces, after, equations)
-        findings += clock_findings(after, equations)
-        findings += unexplained_findings(after, equations)
+        contradictions, balances = _contradictions(dataset, model, traces, equations)
+        findings += contradictions
     open_points = unchecked(model, equations, traces)
     if inputs:
         fixes = [f.correction for f in findings if f.correction is not None]
@@ -228,6 +211,17 @@ def signal_check(dataset: Dataset) -> LogCheck:
     return LogCheck(tuple(findings), dataset.names, (), (), open_points, perf_counter() - began)
 
 
+def _blank(trace: Trace, faults: list[Fault]) -> Trace:
+    """A trace without the samples of some faults."""
+    rows: dict[str, np.ndarray] = {}
+    for fault in faults:
+        if fault.record != trace.name or fault.kind not in BLANKED:
+            continue
+        known = rows.get(fault.signal, np.empty(0, dtype=int))
+        rows[fault.signal] = np.union1d(known, fault.rows).astype(int)
+    return trace.blank(rows)
+
+
 def _screened(
     dataset: Dataset, model: Model, *, spare: bool
 ) -> tuple[list[Trace], tuple[Relation, ...], list[Finding]]:
@@ -235,21 +229,14 @@ def _screened(
     traces = [Trace.of(r, spare_signals(r) if spare else {}) for r in dataset]
     faults, traces = screened(traces)
     findings = screen_findings(dataset, traces, faults)
-    clean = []
-    for trace in traces:
-        rows: dict[str, np.ndarray] = {}
-        for fault in faults:
-            if fault.record == trace.name and fault.kind in BLANKED:
-                known = rows.get(fault.signal, np.empty(0, dtype=int))
-                rows[fault.signal] = np.union1d(known, fault.rows).astype(int)
-        clean.append(trace.blank(rows))
+    clean = [_blank(trace, faults) for trace in traces]
     dead = {fault.signal for fault in faults if fault.kind == "dead"}
     everywhere = set.intersection(*(set(trace.values) for trace in traces))
     standard = everywhere - set(model.output_names)
     missing = set.intersection(*(set(record.missing_outputs) for record in dataset)) | dead
     equations = relations(model, standard, missing)
     findings = [f if f.kind != "step" else judged_step(f, clean, equations) for f in findings]
-    jumps = [f.correction for f in findings if f.kind == "step" and f.correction is not None]
+    jumps = [f.correction for f in findings if f.kind == "step" and f.correction]
     return [undo(trace, jumps) for trace in clean], equations, findings
 
 
@@ -384,6 +371,29 @@ def misfit(trace: Trace, relation: Relation) -> Misfit | None:
     return Misfit(trace.name, share, float(times[largest])) if louder or alone else None
 
 
+def _contradictions(
+    dataset: Dataset, model: Model, traces: list[Trace], equations: tuple[Relation, ...]
+) -> tuple[list[Finding], tuple[Balance, ...]]:
+    """Faults that equations show, each undone before the next kind is looked for."""
+    channels, names = dataset.channels, dataset.names
+    found, mended = discrete.search(traces, equations)
+    starts = [one.correction for one in found if one.correction.kind in discrete.SIZED]
+    fixed = [one for one in found if one.correction.kind not in discrete.SIZED]
+    if starts:
+        # Sizes are estimated, not guessed: only what is there or not stays undone.
+        mended = [undo(t, [one.correction for one in fixed], equations) for t in traces]
+    findings = [discrete_finding(one, channels, equations, names) for one in fixed]
+    sizes, _ = continuous.search(mended, equations, start=starts)
+    findings += [
+        continuous_finding(one, channels, equations, names, allowed=_allowed(model, one.candidate))
+        for one in sizes
+    ]
+    after = [undo(t, [one.correction for one in sizes], equations) for t in mended]
+    findings += clock_findings(after, equations)
+    findings += unexplained_findings(after, equations)
+    return findings, _balances(traces, after, equations)
+
+
 def judged_step(
     found: Finding, traces: Sequence[Trace], relations: tuple[Relation, ...]
 ) -> Finding:
@@ -397,17 +407,8 @@ def judged_step(
     if fix is None or not concerned:
         return found
     touched = [trace for trace in traces if trace.name in fix.rows]
-    gain = 0.0
-    for relation in concerned:
-        before, after = (
-            [part.rest for trace in some for part in changes(trace, relation)]
-            for some in (touched, [undo(trace, (fix,)) for trace in touched])
-        )
-        if before and after:
-            powers = [float(np.mean(np.concatenate(rest) ** 2)) for rest in (before, after)]
-            if min(powers) > 0.0:
-                gain += sum(rest.size for rest in before) * np.log(powers[0] / powers[1])
-    if gain >= 0.0:
+    mended = [undo(trace, (fix,)) for trace in touched]
+    if sum(_gained(touched, mended, relation) for relation in concerned) >= 0.0:
         return found
     return replace(
         found,
@@ -434,3 +435,12 @@ def _expected(trace: Trace, relation: Relation, parts: list[Changes]) -> float:
         fine = np.concatenate([part.rest for part in parts])
         expected += float(np.mean((coarse - fine) ** 2))
     return expected
+
+
+def _gained(before: list[Trace], after: list[Trace], relation: Relation) -> float:
+    """Gain in twice the log-likelihood of an equation by a correction."""
+    rests = [[part.rest for t in some for part in changes(t, relation)] for some in (before, after)]
+    if not all(rests):
+        return 0.0
+    powers = [float(np.mean(np.concatenate(rest) ** 2)) for rest in rests]
+    return sum(r.size for r in rests[0]) * np.log(powers[0] / powers[1]) if min(powers) > 0 else 0.0

@@ -207,8 +207,8 @@ def sizes_by_record(study: Study, fit: FilteredSolution, effect: Effect) -> list
     if not asked or sum(len(one.problem.records) for one in fits) < FEWEST_RECORDS:
         return []
     told = [pair for one in fits for pair in _told(one)]
-    matrices, scores = [one for one, _ in told], [one for _, one in told]
-    if not all(np.all(np.isfinite(one)) for one in matrices):
+    matrices, scores = zip(*told, strict=True) if told else ((), ())
+    if not np.isfinite(np.array(matrices)).all():
         return []
     n_shared = len(problem.layout.shared)
     values, slopes = problem.layout.shared_values(unknowns)

@@ -99,18 +99,30 @@ def candidates(traces: list[Trace], relations: tuple[Relation, ...]) -> tuple[Ca
     size = {n: _rms(traces, n) for n in names}
     noise = {n: float(np.median([t.noise[n] for t in traces if n in t.noise])) for n in names}
     step = float(np.median([trace.step for trace in traces]))
-    positions, velocities = positions_of(relations, units), velocities_of(relations, units)
     result = []
     for name in dict.fromkeys([*inner, *values]):
         material = max(0.15 * noise[name], 1e-3 * size[name])
         result.append(Candidate("bias", (name,), units[name], 0.3 * size[name], material))
     result += [Candidate("scale", (n,), "1", 0.2, 0.01) for n in names]
-    late = max(0.7, 3.0 * step)
-    result += [Candidate("delay", (n,), "s", late, 0.3 * step) for n in names]
-    if len(positions) > 1:
-        result.append(Candidate("delay", positions, "s", late, 0.3 * step))
-    if len(velocities) > 1:
-        result.append(Candidate("delay", velocities, "s", late, 0.3 * step))
+    result += _late(names, relations, units, step)
+    return (*result, *_in_space(relations, units, size))
+
+
+def _late(
+    names: list[str], relations: tuple[Relation, ...], units: dict[str, str], step: float
+) -> list[Candidate]:
+    """Delays of single signals, of all positions and of all velocities."""
+    together = [positions_of(relations, units), velocities_of(relations, units)]
+    groups = [*((name,) for name in names), *(group for group in together if len(group) > 1)]
+    return [Candidate("delay", g, "s", max(0.7, 3.0 * step), 0.3 * step) for g in groups]
+
+
+def _in_space(
+    relations: tuple[Relation, ...], units: dict[str, str], size: dict[str, float]
+) -> list[Candidate]:
+    """Lever arms and misalignments of velocities, and drifts of positions."""
+    positions, velocities = positions_of(relations, units), velocities_of(relations, units)
+    result = []
     for velocity, rate in levers(relations, units):
         arm = 0.5 * max(size[v] for v in velocities) / max(size[rate], 1e-12)
         least = min(0.05, 0.02 * arm)
@@ -122,7 +134,7 @@ def candidates(traces: list[Trace], relations: tuple[Relation, ...]) -> tuple[Ca
         speed = max((size[v] for v in velocities), default=1.0)
         level = [p for p in positions if p != "z"]
         result += [Candidate("drift", (p,), "m/s", 0.3 * speed, 2e-3 * speed) for p in level]
-    return tuple(result)
+    return result
 
 
 def _rms(traces: list[Trace], name: str) -> float:
@@ -172,6 +184,20 @@ def search(
     return found, system
 
 
+def _begun(
+    faults: tuple[Candidate, ...], start: Sequence[Correction]
+) -> tuple[list[int], np.ndarray]:
+    """Faults of a start, and their sizes among those of all."""
+    active, sizes = list[int](), np.zeros(len(faults))
+    shared = {(f.kind, f.signals, f.other): k for k, f in enumerate(faults) if not f.record}
+    for one in start:
+        k = shared.get((one.kind, one.signals, one.other))
+        if k is not None:
+            active.append(k)
+            sizes[k] = one.value
+    return active, sizes
+
+
 def _search(
     traces: list[Trace],
     relations: tuple[Relation, ...],
@@ -179,15 +205,7 @@ def _search(
     start: Sequence[Correction],
 ) -> tuple[list[Continuous], System | None, float]:
     """Search from one start; also minus twice the log-likelihood, with a price for each fault."""
-    sizes = np.zeros(len(faults))
-    active: list[int] = []
-    for one in start:
-        for k, fault in enumerate(faults):
-            if (fault.kind, fault.signals, fault.other) == (one.kind, one.signals, one.other) and (
-                not fault.record
-            ):
-                active.append(k)
-                sizes[k] = one.value
+    active, sizes = _begun(faults, start)
     system, right = None, np.zeros(len(faults))
     colours: dict[int, Colour] | None = None
     for turn in range(ROUNDS):
@@ -205,15 +223,12 @@ def _search(
         new = np.zeros(len(faults))
         if chosen:
             new[chosen], std = solve(system.gram, right, faults, chosen)
-        same = set(chosen) == set(active)
-        settled = same and (
-            not chosen or bool(np.all(np.abs(new - sizes)[chosen] < 0.1 * std + 1e-9))
-        )
+        still = not chosen or bool(np.all(np.abs(new - sizes)[chosen] < 0.1 * std + 1e-9))
+        settled = still and set(chosen) == set(active)
         active, sizes = chosen, new
         if settled:
             break
-    if system is None:
-        return [], None, np.inf
+    assert system is not None
     counts = {part.relation: 0 for part in system.parts}
     for part in system.parts:
         counts[part.relation] += part.residual.size
@@ -244,6 +259,12 @@ def _undone(
     return [undo(trace, fixes, relations) for trace in traces] if fixes else traces
 
 
+def _limit(colour: Colour, walk: float) -> float:
+    """Gain that a fault needs in an equation with this noise."""
+    wanders = walk > 0.0 and colour.walk_variance > WANDERING * walk
+    return ACCEPTED_COLOURED if colour.correlation > COLOURED or wanders else ACCEPTED
+
+
 def assemble(
     parts: list[Stretch],
     relations: tuple[Relation, ...],
@@ -268,10 +289,7 @@ def assemble(
         kept = before if settled else None
         colour = kept or estimate(blocks, walk, level, before)
         known[index] = colour
-        is_coloured = colour.correlation > COLOURED or (
-            walk > 0.0 and colour.walk_variance > WANDERING * walk
-        )
-        limit = ACCEPTED_COLOURED if is_coloured else ACCEPTED
+        limit = _limit(colour, walk)
         for part, block in zip(mine, blocks, strict=True):
             white = colour.whiten(np.column_stack([block, np.ones(len(block))]))
             constant = white[:, -1]

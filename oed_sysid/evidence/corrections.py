@@ -108,48 +108,53 @@ def _undone(
     relations: tuple[Relation, ...],
 ) -> dict[str, np.ndarray]:
     """Signals that a correction changes."""
-    here = {name: values[name] for name in one.signals}
-    if one.kind == "swap":
+    if one.kind in ("swap", "misalignment"):
         first, second = one.signals
-        return {first: values[second], second: values[first]}
-    if one.kind in ("sign", "unit"):
-        return {name: one.value * series for name, series in here.items()}
-    if one.kind == "offset":
-        return {name: series + one.value for name, series in here.items()}
-    if one.kind == "delay":
-        return {name: shifted(times, series, one.value) for name, series in here.items()}
-    if one.kind == "bias":
-        return {name: series - one.value for name, series in here.items()}
-    if one.kind == "scale":
-        result = {}
-        for name, series in here.items():
-            fixed = pivot(series, units[name])
-            result[name] = fixed + (series - fixed) / (1.0 + one.value)
-        return result
-    if one.kind == "misalignment":
-        first, second = one.signals
+        if one.kind == "swap":
+            return {first: values[second], second: values[first]}
         cos, sin = np.cos(one.value), np.sin(one.value)
         return {
             first: cos * values[first] + sin * values[second],
             second: cos * values[second] - sin * values[first],
         }
-    if one.kind == "lever":
-        return {name: series - one.value * values[one.other[0]] for name, series in here.items()}
+    if one.kind == "frame":
+        return body_axes(times, values, units, one.signals, relations)
+    return {
+        name: _mended(record, times, values, values[name], units[name], one) for name in one.signals
+    }
+
+
+def _mended(
+    record: str,
+    times: np.ndarray,
+    values: dict[str, np.ndarray],
+    series: np.ndarray,
+    unit: str,
+    one: Correction,
+) -> np.ndarray:
+    """One signal without a fault that concerns it alone."""
+    if one.kind == "scale":
+        fixed = pivot(series, unit)
+        return fixed + (series - fixed) / (1.0 + one.value)
     if one.kind == "blank":
-        result = {}
-        for name, series in here.items():
-            result[name] = series.copy()
-            result[name][list(one.rows.get(record, ()))] = np.nan
+        result = series.copy()
+        result[list(one.rows.get(record, ()))] = np.nan
         return result
     if one.kind == "step":
         jumps = zip(one.rows.get(record, ()), one.sizes.get(record, ()), strict=True)
-        later = sum((size * (np.arange(times.size) >= row) for row, size in jumps), 0.0)
-        return {name: series - later for name, series in here.items()}
-    if one.kind == "drift":
-        return {name: series - one.value * (times - times[0]) for name, series in here.items()}
-    if one.kind == "frame":
-        return body_axes(times, values, units, one.signals, relations)
-    return here
+        return series - sum((size * (np.arange(times.size) >= row) for row, size in jumps), 0.0)
+    if one.kind == "delay":
+        return shifted(times, series, one.value)
+    if one.kind == "lever":
+        return series - one.value * values[one.other[0]]
+    if one.kind in ("sign", "unit"):
+        return one.value * series
+    added = {
+        "offset": one.value,
+        "bias": -one.value,
+        "drift": -one.value * (times - times[0]),
+    }
+    return series + added[one.kind] if one.kind in added else series
 
 
 def body_axes(

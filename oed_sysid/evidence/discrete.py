@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import combinations, product
 
 import numpy as np
 
@@ -318,22 +319,19 @@ def hypotheses(traces: list[Trace], relations: tuple[Relation, ...]) -> Iterator
         yield Hypothesis(Correction("sign", (name,), -1.0), "")
         for factor, meaning in UNITS.get(units[name], ()):
             yield Hypothesis(Correction("unit", (name,), factor), meaning)
-    for i, first in enumerate(names):
-        for second in names[i + 1 :]:
-            yield Hypothesis(Correction("swap", (first, second)), "")
+    for pair in combinations(names, 2):
+        yield Hypothesis(Correction("swap", pair), "")
     yield from _geometry(traces, relations, units)
     # Faults with a size that would else be taken for one of these; only their start values.
     yield from (
         Hypothesis(Correction("lever", (v,), 0.0, (r,)), "") for v, r in levers(relations, units)
     )
     step = float(np.median([trace.step for trace in traces]))
-    groups: list[tuple[str, ...]] = [(name,) for name in names]
-    positions = positions_of(relations, units)
-    groups += [g for g in (positions, velocities_of(relations, units)) if len(g) > 1]
-    for group in groups:
-        for delay in DELAYS:
-            if abs(delay) > 0.5 * step:
-                yield Hypothesis(Correction("delay", group, delay), "")
+    together = (positions_of(relations, units), velocities_of(relations, units))
+    groups = [*((name,) for name in names), *(group for group in together if len(group) > 1)]
+    delays = [delay for delay in DELAYS if abs(delay) > 0.5 * step]
+    for group, delay in product(groups, delays):
+        yield Hypothesis(Correction("delay", group, delay), "")
 
 
 def _geometry(
@@ -392,17 +390,31 @@ def unchecked(
         return tuple(said)
     targets = [r.target for r in relations if r.is_rate]
     said.append(f"Constant offsets of {', '.join(targets)}, and a delay common to all signals.")
+    return (*said, *_of_angles(relations, units), *_of_positions(relations, units))
+
+
+def _of_angles(relations: tuple[Relation, ...], units: dict[str, str]) -> list[str]:
+    """What an angle and its one rate leave open."""
     angles = [r for r in relations if units.get(r.target) == "rad" and len(r.signals) == 1]
-    positions, velocities = positions_of(relations, units), velocities_of(relations, units)
+    elsewhere = {name for r in relations for name in r.signals}
     lonely = [
-        r for r in angles
-        if not any(r.target in other.signals for other in relations)
-    ]  # fmt: skip
-    for r in lonely:
-        pair = f"{r.target} and {r.signals[0]}"
-        said.append(f"Which of {pair} has a wrong sign, unit, scale or delay; both alike.")
-    for r in (r for r in angles if r not in lonely):
-        said.append(f"A wrong sign or unit that {r.target} and {r.signals[0]} share in full.")
+        f"Which of {r.target} and {r.signals[0]} has a wrong sign, unit, scale or delay; "
+        "both alike."
+        for r in angles
+        if r.target not in elsewhere
+    ]
+    shared = [
+        f"A wrong sign or unit that {r.target} and {r.signals[0]} share in full."
+        for r in angles
+        if r.target in elsewhere
+    ]
+    return [*lonely, *shared]
+
+
+def _of_positions(relations: tuple[Relation, ...], units: dict[str, str]) -> list[str]:
+    """What positions and velocities leave open."""
+    positions, velocities = positions_of(relations, units), velocities_of(relations, units)
+    said = []
     if positions:
         said.append(
             f"The sign of {', '.join(positions)} against those of {', '.join(velocities)} together."
@@ -411,4 +423,4 @@ def unchecked(
         said.append("At a single speed: a bias of a velocity against its scale.")
     if len(positions) > 1:
         said.append("On straight runs: a current against a bias of the velocities.")
-    return tuple(said)
+    return said

@@ -435,34 +435,27 @@ def _result(
         for fit in path
     ]
     errors = [relative(one, sigma, study) for one in rms]
-    steps = []
-    for number, one in enumerate(state.added, start=1):
-        steps.append(
-            Step(
-                effect=_at_estimates(one.effect, fits[number].model.values),
-                group=one.group,
-                gain=one.gain,
-                needed=one.needed,
-                test_gain=one.validation_gain,
-                train_error=errors[number]["train"],
-                test_error=errors[number]["test"],
-                fit=fits[number],
-                rms=rms[number],
-            )
+    steps = [
+        Step(
+            effect=_at_estimates(one.effect, fits[number].model.values),
+            group=one.group,
+            gain=one.gain,
+            needed=one.needed,
+            test_gain=one.validation_gain,
+            train_error=errors[number]["train"],
+            test_error=errors[number]["test"],
+            fit=fits[number],
+            rms=rms[number],
         )
+        for number, one in enumerate(state.added, start=1)
+    ]
     yardstick = Yardstick.of(study.train, sigma)
     worst = rms[-1]["test"] if study.validation is not None else rms[-1]["train"]
-    names = study.base.output_names
-    # Noise that nobody declared is what the fastest wiggles show, whatever a fit took for noise.
-    fast = np.where(study.estimated, np.minimum(sigma, credible_levels(study.train)[0]), sigma)
-    excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0))
-    shares, ratios = (
-        {name: float(v) for name, v in zip(names, excess / unit, strict=True) if not np.isnan(v)}
-        for unit in (yardstick.spread, fast)
-    )
+    shares, ratios = _missed(study, sigma, worst, yardstick)
     term = None
     if proposals is not None and proposals.best is not None:
         term = Term.of(proposals, steps[-1], state.replaced)
+    claimed = {step.added for step in steps}
     return Improvement(
         model=fits[-1].model,
         base=base_fit.model,
@@ -476,23 +469,33 @@ def _result(
             end.left,
             shares=shares,
             over_wiggles=ratios,
-            declared=tuple(n for n, e in zip(names, study.estimated, strict=True) if not e),
+            declared=tuple(np.array(study.base.output_names)[~study.estimated].tolist()),
             suspect=_suspect(log, steps),
         ),
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
         yardstick=yardstick,
-        rejected=tuple(
-            name
-            for name in dict.fromkeys(found.rejected)
-            if name not in {step.added for step in steps}
-        ),
+        rejected=tuple(dict.fromkeys(n for n in found.rejected if n not in claimed)),
         proposed=() if term is None else (term.to_dict(),),
         notes=(*notes, *state.doubts),
         log=log,
         skipped=study.skipped,
         last=found.last if steps else None,
     )
+
+
+def _missed(
+    study: Study, sigma: np.ndarray, worst: np.ndarray, yardstick: Yardstick
+) -> tuple[dict[str, float], ...]:
+    """What whole runs miss of every output beyond noise, over its spread and over its noise."""
+    # Noise that nobody declared is what the fastest content shows, whatever a fit took for noise.
+    fast = np.where(study.estimated, np.minimum(sigma, credible_levels(study.train)[0]), sigma)
+    excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0))
+    pairs = (
+        zip(study.base.output_names, excess / unit, strict=True)
+        for unit in (yardstick.spread, fast)
+    )
+    return tuple({name: float(v) for name, v in pair if not np.isnan(v)} for pair in pairs)
 
 
 def _suspect(log: LogCheck | None, steps: Sequence[Step]) -> str:

@@ -559,41 +559,74 @@ def advice(
     """
     known = {score.effect.name: score.effect for score in ranking.scores}
     estimates = {row["name"]: row for row in parameters}
-    believe, doubt, sea = [], [], []
+    believe, doubt, sea = list[str](), list[str](), list[str]()
     for step in steps:
-        own = [p for p in step.effect.parameters if p.name in estimates]
-        sizes = [_size(estimates[p.name], p) for p in own]
-        sizes += [_sizes(p, steps[-1].fit) for p in step.effect.parameters if p.per_record]
-        tested = not np.isnan(step.test_gain)
-        rivals = step.group[1:]
-        what = " or ".join(step.group) if rivals else step.added
-        believe.append(
-            f"{what} is missing{', the validation records agree' if tested else ''}"
-            + (f": {', '.join(sizes)}." if sizes and not rivals else ".")
-        )
-        if own and not any(_clear(estimates[p.name]) for p in own):
-            doubt.append(
-                f"{what} before more records have shown it: the 95 % interval holds zero "
-                f"({', '.join(sizes)})."
-            )
-        unknown = [p.name for p in own if not _is_told(estimates[p.name], p)]
-        if unknown:
-            doubt.append(f"the size of {', '.join(unknown)}: these records do not give it.")
-        if step.test_error > RISE * before:
-            doubt.append(
-                f"{step.added} alone: with it whole validation runs are {step.test_error:.3g} x "
-                f"noise off, {before:.3g} before. Its claim rests on the model as a whole."
-            )
+        claim, doubts = _of_step(step, estimates, steps[-1].fit, before)
+        believe.append(claim)
+        doubt += doubts
         before = step.test_error
-        if rivals:
-            doubt.append(
-                f"that it is {step.added} ({', '.join(sizes)}): {', '.join(rivals)} "
-                f"{'does' if len(rivals) == 1 else 'do'} as well."
-            )
+        if len(step.group) > 1:
             sea += _manoeuvre(step.group, known, commanded)
-        if not tested:
-            doubt.append(f"{step.added} before a validation record has confirmed it.")
-    ended = ranking if last is None else last
+    doubt += _not_shown(steps, ranking if last is None else last)
+    if not explained:
+        doubt.append("standard errors of the parameters: more is missing than was found.")
+    return [
+        *_listed("Only if the log is right" if suspect else "Believe", believe),
+        *_listed("Do not believe", doubt),
+        *_listed("Next at sea", list(dict.fromkeys(sea))),
+    ]
+
+
+def _of_step(
+    step: Any, estimates: Mapping[str, Mapping[str, Any]], fit: Fit, before: float
+) -> tuple[str, list[str]]:
+    """What one step claims, and what of that is not to be believed."""
+    own = [p for p in step.effect.parameters if p.name in estimates]
+    sizes = [_size(estimates[p.name], p) for p in own]
+    sizes += [_sizes(p, fit) for p in step.effect.parameters if p.per_record]
+    tested = not np.isnan(step.test_gain)
+    rivals = step.group[1:]
+    what = " or ".join(step.group) if rivals else step.added
+    claim = f"{what} is missing{', the validation records agree' if tested else ''}" + (
+        f": {', '.join(sizes)}." if sizes and not rivals else "."
+    )
+    return claim, _doubts_of(step, estimates, sizes, before)
+
+
+def _doubts_of(
+    step: Any, estimates: Mapping[str, Mapping[str, Any]], sizes: Sequence[str], before: float
+) -> list[str]:
+    """What of the claim of one step is not to be believed."""
+    own = [p for p in step.effect.parameters if p.name in estimates]
+    rivals = step.group[1:]
+    what = " or ".join(step.group) if rivals else step.added
+    doubt = []
+    if own and not any(_clear(estimates[p.name]) for p in own):
+        doubt.append(
+            f"{what} before more records have shown it: the 95 % interval holds zero "
+            f"({', '.join(sizes)})."
+        )
+    unknown = [p.name for p in own if not _is_told(estimates[p.name], p)]
+    if unknown:
+        doubt.append(f"the size of {', '.join(unknown)}: these records do not give it.")
+    if step.test_error > RISE * before:
+        doubt.append(
+            f"{step.added} alone: with it whole validation runs are {step.test_error:.3g} x "
+            f"noise off, {before:.3g} before. Its claim rests on the model as a whole."
+        )
+    if rivals:
+        doubt.append(
+            f"that it is {step.added} ({', '.join(sizes)}): {', '.join(rivals)} "
+            f"{'does' if len(rivals) == 1 else 'do'} as well."
+        )
+    if np.isnan(step.test_gain):
+        doubt.append(f"{step.added} before a validation record has confirmed it.")
+    return doubt
+
+
+def _not_shown(steps: Sequence[Any], ended: Ranking) -> list[str]:
+    """What would not have shown in these records, or is the same as what is free already."""
+    doubt = []
     added = {name for step in steps for name in (step.added, *step.group)}
     imitated = [name for name in ended.imitated() if name not in added]
     hidden = sorted(set(ended.undetectable()) - added - set(imitated))
@@ -607,13 +640,7 @@ def advice(
             f"that these records say anything about {_several(imitated)}: parameters that are free "
             "already do the same."
         )
-    if not explained:
-        doubt.append("standard errors of the parameters: more is missing than was found.")
-    return [
-        *_listed("Only if the log is right" if suspect else "Believe", believe),
-        *_listed("Do not believe", doubt),
-        *_listed("Next at sea", list(dict.fromkeys(sea))),
-    ]
+    return doubt
 
 
 def _several(names: Sequence[str]) -> str:

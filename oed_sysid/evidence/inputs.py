@@ -34,6 +34,7 @@ from oed_sysid.evidence.result import Correction, Finding
 from oed_sysid.evidence.words import COPY
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
 from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 DEGREE = np.pi / 180.0
 UNITS: dict[str, tuple[tuple[float, str], ...]] = {
@@ -90,13 +91,12 @@ def input_findings(
     reason : str
         Why inputs could not be judged, in a sentence; empty if they were.
     """
-    believed = [p for p in model.free_parameters if p.prior_std is not None]
-    if not model.inputs or not believed:
+    if not model.inputs:
+        return [], ""
+    if all(p.prior_std is None for p in model.free_parameters):
         return [], (
             "Signs and units of inputs: no parameter of the model has a declared prior "
             "(prior_mean, prior_std) to hold them against."
-            if model.inputs
-            else ""
         )
     known = [fix for fix in fixes if fix.kind in ORDER]
     try:
@@ -110,21 +110,16 @@ def input_findings(
             "Signs and units of inputs: not all states of the model are measured, or follow from "
             "those that are."
         )
-    found: list[Finding] = []
     base = max(_evidence(run, model, pieces, None, 1.0, lag) for lag in LAGS)
     if not np.isfinite(base):
         return [], "Signs and units of inputs: the nominal model diverges from the measured states."
-    for index, channel in enumerate(model.inputs):
-        values = np.concatenate([record.inputs[:, index] for record in dataset])
-        if not np.any(values):
-            continue
-        trials = [(-1.0, "sign")] * bool(np.ptp(values) > 0.0) + list(UNITS.get(channel.unit, ()))
-        scores = []
-        for factor, meaning in trials:
-            gain = _evidence(run, model, pieces, index, factor, 0.0) - base
-            if gain > ACCEPTED:
-                scores.append((gain, factor, meaning))
-        if scores:
+    found: list[Finding] = []
+    for index in range(len(model.inputs)):
+        scores = [
+            (_evidence(run, model, pieces, index, factor, 0.0) - base, factor, meaning)
+            for factor, meaning in _trials(dataset, model, index)
+        ]
+        if scores and max(scores)[0] > ACCEPTED:
             found.append(_finding(dataset, model, index, *max(scores)))
     # Of several inputs the one that explains most; the others are judged once it is mended.
     found.sort(key=lambda one: -(one.gain or 0.0))
@@ -219,6 +214,33 @@ def _dynamic(model: Model) -> np.ndarray:
     return np.array([i for i, name in enumerate(names) if name in own], dtype=int)
 
 
+def _trials(dataset: Dataset, model: Model, index: int) -> list[tuple[float, str]]:
+    """Factors by which an input may be wrong, and what each means."""
+    values = np.concatenate([record.inputs[:, index] for record in dataset])
+    if not np.any(values):
+        return []
+    sign = [(-1.0, "sign")] if np.ptp(values) > 0.0 else []
+    return [*sign, *UNITS.get(model.inputs[index].unit, ())]
+
+
+def _believed(p: Parameter) -> float:
+    """How far a parameter may be from its prior mean."""
+    if p.prior_std is None:
+        return FREE * max(abs(p.value), 1e-3)
+    return max(p.prior_std, LEAST_PRIOR * abs(p.prior_mean or p.value))
+
+
+def _changed(record: Record, index: int | None, factor: float, lag: float) -> np.ndarray:
+    """Inputs of a record, one of them multiplied and all of them late."""
+    inputs = np.array(record.inputs)
+    if index is not None:
+        inputs[:, index] *= factor
+    if lag > 0.0:
+        late = [np.interp(record.times - lag, record.times, column) for column in inputs.T]
+        inputs = np.column_stack(late)
+    return inputs
+
+
 def _evidence(
     run: Kernel,
     model: Model,
@@ -232,25 +254,12 @@ def _evidence(
     if not columns.size:
         return -np.inf
     free = model.free_parameters
-    scale = np.array(
-        [
-            max(p.prior_std, LEAST_PRIOR * abs(p.prior_mean or p.value))
-            if p.prior_std is not None
-            else FREE * max(abs(p.value), 1e-3)
-            for p in free
-        ]
-    )
-    shift = np.array([(p.prior_mean - p.value) if p.prior_mean is not None else 0.0 for p in free])
+    scale = np.array([_believed(p) for p in free])
+    shift = np.array([0.0 if p.prior_mean is None else p.prior_mean - p.value for p in free])
     rest, jacobian, moving = [], [], []
     for piece in pieces:
         record = piece.record
-        inputs = np.array(record.inputs)
-        if index is not None:
-            inputs[:, index] *= factor
-        if lag > 0.0:
-            inputs = np.column_stack(
-                [np.interp(record.times - lag, record.times, column) for column in inputs.T]
-            )
+        inputs = _changed(record, index, factor, lag)
         nodes = piece.states[piece.starts]
         if run.n_full > run.n_own:  # states of effects begin where own states and inputs say
             nodes = np.array(

@@ -263,25 +263,19 @@ def locate(
     names = fit.noise.places
     chosen = [i for i, name in enumerate(names) if name.startswith("force ")]
     forces = tuple(series.only(chosen) for series in smoother.series())
-    signatures = {}
-    for name, rival in (rivals or {}).items():
-        runs = [simulated(rival, index) for index in range(len(fit.problem.records))]
-        if all(np.isfinite(run).any() for run in runs):
-            # Nothing is noisy there, but what was not measured is not known.
-            seen = [
-                np.where(np.isfinite(record.outputs), run, np.nan)
-                for run, record in zip(runs, fit.problem.records, strict=True)
-            ]
-            signatures[name] = tuple(part[:, chosen] for part in smoother.signature(seen))
+    signatures = {
+        name: tuple(part[:, chosen] for part in smoother.signature(seen))
+        for name, rival in (rivals or {}).items()
+        if (seen := _simulated(rival)) is not None
+    }
+    clear = [part for part in found[:N_FIRST] if part.gain > CLEAR]
     return Located(
         places=tuple(part.place for part in found),
         gains={part.place.name: part.gain for part in found},
         levels={part.place.name: part.level for part in found},
         force_names=tuple(names[i].removeprefix("force ") for i in chosen),
         forces=forces,
-        discrepancies={
-            part.place.name: part.smoothed() for part in found[:N_FIRST] if part.gain > CLEAR
-        },
+        discrepancies={part.place.name: part.smoothed() for part in clear},
         signatures=signatures,
         agreement={name: agreement(forces, parts) for name, parts in signatures.items()},
     )
@@ -290,6 +284,19 @@ def locate(
 def simulated(fit: FilteredSolution, index: int) -> np.ndarray:
     """Outputs of a fit's model on its own along one record, ``(n_times, n_outputs)``."""
     return fit.problem.alone(fit.point.unknowns, index)[0]
+
+
+def _simulated(rival: FilteredSolution) -> list[np.ndarray] | None:
+    """Records as a rival makes them; None where it diverges.
+
+    Nothing is noisy there, but what was not measured is not known.
+    """
+    records = rival.problem.records
+    runs = [simulated(rival, index) for index in range(len(records))]
+    if not all(np.isfinite(run).any() for run in runs):
+        return None
+    pairs = zip(runs, records, strict=True)
+    return [np.where(np.isfinite(record.outputs), run, np.nan) for run, record in pairs]
 
 
 def likeliest(ranking: Ranking) -> dict[str, FilteredSolution]:

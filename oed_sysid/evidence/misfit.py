@@ -175,6 +175,10 @@ class OutputMisfit:
     )  # fmt: skip
 
 
+def _mean(values: np.ndarray) -> float:
+    return float(np.mean(values)) if values.size else np.nan
+
+
 def output_misfit(
     output: Output,
     residuals: Sequence[np.ndarray],
@@ -222,25 +226,20 @@ def output_misfit(
     # Records on which the prediction left the numbers have no pattern to look at.
     whole = [i for i, residual in enumerate(residuals) if not np.isinf(residual).any()]
     usable = [residuals[i] for i in whole]
+    complete = len(whole) == len(times)
+    tested = [r for r in usable if np.isfinite(r).sum() > 10]
+    inside = np.concatenate(inside_band)[seen]
     return OutputMisfit(
         output=output,
         rmse=_rms(pooled),
         sigma=sigma,
-        bias=float(np.mean(pooled[seen])) if seen.any() else np.nan,
+        bias=_mean(pooled[seen]),
         record_rmse=tuple(_rms(residual) for residual in residuals),
         n_samples=int(seen.sum()),
-        coverage=float(np.mean(np.concatenate(inside_band)[seen])) if seen.any() else np.nan,
-        tests=tuple(
-            whiteness(r) if in_time else _apart(r) for r in usable if np.isfinite(r).sum() > 10
-        ),
-        correlations=(
-            _correlations(usable, signals, times, in_time) if len(whole) == len(times) else ()
-        ),
-        regimes=(
-            tuple(concentrations(scaled, parts, in_time=in_time))
-            if len(whole) == len(times)
-            else ()
-        ),
+        coverage=_mean(inside),
+        tests=tuple(map(whiteness if in_time else _apart, tested)),
+        correlations=_correlations(usable, signals, times, in_time) if complete else (),
+        regimes=tuple(concentrations(scaled, parts, in_time=in_time)) if complete else (),
         windows=windows,
         worst=_worst(windows, times, names) if in_time else _worst_test(windows, names),
         in_time=in_time,

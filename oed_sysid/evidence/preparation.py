@@ -82,13 +82,11 @@ def prepared(train: Dataset, validation: Dataset | None, *, enough: int = ENOUGH
     600 400
     """
     notes = []
-    if validation is None and len(train) == 1:
-        if train.only_tests and train[0].n_samples >= 2.5 * LEAST_TESTS:
-            train, validation, words = _drawn_apart(train[0])
-            notes.append(words)
-        elif not train.only_tests and train[0].n_samples >= 2.5 * LEAST:
-            train, validation, words = _kept_apart(train[0])
-            notes.append(words)
+    least = LEAST_TESTS if train.only_tests else LEAST
+    if validation is None and len(train) == 1 and train[0].n_samples >= 2.5 * least:
+        parted = _drawn_apart if train.only_tests else _kept_apart
+        train, validation, words = parted(train[0])
+        notes.append(words)
     if train.only_tests:  # to leave some out would lose what they alone tell
         return Prepared(train, validation, tuple(notes))
     strides, whole = _strides(train, validation, enough), None

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from oed_sysid.errors import SimulationError
 from oed_sysid.evidence.dictionary import Signals, Term, signals_along, terms
 from oed_sysid.evidence.rank import GROUP_WIDTH, threshold
 from oed_sysid.evidence.residual_forces import derivatives, let_in
@@ -372,6 +373,11 @@ def term_scores(
     TermScores, Signals
     """
     passes = problem.passes(unknowns, rows=True, gains=True, moves=True)
+    if not all(part.ok for part in passes):
+        raise SimulationError(
+            f"Model {problem.model.name!r} diverges although a force may act in every equation. "
+            "Cut the record, or bound the parameters."
+        )
     if signals is None:
         size = problem.kernel.n_full
         kept = np.arange(size) if problem.own is None else problem.own

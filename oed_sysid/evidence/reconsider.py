@@ -83,6 +83,15 @@ def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
     return fit if best is fit else study.settle(best)
 
 
+def _preferred(ranking: Ranking, present: str) -> Refit | None:
+    """The best of a ranking, or the effect that is present where that one is not clearly worse."""
+    if not ranking.refits:
+        return None
+    best = ranking.refits[0]
+    old = next((refit for refit in ranking.refits if refit.name == present), best)
+    return old if best.evidence < old.evidence + SWAP_MARGIN else best
+
+
 def reviewed(state: Standing) -> Standing:
     """Drop or replace effects that others, or a better fit, have made doubtful."""
     study = state.study
@@ -100,22 +109,12 @@ def reviewed(state: Standing) -> Standing:
             return rebuilt(state.dropping(old, study.settle(without)))
         if is_last:  # it was the best of a ranking just now
             continue
-        reduced = replace(state, added=others, fit=without)
-        ranking = rank(
-            study,
-            without,
-            reduced.left,
-            also=(old.effect.name,),
-            n_refits=5,
-            share=state.share,
-        )
-        present = next((r for r in ranking.refits if r.name == old.effect.name), None)
-        best = ranking.refits[0] if ranking.refits else None
-        if best is None:
+        left = replace(state, added=others, fit=without).left
+        also = (old.effect.name,)
+        ranking = rank(study, without, left, also=also, n_refits=5, share=state.share)
+        chosen = _preferred(ranking, old.effect.name)
+        if chosen is None:
             continue
-        chosen = best
-        if present is not None and best.evidence < present.evidence + SWAP_MARGIN:
-            chosen = present
         group = ranking.claimed_with(chosen.name)
         if chosen.name == old.effect.name:
             same = replace(old, ranking=ranking, group=group)
@@ -252,6 +251,59 @@ def rebuilt(state: Standing) -> Standing:
 PLACE_MARGIN = 10.0
 
 
+def _beside(
+    state: Standing, kept: tuple[Added, ...], start: FilteredSolution, proposals: Proposals
+) -> Standing | None:
+    """The best term beside some effects, less those that only imitated it."""
+    assert proposals.best is not None
+    effect = proposals.best.effect
+    wide = state.study.with_candidates([effect])
+    found = wide.estimate(
+        [*(one.effect for one in kept), effect], proposals.best.fit.values, start,
+        noise=state.study.loosened(start.noise), max_iterations=25,
+    )  # fmt: skip
+    if found is None:
+        return None
+    kept, found = _without_imitations(wide, kept, effect, found)
+    gain = state.path[len(kept)].objective - found.objective
+    one = Added(effect, None, gain, proposals.needed, np.nan, (effect.name,))
+    return replace(state, study=wide, added=(*kept, one), fit=found)
+
+
+def _cheapest(state: Standing) -> tuple[tuple[Standing, Proposals] | None, tuple[str, ...]]:
+    """The likeliest term beside all, most or none of the effects; terms tied beside all of them.
+
+    An effect that stays has its price.
+    """
+    n_known = len(state.added)
+    found: list[tuple[float, Standing, Proposals]] = []
+    tied: tuple[str, ...] = ()
+    for count in sorted({0, max(n_known - 1, 0), n_known}, reverse=True):
+        start = state.path[count]
+        proposals = propose(state.study, start)
+        if proposals.best is None:
+            continue
+        if count == n_known:
+            tied = proposals.group[:3]
+        option = _beside(state, state.added[:count], start, proposals)
+        if option is not None:
+            cost = option.fit.objective + PLACE_MARGIN * (len(option.added) - 1)
+            found.append((cost, option, proposals))
+    return (min(found, key=lambda one: one[0])[1:] if found else None), tied
+
+
+def _agreed(state: Standing, option: Standing) -> Standing | None:
+    """The search with a term, settled; None where validation records do not agree."""
+    study, validation_gain = state.study, np.nan
+    if study.validation is not None:
+        validation_gain = difference(study.validate(state.fit), option.study.validate(option.fit))
+        if validation_gain <= 0 or rises(option.study, state.fit, option.fit):
+            return None
+    last = replace(option.added[-1], validation_gain=validation_gain)
+    settled = option.study.settle(option.fit)
+    return replace(option, added=(*option.added[:-1], last), fit=settled)
+
+
 def with_term(
     state: Standing, max_effects: int
 ) -> tuple[Standing, Proposals | None, tuple[str, ...]] | None:
@@ -267,34 +319,11 @@ def with_term(
         Terms that would explain what is left and were not confirmed.
     """
     study, n_known = state.study, len(state.added)
-    best: tuple[float, Standing, Proposals, FilteredSolution] | None = None
-    tied: tuple[str, ...] = ()
-    for count in sorted({0, max(n_known - 1, 0), n_known}, reverse=True):
-        start = state.path[count]
-        proposals = propose(study, start)
-        if proposals.best is None:
-            continue
-        if count == n_known:
-            tied = proposals.group[:3]
-        effect = proposals.best.effect
-        wide = study.with_candidates([effect])
-        kept = state.added[:count]
-        found = wide.estimate(
-            [*(one.effect for one in kept), effect], proposals.best.fit.values, start,
-            noise=study.loosened(start.noise), max_iterations=25,
-        )  # fmt: skip
-        if found is None:
-            continue
-        kept, found = _without_imitations(wide, kept, effect, found)
-        cost = found.objective + PLACE_MARGIN * len(kept)
-        if best is None or cost < best[0]:
-            gain = state.path[len(kept)].objective - found.objective
-            one = Added(effect, None, gain, proposals.needed, np.nan, (effect.name,))
-            option = replace(state, study=wide, added=(*kept, one), fit=found)
-            best = cost, option, proposals, found
+    best, tied = _cheapest(state)
     if best is None:
         return state, None, ()
-    _, option, proposals, found = best
+    option, proposals = best
+    found = option.fit
     fewer = n_known - len(option.added)
     gained = state.fit.objective - found.objective
     replaced = fewer + 1 > 0
@@ -308,18 +337,12 @@ def with_term(
     ):
         told = dismissal(study, term.name)
         return state.doubting(term.name, told), None, ()
-    validation_gain = np.nan
-    if study.validation is not None:
-        validation_gain = difference(study.validate(state.fit), option.study.validate(found))
-        if validation_gain <= 0 or rises(option.study, state.fit, found):
-            return state, None, tied
-    last = replace(option.added[-1], validation_gain=validation_gain)
-    option = replace(option, added=(*option.added[:-1], last), fit=option.study.settle(found))
-    if len(option.added) > max_effects + 1:
+    agreed = _agreed(state, option)
+    if agreed is None or len(agreed.added) > max_effects + 1:
         return state, None, tied
-    present = {one.effect.name for one in option.added}
+    present = {one.effect.name for one in agreed.added}
     gone = tuple(one.effect.name for one in state.added if one.effect.name not in present)
-    return rebuilt(replace(option, replaced=gone)), proposals, ()
+    return rebuilt(replace(agreed, replaced=gone)), proposals, ()
 
 
 def _without_imitations(

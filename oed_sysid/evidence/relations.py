@@ -23,7 +23,7 @@ column carries a usual name of a rigid body's motion, kinematics can use it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -157,30 +157,25 @@ def _declared(
     if is_rate and state in touched:
         return None
     constants = {p.name: p.value for p in model.all_parameters if p.fixed}
-    used: list[str] = []
-    inner: dict[str, str] = {}
-    called = set(expressions.functions(text))
-    pending = sorted(expressions.names(text))
-    while pending:
-        name = pending.pop(0)
-        if name in measured:
-            used.append(name)
-        elif name in model.signals and name not in touched:
-            if name not in inner:
-                inner[name] = model.signals[name]
-                called |= expressions.functions(model.signals[name])
-                pending += sorted(expressions.names(model.signals[name]))
-        elif name not in constants and name != "t":
-            return None
-    if called - set(expressions.FUNCTIONS):
+    signals_of = {name: part for name, part in model.signals.items() if name not in touched}
+    needed = _needed(text, {*measured}, {*constants, "t"}, signals_of)
+    if needed is None:
         return None
+    used, inner = needed
     if is_rate and not _is_kinematic(model, target, {measured[s] for s in used}):
         return None
-    aliases = [(s, measured[s]) for s in dict.fromkeys(used) if measured[s] != s]
-    ordered = [(name, inner[name]) for name in model.signals if name in inner]
+    steps = _steps(model, measured, used, inner)
     signals = tuple(dict.fromkeys(measured[s] for s in used))
-    steps = (*aliases, *ordered, (f"{target}_prime_", text))
+    steps = (*steps, (f"{target}_prime_", text))
     return Relation(target, signals, text, is_rate, True, steps, constants)
+
+
+def _steps(
+    model: Model, measured: Mapping[str, str], used: Sequence[str], inner: Mapping[str, str]
+) -> tuple[tuple[str, str], ...]:
+    """Other names of measured signals, then inner signals in the order of the model."""
+    aliases = [(s, measured[s]) for s in dict.fromkeys(used) if measured[s] != s]
+    return (*aliases, *((name, inner[name]) for name in model.signals if name in inner))
 
 
 def _is_kinematic(model: Model, target: str, signals: set[str]) -> bool:
@@ -192,28 +187,56 @@ def _is_kinematic(model: Model, target: str, signals: set[str]) -> bool:
     return target not in signals or units[target] == "rad"
 
 
+def _needed(
+    text: str, measured: set[str], constants: set[str], inner: Mapping[str, str]
+) -> tuple[list[str], dict[str, str]] | None:
+    """Measured names in an expression and in the inner signals it needs, and these signals.
+
+    None where anything else enters, a function of the user's included.
+    """
+    used: list[str] = []
+    found: dict[str, str] = {}
+    called = set(expressions.functions(text))
+    pending = sorted(expressions.names(text))
+    while pending:
+        name = pending.pop(0)
+        if name in measured:
+            used.append(name)
+        elif name in found:
+            continue
+        elif name in inner:
+            found[name] = inner[name]
+            called |= expressions.functions(inner[name])
+            pending += sorted(expressions.names(inner[name]))
+        elif name not in constants:
+            return None
+    return None if called - set(expressions.FUNCTIONS) else (used, found)
+
+
 def _standard(
     model: Model, spare: set[str], absent: set[str], related: set[str]
 ) -> tuple[Relation, ...]:
     """Equations of a rigid body for signals with standard names and units."""
     units = {o.name: o.unit for o in model.outputs if o.name not in absent}
-    odd = {o.name for o in model.outputs if o.expression not in (None, o.name)}
-    own = {n for n, unit in units.items() if STANDARD_UNITS.get(n) == unit and n not in odd}
-    known = own | {name for name in spare if name in STANDARD_UNITS and name not in units}
+    plain = {o.name for o in model.outputs if o.expression in (None, o.name)}
+    own = {n for n in plain & set(units) if STANDARD_UNITS.get(n) == units[n]}
+    known = own | ((spare & set(STANDARD_UNITS)) - set(units))
     # Where the model has an equation for one of these states, it knows better.
     mine = {s for s in model.kinematics if s in STANDARD} | related
-    result = []
-    for target, forms in STANDARD.items():
-        if target not in known or target in mine:
-            continue
-        for needed, text in forms:
-            names = tuple(needed.split())
-            if known.issuperset(names):
-                step = (f"{target}_prime_", text)
-                signals = tuple(n for n in (*names, target) if n in expressions.names(text))
-                result.append(Relation(target, signals, text, True, False, (step,), {}))
-                break
-    return tuple(result)
+    asked = [target for target in STANDARD if target in known - mine]
+    found = (_standard_form(target, known) for target in asked)
+    return tuple(one for one in found if one is not None)
+
+
+def _standard_form(target: str, known: set[str]) -> Relation | None:
+    """The first equation of a rigid body for a signal whose other signals are known."""
+    for needed, text in STANDARD[target]:
+        names = tuple(needed.split())
+        if known.issuperset(names):
+            step = (f"{target}_prime_", text)
+            signals = tuple(n for n in (*names, target) if n in expressions.names(text))
+            return Relation(target, signals, text, True, False, (step,), {})
+    return None
 
 
 NAMES = {

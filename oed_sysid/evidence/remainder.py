@@ -184,18 +184,26 @@ class Remains:
             if self.sensor_time is None
             else f", correlated over about {self.sensor_time:.2g} s at the sensors"
         )
-        if self.kind == "structure missing" and (self.is_noise or not self.random):
-            if self.drifting and not self.is_absorbed:
-                return (
-                    f"structure missing: on its own the model misses {self._shares()}{colour}. "
-                    f"That is {self._above()}: no noise of a sensor, unless it drifts."
-                )
-            return (
-                f"structure missing: on its own the model misses {self._shares()}, which noise of "
-                "the sensors cannot be. Declare noise_std, check signs, units and start values."
-            )
         if self.is_noise or not self.random:
+            return self._without_forces(colour)
+        return self._with_forces(colour)
+
+    def _without_forces(self, colour: str) -> str:
+        """The sentence where no random force acts."""
+        if self.kind != "structure missing":
             return f"adequate: the remaining misfit is noise at this level{colour}."
+        if self.drifting and not self.is_absorbed:
+            return (
+                f"structure missing: on its own the model misses {self._shares()}{colour}. "
+                f"That is {self._above()}: no noise of a sensor, unless it drifts."
+            )
+        return (
+            f"structure missing: on its own the model misses {self._shares()}, which noise of "
+            "the sensors cannot be. Declare noise_std, check signs, units and start values."
+        )
+
+    def _with_forces(self, colour: str) -> str:
+        """The sentence where random forces act."""
         listed = "; ".join(force.text for force in self.random)
         shares = self._shares()
         if self.kind == "adequate":

@@ -140,6 +140,11 @@ class ResidualForces:
     def of(cls, problem: Filtered, unknowns: np.ndarray) -> ResidualForces:
         """Filter and smooth the records of a problem."""
         passes = problem.passes(unknowns, rows=True, gains=True, moves=True)
+        if not all(part.ok for part in passes):
+            raise SimulationError(
+                f"Model {problem.model.name!r} diverges although a force may act in every "
+                "equation. Cut the record, or bound the parameters."
+            )
         matrix, right = problem.gathered(unknowns, passes)
         paths = tuple(Path.of(part, problem.levels.n_coloured) for part in passes)
         columns = []
@@ -283,10 +288,7 @@ def repeated(
         return None
     if not _held(study.train) or not _held(study.validation):
         return None
-    try:
-        parts = [*_series(fit, study.unit), *_series(other, study.unit)]
-    except SimulationError:  # deviations grow beyond all bounds: nothing to be smoothed
-        return None
+    parts = [*_series(fit, study.unit), *_series(other, study.unit)]
     if len(parts) < len(study.train.records) + len(study.validation.records):
         return None
     names = set.intersection(*(set(signals) for _, signals in parts))
@@ -295,16 +297,21 @@ def repeated(
     for index, place in enumerate(study.unit.places):
         if not fit.noise.level(place)[0] > 0 or not place.startswith("force"):
             continue
-        alone = max((_share(parts, index, (name,)), (name,)) for name in known)
-        pair = max(
-            ((_share(parts, index, two), two) for two in combinations(known, 2)),
-            default=(0.0, ()),
-        )
-        # Two signals only where they leave clearly less than the better of them.
-        share, chosen = pair if 1.0 - pair[0] < CLEARLY * (1.0 - alone[0]) else alone
+        share, chosen = _followed(parts, index, known)
         if share > SHARE:
             found.append(Repeated(place, chosen, float(share)))
     return tuple(found)
+
+
+def _followed(
+    parts: Sequence[Part], index: int, known: Sequence[str]
+) -> tuple[float, tuple[str, ...]]:
+    """The signal or the two that explain most of a force, and the share of it."""
+    alone = max((_share(parts, index, (name,)), (name,)) for name in known)
+    pairs = ((_share(parts, index, two), two) for two in combinations(known, 2))
+    pair = max(pairs, default=(0.0, ()))
+    # Two signals only where they leave clearly less than the better of them.
+    return pair if 1.0 - pair[0] < CLEARLY * (1.0 - alone[0]) else alone
 
 
 Part = tuple[np.ndarray, dict[str, np.ndarray]]
@@ -320,7 +327,10 @@ def _held(dataset: Dataset) -> bool:
 def _series(fit: FilteredSolution, unit: NoiseModel) -> list[Part]:
     """Smoothed forces, and the signals of the model's own run, per record; none if that fails."""
     problem = fit.problem
-    forces = ResidualForces.of(*let_in(fit, unit)).series()
+    try:
+        forces = ResidualForces.of(*let_in(fit, unit)).series()
+    except SimulationError:
+        return []
     result = []
     for index, record in enumerate(problem.records):
         _, states, ok = problem.alone(fit.point.unknowns, index)

@@ -43,7 +43,7 @@ with a step, over the widest surroundings in which noise is all that this leaves
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -153,38 +153,53 @@ def _faults(trace: Trace, name: str, noisy: bool) -> Iterator[Fault]:
         jumps = np.abs(np.diff(np.unique(series)))
         yield Fault("quantised", name, trace.name, np.empty(0, dtype=int), float(np.min(jumps)))
     elif equal < 0.5 and trace.noise[name] > 0.0:
-        # A smooth signal that stops dead: runs far longer than its usual ones.
-        least = max(FROZEN, 4.0 * float(np.quantile(runs.length, 0.9)))
-        long = np.flatnonzero(runs.length >= least)
-        at_end = np.isin(runs.value, (series.max(), series.min()))
-        flat = np.flatnonzero((runs.length >= 3) & at_end & ~taken[runs.first])
-        clipped = flat if _is_clipped(series, runs, flat) else np.empty(0, dtype=int)
-        left = [k for k in long if k not in clipped and not taken[runs.first[k]]]
-        sudden = [int(k) for k in left if _is_sudden(series, runs, int(k))]
-        frozen = np.array(sudden, dtype=int)
-        if clipped.size:
-            rows = runs.rows(clipped)
-            taken[rows] = True
-            yield Fault("saturated", name, trace.name, present[rows], float(runs.value[clipped[0]]))
-        if frozen.size:
-            rows = runs.rows(frozen, after=1)
-            taken[rows] = True
-            duration = float(runs.length[frozen].sum()) * trace.step
-            yield Fault("frozen", name, trace.name, present[rows], duration)
+        yield from _standing_still(trace, name, present, runs, taken)
     if not held:
-        rows = _spikes(trace.times[present], series, taken, coarse)
-        if rows.size:
-            taken[rows] = True
-            yield Fault("spikes", name, trace.name, present[rows], float(rows.size))
-        least = max(SMALL_STEP * _reach(series[~taken]), 4.0 * _quantum(series) * coarse)
-        # Beside samples that stand still a jump is the end of that, not a new level.
-        stuck = runs.rows(np.flatnonzero((runs.length >= LEAST_LOST) & (not coarse)))
-        taken[stuck] = True
-        jumped = steps(trace.times[present], series, taken, least)
-        if jumped:
-            sizes = tuple(one.size for one in jumped)
-            rows = present[[one.row for one in jumped]]
-            yield Fault("step", name, trace.name, rows, max(sizes, key=abs), sizes)
+        yield from _jumping(trace, name, present, runs, taken, coarse)
+
+
+def _standing_still(
+    trace: Trace, name: str, present: np.ndarray, runs: Runs, taken: np.ndarray
+) -> Iterator[Fault]:
+    """A smooth signal that is cut off, or stops dead; its samples are ``taken``."""
+    series = trace.values[name][present]
+    # Runs far longer than its usual ones.
+    least = max(FROZEN, 4.0 * float(np.quantile(runs.length, 0.9)))
+    long = np.flatnonzero(runs.length >= least)
+    at_end = np.isin(runs.value, (series.max(), series.min()))
+    flat = np.flatnonzero((runs.length >= 3) & at_end & ~taken[runs.first])
+    clipped = flat if _is_clipped(series, runs, flat) else np.empty(0, dtype=int)
+    left = [k for k in long if k not in clipped and not taken[runs.first[k]]]
+    frozen = np.array([int(k) for k in left if _is_sudden(series, runs, int(k))], dtype=int)
+    if clipped.size:
+        rows = runs.rows(clipped)
+        taken[rows] = True
+        yield Fault("saturated", name, trace.name, present[rows], float(runs.value[clipped[0]]))
+    if frozen.size:
+        rows = runs.rows(frozen, after=1)
+        taken[rows] = True
+        duration = float(runs.length[frozen].sum()) * trace.step
+        yield Fault("frozen", name, trace.name, present[rows], duration)
+
+
+def _jumping(
+    trace: Trace, name: str, present: np.ndarray, runs: Runs, taken: np.ndarray, coarse: bool
+) -> Iterator[Fault]:
+    """Spikes, and steps beside what is ``taken``."""
+    series = trace.values[name][present]
+    rows = _spikes(trace.times[present], series, taken, coarse)
+    if rows.size:
+        taken[rows] = True
+        yield Fault("spikes", name, trace.name, present[rows], float(rows.size))
+    least = max(SMALL_STEP * _reach(series[~taken]), 4.0 * _quantum(series) * coarse)
+    # Beside samples that stand still a jump is the end of that, not a new level.
+    stuck = runs.rows(np.flatnonzero((runs.length >= LEAST_LOST) & (not coarse)))
+    taken[stuck] = True
+    jumped = steps(trace.times[present], series, taken, least)
+    if jumped:
+        sizes = tuple(one.size for one in jumped)
+        rows = present[[one.row for one in jumped]]
+        yield Fault("step", name, trace.name, rows, max(sizes, key=abs), sizes)
 
 
 def _reach(series: np.ndarray) -> float:
@@ -197,6 +212,21 @@ def _quantum(series: np.ndarray) -> float:
     return float(np.min(np.diff(np.unique(series))))
 
 
+def _fast(faults: Sequence[Fault], after: Mapping[str, np.ndarray]) -> set[str]:
+    """Signals whose samples that stand out follow steps of the inputs beyond chance."""
+    share = float(np.concatenate(list(after.values())).mean())
+    begins: dict[str, list[bool]] = {}
+    for f in faults:
+        if f.kind in ANSWERS:
+            known = begins.setdefault(f.signal, [])
+            known += [bool(after[f.record][f.rows[group[0]]]) for group in f.groups()]
+    return {
+        name
+        for name, said in begins.items()
+        if any(said) and bdtrc(sum(said) - 1, len(said), share) < CHANCE
+    }
+
+
 def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     """Faults of all records, and the records with what is faster than its samples marked.
 
@@ -205,13 +235,7 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     """
     faults = [fault for trace in traces for fault in screen(trace)]
     after = {trace.name: trace.pushed for trace in traces}
-    share = float(np.concatenate([trace.pushed for trace in traces]).mean())
-    fast = set()
-    for name in {fault.signal for fault in faults if fault.kind in ANSWERS}:
-        found = [f for f in faults if f.kind in ANSWERS and f.signal == name]
-        begins = [bool(after[f.record][f.rows[group[0]]]) for f in found for group in f.groups()]
-        if any(begins) and bdtrc(sum(begins) - 1, len(begins), share) < CHANCE:
-            fast.add(name)
+    fast = _fast(faults, after)
     kept = []
     for fault in faults:
         if fault.kind in ANSWERS and fault.signal in fast:

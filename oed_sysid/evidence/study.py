@@ -30,7 +30,7 @@ from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.likelihood.departures import noisy_inputs, smoothed
-from oed_sysid.likelihood.disturbances import chosen_places, disturbance
+from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.likelihood.fit import Fit
@@ -139,25 +139,12 @@ class Study:
             )
         floor, _ = credible_levels(train)
         white = np.where(np.isfinite(levels), levels, floor)
-        try:
-            places = chosen_places(model, "all")
-        except ModelError as error:
-            raise ModelError(
-                f"Model {model.name!r} has no equation with a parameter in which physics could be "
-                "missing."
-            ) from error
         free = np.full(len(white), not known_noise)
         tests = train.only_tests
         if tests:  # no disturbance links one with the next
             disturbances = "none"
         inputs = [place for place in every_place(model) if place.stage == "actuator" and not tests]
-        acting = places
-        if disturbances == "none":
-            acting = ()
-        elif disturbances not in ("auto", "all"):
-            acting = chosen_places(model, disturbances)
-        absent = [place.name for place in places if place not in acting]
-        places = tuple(dict.fromkeys((*places, *acting)))
+        places, absent = _disturbed_places(model, disturbances)
         # Without random forces, what is slow and far above a sensor's wiggles is structure.
         setting = Setting.of(
             train,
@@ -457,6 +444,26 @@ def total_error(rms: np.ndarray) -> float:
     """Root mean square over the outputs that were measured."""
     seen = ~np.isnan(rms)
     return float(np.sqrt(np.mean(rms[seen] ** 2))) if seen.any() else np.nan
+
+
+def _disturbed_places(
+    model: Model, disturbances: str | Sequence[str]
+) -> tuple[tuple[Place, ...], list[str]]:
+    """Places where random forces may act or physics may be missing; names of the latter alone."""
+    try:
+        places = chosen_places(model, "all")
+    except ModelError as error:
+        raise ModelError(
+            f"Model {model.name!r} has no equation with a parameter in which physics could be "
+            "missing."
+        ) from error
+    acting = places
+    if disturbances == "none":
+        acting = ()
+    elif disturbances not in ("auto", "all"):
+        acting = chosen_places(model, disturbances)
+    absent = [place.name for place in places if place not in acting]
+    return tuple(dict.fromkeys((*places, *acting))), absent
 
 
 def _kernel(model: Model, effects: Sequence[Effect], setting: Setting) -> FilterKernel:

@@ -304,35 +304,40 @@ def screen_findings(dataset: Dataset, traces: list[Trace], faults: list[Fault]) 
         if kind == "step":
             result.append(_step(here, series, units[signal]))
             continue
-        rows = {f.record: tuple(int(i) for i in f.rows) for f in here}
-        n = sum(len(r) for r in rows.values())
         amount = here[0].amount
         if kind == "dead":
             amount = float(series[here[0].record].values[signal][here[0].rows[0]])
-        value, unit = angle_aware(amount, units[signal])
-        shown = f"{amount:.3g} s" if kind == "held" else f"{value:.4g} {unit}"
-        says, changes, fix, suspect = SENTENCES[kind]
-        words = {
-            "signal": signal, "n": n, "value": shown, "its": "its" if n == 1 else "their",
-            "samples": "sample" if n == 1 else "samples",
-        }  # fmt: skip
-        result.append(
-            Finding(
-                kind,
-                (signal,),
-                tuple(rows),
-                says.format(**words),
-                changes,
-                fix.format(**words) if kind == "dead" else fix,
-                suspect,
-                size=float(n) if kind in ("spikes", "dropouts", "frozen", "saturated") else amount,
-                unit="samples" if kind in ("spikes", "dropouts", "frozen", "saturated") else "",
-                correction=Correction("blank", (signal,), rows=rows)
-                if kind not in ("quantised",)
-                else None,
-            )
-        )
+        result.append(_blanked(here, amount, units[signal]))
     return [*result, *_noise(dataset, traces), *_gaps(traces), *_copies(dataset)]
+
+
+def _blanked(here: list[Fault], amount: float, unit: str) -> Finding:
+    """Finding of samples of one signal that say nothing, or little."""
+    kind, signal = here[0].kind, here[0].signal
+    rows = {f.record: tuple(int(i) for i in f.rows) for f in here}
+    n = sum(len(r) for r in rows.values())
+    value, shown_unit = angle_aware(amount, unit)
+    says, changes, fix, suspect = SENTENCES[kind]
+    words = {
+        "signal": signal,
+        "n": n,
+        "value": f"{amount:.3g} s" if kind == "held" else f"{value:.4g} {shown_unit}",
+        "its": "its" if n == 1 else "their",
+        "samples": "sample" if n == 1 else "samples",
+    }
+    counted = kind in ("spikes", "dropouts", "frozen", "saturated")
+    return Finding(
+        kind,
+        (signal,),
+        tuple(rows),
+        says.format(**words),
+        changes,
+        fix.format(**words) if kind == "dead" else fix,
+        suspect,
+        size=float(n) if counted else amount,
+        unit="samples" if counted else "",
+        correction=None if kind == "quantised" else Correction("blank", (signal,), rows=rows),
+    )
 
 
 def _step(faults: list[Fault], series: dict[str, Trace], unit: str) -> Finding:

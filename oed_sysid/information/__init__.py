@@ -35,41 +35,6 @@ from oed_sysid.information.ranking import (
     reduce_model,
 )
 from oed_sysid.information.response import Play, Response, plays, respond
+from oed_sysid.runtime.version import exported
 
-__all__ = [
-    "information_of",
-    "information_of_each",
-    "sea_noise",
-    "sea_words",
-    "SEAS",
-    "Noise",
-    "noise_of",
-    "fitted_colour",
-    "Play",
-    "Response",
-    "plays",
-    "respond",
-    "collinearity_index",
-    "collinear_groups",
-    "identifiable_subset",
-    "Subset",
-    "Structure",
-    "structural_identifiability",
-    "Sensitivity",
-    "SensitivityRanking",
-    "rank_parameters",
-    "Drop",
-    "Reduction",
-    "reduce_model",
-    "Confirmation",
-    "confirm_bound",
-    "Bode",
-    "bode",
-    "Spectrum",
-    "excitation_spectrum",
-    "Stability",
-    "straight_line_stability",
-    "Nomoto",
-    "nomoto",
-    "nomoto_of",
-]
+__all__ = exported(globals())

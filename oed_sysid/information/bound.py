@@ -40,7 +40,6 @@ from oed_sysid.runtime.display import as_dict
 
 # Squared conditioning up to which normal equations keep ten digits of the factor.
 _SAFE_SQUARED_CONDITION = 1e5
-_BLOCK = 512  # rows factorised at a time
 
 
 def information_of(
@@ -329,11 +328,12 @@ def triangle(rows: np.ndarray) -> np.ndarray:
             except LinAlgError:
                 pass
     # Householder block by block (a tall factorisation in cache), then once over the triangles.
-    n_blocks = len(rows) // _BLOCK
+    size = 512
+    n_blocks = len(rows) // size
     if n_blocks > 1:
-        blocks = rows[: n_blocks * _BLOCK].reshape(n_blocks, _BLOCK, n)
+        blocks = rows[: n_blocks * size].reshape(n_blocks, size, n)
         triangles = np.asarray(np.linalg.qr(blocks, mode="r")).reshape(-1, n)
-        rows = np.vstack([triangles, rows[n_blocks * _BLOCK :]])
+        rows = np.vstack([triangles, rows[n_blocks * size :]])
     if len(rows) < n:
         rows = np.vstack([rows, np.zeros((n - len(rows), n))])
     return np.asarray(np.linalg.qr(rows, mode="r"))
