@@ -26,11 +26,11 @@ test: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 -m "not slow" tests oed_sysid --doctest-modules --doctest-ignore-import-errors
+	$(BIN)/pytest -n 2 --dist worksteal -m "not slow" tests oed_sysid --doctest-modules --doctest-ignore-import-errors
 	$(BIN)/sphinx-build -q -W --keep-going -j auto -b html docs out/site
 
 test-slow: setup
-	$(BIN)/pytest -n 2 -m slow tests
+	$(BIN)/pytest -n 2 --dist worksteal -m slow tests
 
 # Everything, with the oldest and with the newest libraries that pyproject.toml admits.
 test-all: setup test test-slow
@@ -40,7 +40,7 @@ test-all: setup test test-slow
 	set -e; for kind in lowest newest; do \
 		$(BIN)/python -m venv --clear out/$$kind; \
 		out/$$kind/bin/python -m pip install --quiet --upgrade -c out/$$kind.txt -e ".[dev]"; \
-		out/$$kind/bin/pytest -n 2 -m "not slow" tests; \
+		out/$$kind/bin/pytest -n 2 --dist worksteal -m "not slow" tests; \
 	done
 
 benchmark: setup

@@ -17,8 +17,8 @@ from benchmarks.disjoint import (
     halves,
     simulated,
     weak_and_strong,
-    written,
 )
+from benchmarks.harness import between
 from oed_sysid import Dataset, Fit, Model, MultipleShooting, load_problem
 from oed_sysid.data import third_party
 from oed_sysid.prediction.structures import Structure
@@ -130,7 +130,7 @@ def test_the_page_has_the_tables() -> None:
     """The command writes between the marks of the page and nowhere else."""
     page = PAGE.read_text(encoding="utf-8")
     assert page.count(BEGIN) == page.count(END) == 1
-    new = written(page, ["| new |"])
+    new = between(page, BEGIN, END, ["| new |"])
     assert "| new |" in new
     assert new.partition(BEGIN)[0] == page.partition(BEGIN)[0]
     assert new.partition(END)[2] == page.partition(END)[2]

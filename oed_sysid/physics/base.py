@@ -130,7 +130,7 @@ class Effect:
         What a manoeuvre must contain for the effect to show.
     noise : RandomProcess or None
         Level and time of what is random about the effect; see
-        :mod:`oed_sysid.physics.random`.
+        :mod:`oed_sysid.physics.unknown`.
     functions : tuple of Function
         Functions of CasADi symbols, callable in expressions.
     """

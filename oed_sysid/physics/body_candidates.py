@@ -6,15 +6,15 @@ freedom that the body has, and on outputs that the model measures, are returned.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 from oed_sysid.physics import forces, signals
 from oed_sysid.physics.base import Effect, Force, amplitude
-from oed_sysid.physics.frames import plus, times
+from oed_sysid.physics.candidates import SEA_WATER_DENSITY
+from oed_sysid.physics.frames import VELOCITIES, plus, times
 from oed_sysid.physics.rigid_body import RigidBody
 from oed_sysid.text import notation
 
-WATER = 1025.0  # kg/m3, sea water
 _ARMS = {"K": "p", "M": "q", "N": "r"}
 FOSSEN = "Fossen (2011), Handbook of marine craft hydrodynamics and motion control, Wiley."
 
@@ -61,71 +61,77 @@ def underwater_vehicle_effects(
     >>> len(found), found[0].name
     (46, 'heave_crossflow_drag')
     """
-    side = 0.5 * WATER * diameter * length  # half rho times lateral area
-    weight = WATER * diameter**2 * length * 0.7 * 9.81
-    active, axes = body.velocities, body.axes
-    found: list[Effect] = []
-
-    def add(effect: Effect, *needed: str) -> None:
-        if all(name in active or name in axes for name in needed):
-            found.append(effect)
-
-    for axis, v, moment, rate, word in (
-        ("Z", "w", "M", "q", "heave"),
-        ("Y", "v", "N", "r", "sway"),
-    ):
-        turn = "pitch" if moment == "M" else "yaw"
-        flow = f"{v}_r"
-        for effect in (
-            forces.quadratic_drag(f"{word}_crossflow_drag", axis, flow, scale=side),
-            forces.quadratic_drag(
-                f"{turn}_quadratic_damping", moment, rate, scale=side * length**3 / 8
-            ),
-            forces.quadratic_drag(
-                f"{turn}_crossflow_moment", moment, flow, scale=0.1 * side * length
-            ),
-            forces.quadratic_drag(
-                f"{word}_quadratic_{turn}_damping", axis, rate, scale=0.1 * side * length**2
-            ),
-            forces.coupling(f"{word}_lift", axis, flow, scale=0.2 * side),
-            forces.coupling(f"{turn}_munk_moment", moment, flow, scale=0.05 * side * length),
-            forces.coupling(f"{word}_lift_of_{turn}_rate", axis, rate, scale=0.05 * side * length),
-            forces.coupling(f"{turn}_damping", moment, rate, scale=0.02 * side * length**2),
-            forces.hull_asymmetry(f"hull_asymmetry_{word}", axis, scale=0.005 * side),
-            forces.hull_asymmetry(f"hull_asymmetry_{turn}", moment, scale=0.002 * side * length),
-            forces.induced_drag(f"surge_induced_drag_{word}", flow, scale=0.3 * side),
-        ):
-            needed = [*effect.terms, v if flow in str(effect.terms) else rate]
-            add(effect, *map(str, needed))
-    add(forces.linear_damping("surge_linear_drag", "X", "u_r", scale=0.02 * side * speed), "u")
+    side = 0.5 * SEA_WATER_DENSITY * diameter * length  # half rho times lateral area
+    displaced = SEA_WATER_DENSITY * diameter**2 * length
+    spin = SEA_WATER_DENSITY * diameter**2 * length**3 * 0.01
     roll = side * diameter**2 * speed * 0.02
-    add(forces.linear_damping("roll_linear_damping", "K", "p", scale=roll), "p")
-    add(forces.quadratic_drag("roll_quadratic_damping", "K", "p", scale=roll), "p")
-    for fin in fins:
-        add(forces.deflection_drag(f"surge_drag_of_{fin}", fin, scale=0.05 * side), "u")
-    found += _weights(body, weight)
-    for axis, v, word in (("X", "u", "surge"), ("Y", "v", "sway"), ("Z", "w", "heave")):
-        size = WATER * diameter**2 * length * (0.05 if v == "u" else 0.2)
-        name = f"{word}_added_mass_error"
-        add(forces.added_mass_error(name, axis, v, scale=size, bound=2 * size), v)
-    for axis, rate, word in (("M", "q", "pitch"), ("N", "r", "yaw")):
-        size = WATER * diameter**2 * length**3 * 0.01
-        name = f"{word}_added_inertia_error"
-        add(forces.added_mass_error(name, axis, rate, scale=size, bound=2 * size), rate)
-    found.append(body.current(scale=0.1 * speed))
-    add(forces.thrust_speed_loss(thrust=thrust, scale=0.1 / speed), "u")
-    add(_reaction(thrust, diameter), "K")
-    for fin in fins:
+    make = forces
+    # What each plane of motion has: effect, name, axis, signal and typical size.
+    planes = (("Z", "w", "M", "q", "heave", "pitch"), ("Y", "v", "N", "r", "sway", "yaw"))
+    found: list[Effect] = []
+    for axis, v, moment, rate, word, turn in planes:
+        flow = f"{v}_r"
+        rows: tuple[tuple[Callable[..., Effect], str, str, str, float], ...] = (
+            (make.quadratic_drag, f"{word}_crossflow_drag", axis, flow, side),
+            (make.quadratic_drag, f"{turn}_quadratic_damping", moment, rate, side * length**3 / 8),
+            (make.quadratic_drag, f"{turn}_crossflow_moment", moment, flow, 0.1 * side * length),
+            (
+                make.quadratic_drag, f"{word}_quadratic_{turn}_damping", axis, rate,
+                0.1 * side * length**2,
+            ),
+            (make.coupling, f"{word}_lift", axis, flow, 0.2 * side),
+            (make.coupling, f"{turn}_munk_moment", moment, flow, 0.05 * side * length),
+            (make.coupling, f"{word}_lift_of_{turn}_rate", axis, rate, 0.05 * side * length),
+            (make.coupling, f"{turn}_damping", moment, rate, 0.02 * side * length**2),
+        )  # fmt: skip
+        found += [effect(name, on, by, scale=size) for effect, name, on, by, size in rows]
         found += [
-            signals.actuator_offset(f"{fin}_offset", fin, scale=0.02),
-            signals.stall(f"{fin}_stall", fin, scale=2.0),
+            make.hull_asymmetry(f"hull_asymmetry_{word}", axis, scale=0.005 * side),
+            make.hull_asymmetry(f"hull_asymmetry_{turn}", moment, scale=0.002 * side * length),
+            make.induced_drag(f"surge_induced_drag_{word}", flow, scale=0.3 * side),
         ]
+    found += [
+        make.linear_damping("surge_linear_drag", "X", "u_r", scale=0.02 * side * speed),
+        make.linear_damping("roll_linear_damping", "K", "p", scale=roll),
+        make.quadratic_drag("roll_quadratic_damping", "K", "p", scale=roll),
+        *(make.deflection_drag(f"surge_drag_of_{fin}", fin, scale=0.05 * side) for fin in fins),
+    ]
+    masses = (
+        ("surge_added_mass_error", "X", "u", 0.05 * displaced),
+        ("sway_added_mass_error", "Y", "v", 0.2 * displaced),
+        ("heave_added_mass_error", "Z", "w", 0.2 * displaced),
+        ("pitch_added_inertia_error", "M", "q", spin),
+        ("yaw_added_inertia_error", "N", "r", spin),
+    )
+    found += _weights(body, displaced * 0.7 * 9.81)
+    found += [
+        make.added_mass_error(n, axis, v, scale=size, bound=2 * size) for n, axis, v, size in masses
+    ]
+    found += [
+        body.current(scale=0.1 * speed),
+        make.thrust_speed_loss(thrust=thrust, scale=0.1 / speed),
+        _reaction(thrust, diameter),
+    ]
+    for fin in fins:
+        found.append(signals.actuator_offset(f"{fin}_offset", fin, scale=0.02))
+        found.append(signals.stall(f"{fin}_stall", fin, scale=2.0))
     found += [
         signals.actuator_lag("fin_lag", fins, scale=0.2),
         signals.actuator_delay("fin_delay", fins, max_delay=0.6, step=step, scale=0.2),
         signals.rate_limit("fin_rate_limit", fins, scale=2.0),
+        *_sensors(body, outputs or (), speed),
     ]
-    return _beyond(known, [*found, *_sensors(body, outputs or (), speed)])
+    return _beyond(known, [effect for effect in found if _suits(effect, body)])
+
+
+def _suits(effect: Effect, body: RigidBody) -> bool:
+    """Whether a body has the axes and the motions that a force or an inertia names."""
+    if effect.stage not in ("force", "inertia"):
+        return True
+    keys = [key if isinstance(key, tuple) else (key,) for key in effect.terms]
+    named = {name.removesuffix("_r") for name in effect.uses()} & set(VELOCITIES)
+    named |= {part for key in keys for part in key[1:]}
+    return all(key[0] in body.axes for key in keys) and named <= set(body.velocities)
 
 
 def catamaran_effects(
@@ -156,8 +162,13 @@ def catamaran_effects(
     step : float
         Shortest integration step in s.
     """
-    side = WATER * draught * length  # half rho times lateral area of two hulls
+    side = SEA_WATER_DENSITY * draught * length  # half rho times lateral area of two hulls
     port, starboard = thrusts
+    masses = (
+        ("surge_added_mass_error", "X", "u", 0.05 * side * length),
+        ("sway_added_mass_error", "Y", "v", 0.2 * side * length),
+        ("yaw_added_inertia_error", "N", "r", 0.02 * side * length**3),
+    )
     found: list[Effect] = [
         forces.linear_damping("surge_linear_drag", "X", "u_r", scale=0.05 * side * speed),
         forces.quadratic_drag("surge_quadratic_drag", "X", "u_r", scale=0.05 * side),
@@ -178,27 +189,7 @@ def catamaran_effects(
         forces.thrust_speed_loss(
             "starboard_thrust_speed_loss", thrust=starboard, scale=0.2 / speed
         ),
-        forces.added_mass_error(
-            "surge_added_mass_error",
-            "X",
-            "u",
-            scale=0.05 * side * length,
-            bound=0.1 * side * length,
-        ),
-        forces.added_mass_error(
-            "sway_added_mass_error",
-            "Y",
-            "v",
-            scale=0.2 * side * length,
-            bound=0.4 * side * length,
-        ),
-        forces.added_mass_error(
-            "yaw_added_inertia_error",
-            "N",
-            "r",
-            scale=0.02 * side * length**3,
-            bound=0.04 * side * length**3,
-        ),
+        *(forces.added_mass_error(n, axis, v, scale=m, bound=2 * m) for n, axis, v, m in masses),
         body.current(scale=0.1 * speed),
         forces.steady_wind(force=0.02 * side * speed**2, arm=0.2 * length),
         signals.actuator_lag("propeller_lag", thrusts, scale=0.3),
