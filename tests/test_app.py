@@ -245,13 +245,6 @@ def test_design_command_finds_the_same_trial(study: Study, tmp_path: Path, monke
     assert outcome.result.assurance is not None
 
 
-def test_efforts_are_those_of_the_command_line() -> None:
-    """The same word means the same search."""
-    from oed_sysid.cli.commands_plan import EFFORTS
-
-    assert plans.EFFORTS == EFFORTS
-
-
 def test_commands_name_model_noise_and_records(study: Study) -> None:
     """Commands carry every choice that changes the result."""
     odd = Study("my ship", "norrbin", study.problem, study.train, None, known_noise=True)

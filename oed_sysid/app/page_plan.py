@@ -14,6 +14,7 @@ from oed_sysid.app.panels import command, download, html_download, message, work
 from oed_sysid.app.panels import show as show_page
 from oed_sysid.app.shelf import Asked
 from oed_sysid.app.study import Study
+from oed_sysid.design.choices import EFFORTS
 from oed_sysid.errors import DesignError, ProblemError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.physics.channels import Input, Output, State
@@ -147,7 +148,7 @@ def _wish(study: Study) -> plans.DesignWish:
         format="%.4g",
         key=choices.preset(keep("duration", like), float(pattern.duration or 60.0)),
     )
-    effort = third.selectbox("Effort", list(plans.EFFORTS), key=keep("effort"))
+    effort = third.selectbox("Effort", list(EFFORTS), key=keep("effort"))
     ranges, rates, corridors = _limits(study, pattern)
     first, second, third = st.columns(3)
     rivals = tuple(

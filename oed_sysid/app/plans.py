@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import tempfile
 import zipfile
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,18 +14,19 @@ import numpy as np
 from oed_sysid.app.jobs import Tell
 from oed_sysid.app.study import Study
 from oed_sysid.app.tasks import DRAWING, Outcome, fitted
-from oed_sysid.errors import DesignError
+from oed_sysid.design.choices import (
+    CRITERIA,
+    EFFORTS,
+    FAMILIES,
+    UNCERTAINTY,
+    named,
+    usual_spread,
+)
 from oed_sysid.experiments.experiment import Limits
 
 if TYPE_CHECKING:
     from oed_sysid.design import Design
     from oed_sysid.design.result import Programme
-    from oed_sysid.experiments.problem import Problem
-
-# Starts that are refined, rough manoeuvres tried, and steps of refinement.
-EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
-# How wrong coefficients may be before there is a fit, as a share of their values.
-UNCERTAINTY = 0.3
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
     if wish.rivals:
         criterion: Any = Discriminate([problem.effect(name) for name in wish.rivals])
     else:
-        criterion = _choice("criterion", wish.criterion, _criteria())
+        criterion = named("criterion", wish.criterion, CRITERIA)()
     limits = limits_of(problem.limits, wish)
     spread = None if wish.after_fit else UNCERTAINTY
     result = design_experiment(
@@ -113,7 +113,7 @@ def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:
         rng=np.random.default_rng(wish.seed),
         criterion=criterion,
         search=Search(
-            _choice("family", wish.family, _families()), *_choice("effort", wish.effort, EFFORTS)
+            named("family", wish.family, FAMILIES)(), *named("effort", wish.effort, EFFORTS)
         ),
         caution=None if wish.certainty is None else Caution(wish.certainty, spread),
         progress=lambda state: tell(
@@ -167,18 +167,12 @@ def programme(study: Study, wish: ProgrammeWish, tell: Tell) -> Outcome:
         limits=problem.limits,
         rng=np.random.default_rng(wish.seed),
         budget=Budget(wish.hours, wish.runs, 60.0 * wish.turnaround),
-        criterion=_choice("criterion", wish.criterion, _criteria()),
-        knowledge=Knowledge(spread=spread_of(problem)),
+        criterion=named("criterion", wish.criterion, CRITERIA)(),
+        knowledge=Knowledge(spread=usual_spread(problem.model)),
         progress=tell,
     )
     tell(DRAWING)
     return Outcome(found, found.document(title=problem.title).drawn())
-
-
-def spread_of(problem: Problem) -> float | None:
-    """How wrong coefficients may be; None where their priors tell."""
-    told = any(one.prior_spread is not None for one in problem.model.free_parameters)
-    return None if told else UNCERTAINTY
 
 
 def tables(found: Programme) -> bytes:
@@ -228,21 +222,3 @@ def commands_csv(design: Design) -> bytes:
         path = Path(folder) / "design.csv"
         design.write_csv(path)
         return path.read_bytes()
-
-
-def _criteria() -> Mapping[str, Any]:
-    from oed_sysid.design import AOptimal, DOptimal, EOptimal
-
-    return {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()}
-
-
-def _families() -> Mapping[str, Any]:
-    from oed_sysid.design import Levels, Multisines, Pulses
-
-    return {"levels": Levels(), "multisine": Multisines(), "pulses": Pulses()}
-
-
-def _choice(what: str, name: str, choices: Mapping[str, Any]) -> Any:
-    if name not in choices:
-        raise DesignError(f"There is no {what} {name!r}. Choose one of {', '.join(choices)}.")
-    return choices[name]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from oed_sysid.app.plans import EFFORTS, UNCERTAINTY, DesignWish, ProgrammeWish, spread_of
+from oed_sysid.app.plans import DesignWish, ProgrammeWish
 from oed_sysid.app.study import Study
+from oed_sysid.design.choices import EFFORTS, UNCERTAINTY, usual_spread
 
 _HEAD = '''"""Repeats a study of {title}.
 
@@ -147,7 +148,7 @@ def programme(study: Study, wish: ProgrammeWish) -> str:
         "programme = design_programme(",
         "    problem.model, list(problem.experiments.values()), limits=problem.limits,",
         f"    budget=Budget({wish.hours!r}, {wish.runs}, {60.0 * wish.turnaround!r}),",
-        f"    knowledge=Knowledge(spread={spread_of(study.problem)!r}),",
+        f"    knowledge=Knowledge(spread={usual_spread(study.problem.model)!r}),",
         f"    criterion=oed_sysid.{wish.criterion}Optimal(), "
         f"rng=np.random.default_rng({wish.seed}),",
         ")",

@@ -7,11 +7,8 @@ from typing import Annotated
 import typer
 
 from oed_sysid.cli import (
-    commands_app,
     commands_benchmark,
-    commands_check,
     commands_data,
-    commands_export,
     commands_fit,
     commands_improve,
     commands_logs,
@@ -57,20 +54,14 @@ def _settings(
     pass  # --debug is looked for by oed_sysid.cli.main, where errors are said
 
 
-for module in (
-    commands_data,
-    commands_logs,
-    commands_check,
-    commands_plan,
-    commands_programme,
-    commands_fit,
-    commands_improve,
-    commands_export,
-    commands_app,
-):
-    for command in module.COMMANDS:
-        name = command.__name__.rstrip("_")  # import is a word of Python
-        app.command(name, cls=Command, no_args_is_help=name not in ("problems", "app"))(
-            described(command)
-        )
+COMMANDS = (
+    *(commands_data.problems, commands_data.new, commands_data.simulate, commands_logs.import_),
+    *(commands_logs.check, commands_plan.rank, commands_plan.design, commands_programme.programme),
+    *(commands_programme.campaign, commands_fit.fit, commands_fit.compare, commands_fit.report),
+    *(commands_improve.diagnose, commands_improve.improve, commands_data.export, commands_data.app),
+)
+for command in COMMANDS:
+    name = command.__name__.rstrip("_")  # import is a word of Python
+    alone = name in ("problems", "app")
+    app.command(name, cls=Command, no_args_is_help=not alone)(described(command))
 app.add_typer(commands_benchmark.app)

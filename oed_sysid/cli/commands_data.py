@@ -1,4 +1,4 @@
-"""Commands around problems and records: problems, new, simulate."""
+"""Commands around problems, records and models: problems, new, simulate, export, app."""
 
 from __future__ import annotations
 
@@ -158,4 +158,45 @@ def _summary(problem: Problem) -> dict[str, object]:
     }
 
 
-COMMANDS = (problems, new, simulate)
+def export(
+    fit: Path,
+    kind: str,
+    out: Path = Path("model"),
+    at: list[str] | None = None,
+) -> None:
+    """Write a fitted model for another program, with the covariance of its parameters.
+
+    [bold]Example[/bold]: oed-sysid export better.json --as c --out my_auv_c
+    """
+    from oed_sysid.export import export as write
+    from oed_sysid.likelihood.fit import Fit
+
+    trim = {}
+    for text in at or ():
+        name, _, value = text.partition("=")
+        try:
+            trim[name.strip()] = float(value)
+        except ValueError:
+            raise DataError(f"--at {text!r} is no NAME=VALUE. Write --at u=1.5, say.") from None
+    result = Fit.load(fit)
+    files = list(write(result, kind, out, trim=trim or None))
+    n = len(result.names)
+    answer(f"{result.model.name} as {kind}, with {n} parameters and their covariance: {files[0]}")
+    for file in files[1:]:
+        say(str(file))
+    if not result.status.ok:
+        note(f"The fit ended as {result.status}")
+
+
+def app(
+    problem: str | None = None,
+    port: int = 8501,
+    no_browser: bool = False,
+) -> None:
+    """Open the same in a browser, on this computer only. Needs the extra 'app'.
+
+    [bold]Example[/bold]: oed-sysid app remus_diving_plane
+    """
+    from oed_sysid.app.launch import start
+
+    start(problem, port=port, browser=not no_browser)

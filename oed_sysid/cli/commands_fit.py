@@ -267,6 +267,3 @@ def _models(problem: Problem, added: list[str]) -> tuple[dict[str, Model], dict[
         effects = [problem.effect(name) for name in names]
         models[f"with {' and '.join(effect.name for effect in effects)}"] = problem.model + effects
     return models, kept
-
-
-COMMANDS = (fit, compare, report)

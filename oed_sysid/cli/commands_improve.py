@@ -161,6 +161,3 @@ def _tell(show: Shown, rounds: _Rounds, what: str) -> None:
     left = rounds.left(int(named[1]), time.monotonic()) if named else None
     if left is not None:
         show.left(left, at_most=True)
-
-
-COMMANDS = (diagnose, improve)

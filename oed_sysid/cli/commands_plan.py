@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,9 +27,8 @@ if TYPE_CHECKING:
     from oed_sysid.experiments.problem import Problem
     from oed_sysid.runtime.journal import Journal
 
-# Starts that are refined, rough manoeuvres tried, and steps of refinement.
+# Starts that are finished.
 N_FINISHES = 3
-EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
 
 
 def rank(
@@ -106,6 +105,7 @@ def design(
         design_experiment,
         predicted_tracks,
     )
+    from oed_sysid.design.choices import EFFORTS, named
     from oed_sysid.experiments.problem import load_problem
     from oed_sysid.likelihood.fit import Fit
 
@@ -119,7 +119,7 @@ def design(
     _check_bag(bag)
     spread = None if after else uncertainty
     caution = Caution(certainty, spread) if certainty else _usual_caution(after, certainty)
-    n_starts, _, n_steps = _choice("effort", effort, EFFORTS)
+    n_starts, _, n_steps = named("effort", effort, EFFORTS)
     nominal = Fit.load(after) if after else chosen.model
     noise = _noise(chosen, nominal, sea)
     with journal(kept_in, fresh) as keep:
@@ -270,7 +270,8 @@ def _noise(problem: Problem, nominal: Any, sea: str | None) -> Any:
 
 
 def _criterion(problem: Problem, name: str, rivals: list[str], hidden: list[str]) -> Any:
-    from oed_sysid.design import AOptimal, Detect, Discriminate, DOptimal, EOptimal
+    from oed_sysid.design import Detect, Discriminate
+    from oed_sysid.design.choices import CRITERIA, named
     from oed_sysid.evidence.usual import equipped
 
     if rivals and hidden:
@@ -285,11 +286,11 @@ def _criterion(problem: Problem, name: str, rivals: list[str], hidden: list[str]
         return Detect(problem.effects)
     if hidden:
         return Detect([problem.effect(one) for one in hidden])
-    return _choice("criterion", name, {"D": DOptimal(), "A": AOptimal(), "E": EOptimal()})
+    return named("criterion", name, CRITERIA)()
 
 
 def _family(name: str, avoid: list[str]) -> Any:
-    from oed_sysid.design import Levels, Multisines, Pulses
+    from oed_sysid.design.choices import FAMILIES, named
 
     if avoid and name != "multisine":
         raise DesignError("Frequencies can be avoided by sines only: add --family multisine.")
@@ -297,14 +298,8 @@ def _family(name: str, avoid: list[str]) -> Any:
         bands = [(float(low), float(high)) for low, _, high in (b.partition(":") for b in avoid)]
     except ValueError:
         raise DesignError(f"--avoid {' '.join(avoid)}: write bands as 0.1:0.2, in Hz.") from None
-    families = {"levels": Levels(), "multisine": Multisines(forbidden=bands), "pulses": Pulses()}
-    return _choice("family", name, families)
-
-
-def _choice(what: str, name: str, choices: Mapping[str, Any]) -> Any:
-    if name not in choices:
-        raise DesignError(f"There is no {what} {name!r}. Choose one of {', '.join(choices)}.")
-    return choices[name]
+    settings = {"forbidden": bands} if bands else {}
+    return named("family", name, FAMILIES)(**settings)
 
 
 def _runs(
@@ -321,6 +316,3 @@ def _runs(
             "records."
         )
     return [problem.experiment(name) for name in names]
-
-
-COMMANDS = (rank, design)

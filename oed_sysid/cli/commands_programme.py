@@ -180,8 +180,9 @@ def _spread(problem: Problem, uncertainty: float | None, after: Path | None) -> 
     """Relative spread of vehicles; None where priors or a fit tell it."""
     if uncertainty is not None or after is not None:
         return uncertainty
-    told = any(p.prior_spread is not None for p in problem.model.free_parameters)
-    return None if told else 0.3
+    from oed_sysid.design.choices import usual_spread
+
+    return usual_spread(problem.model)
 
 
 def _numbers(option: str, given: list[str]) -> dict[str, float]:
@@ -195,6 +196,3 @@ def _numbers(option: str, given: list[str]) -> dict[str, float]:
         if found[name] is None:
             raise DesignError(f"{option} {text}: write NAME=NUMBER.")
     return found
-
-
-COMMANDS = (programme, campaign)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -89,12 +90,17 @@ class Kernel:
         n_memory = sum(len(effect.memory) for effect in model.effects)
         self.n_full = self.n_own + n_extra + n_memory
         self.n_columns = self.n_full + self.n_free
-        self._library = library or (None if compiled is False else load(model))
+        self._compiled, self._given = compiled, library
         if compiled is True and self._library is None:
             raise ModelError(
                 "Compiled code was asked for, but no C compiler was found. Install gcc or clang, "
                 "or leave compiled=None to use CasADi's interpreter."
             )
+
+    @cached_property
+    def _library(self) -> ctypes.CDLL | None:
+        """Compiled when something is run: sizes and names alone need none of it."""
+        return self._given or (None if self._compiled is False else load(self.model))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return kernel, (self.model,)

@@ -248,6 +248,8 @@ def _columns(
     if one.kind == "bias":
         is_value = left and not relation.is_rate
         return (1.0 if is_value else 0.0), sum(partials[n] for n in here)
+    if one.kind in ("lever", "misalignment"):
+        return 0.0, _geometric(one, series, partials)
     if one.kind == "scale":
         # On the left by what the other signals predict: the noise of y is no part of it.
         fixed = {n: pivot(trace.values[n], trace.units[n]) for n in here}
@@ -256,9 +258,8 @@ def _columns(
     if one.kind == "delay":
         own_rate = -rate if relation.is_rate else -slopes.of(relation.target)
         return (own_rate if left else 0.0), -sum(partials[n] * slopes.of(n) for n in here)
-    if one.kind == "drift":  # the position moves although no velocity says so
-        return (trace.times - trace.times[0] if left else 0.0), 0.0
-    return 0.0, _geometric(one, series, partials)
+    # A drift: the position moves although no velocity says so.
+    return (trace.times - trace.times[0] if left else 0.0), 0.0
 
 
 def _geometric(

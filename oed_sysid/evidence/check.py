@@ -215,6 +215,8 @@ def _blank(trace: Trace, faults: list[Fault]) -> Trace:
     """A trace without the samples of some faults."""
     rows: dict[str, np.ndarray] = {}
     for fault in faults:
+        if fault.record != trace.name or fault.kind not in BLANKED:
+            continue
         known = rows.get(fault.signal, np.empty(0, dtype=int))
         rows[fault.signal] = np.union1d(known, fault.rows).astype(int)
     return trace.blank(rows)
@@ -227,15 +229,14 @@ def _screened(
     traces = [Trace.of(r, spare_signals(r) if spare else {}) for r in dataset]
     faults, traces = screened(traces)
     findings = screen_findings(dataset, traces, faults)
-    bad = [fault for fault in faults if fault.kind in BLANKED]
-    clean = [_blank(trace, [f for f in bad if f.record == trace.name]) for trace in traces]
+    clean = [_blank(trace, faults) for trace in traces]
     dead = {fault.signal for fault in faults if fault.kind == "dead"}
     everywhere = set.intersection(*(set(trace.values) for trace in traces))
     standard = everywhere - set(model.output_names)
     missing = set.intersection(*(set(record.missing_outputs) for record in dataset)) | dead
     equations = relations(model, standard, missing)
     findings = [f if f.kind != "step" else judged_step(f, clean, equations) for f in findings]
-    jumps = [f.correction for f in findings if f.kind == "step" and f.correction is not None]
+    jumps = [f.correction for f in findings if f.kind == "step" and f.correction]
     return [undo(trace, jumps) for trace in clean], equations, findings
 
 

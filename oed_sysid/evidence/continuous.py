@@ -104,10 +104,17 @@ def candidates(traces: list[Trace], relations: tuple[Relation, ...]) -> tuple[Ca
         material = max(0.15 * noise[name], 1e-3 * size[name])
         result.append(Candidate("bias", (name,), units[name], 0.3 * size[name], material))
     result += [Candidate("scale", (n,), "1", 0.2, 0.01) for n in names]
+    result += _late(names, relations, units, step)
+    return (*result, *_in_space(relations, units, size))
+
+
+def _late(
+    names: list[str], relations: tuple[Relation, ...], units: dict[str, str], step: float
+) -> list[Candidate]:
+    """Delays of single signals, of all positions and of all velocities."""
     together = [positions_of(relations, units), velocities_of(relations, units)]
     groups = [*((name,) for name in names), *(group for group in together if len(group) > 1)]
-    result += [Candidate("delay", g, "s", max(0.7, 3.0 * step), 0.3 * step) for g in groups]
-    return (*result, *_in_space(relations, units, size))
+    return [Candidate("delay", g, "s", max(0.7, 3.0 * step), 0.3 * step) for g in groups]
 
 
 def _in_space(

@@ -590,6 +590,16 @@ def _of_step(
     claim = f"{what} is missing{', the validation records agree' if tested else ''}" + (
         f": {', '.join(sizes)}." if sizes and not rivals else "."
     )
+    return claim, _doubts_of(step, estimates, sizes, before)
+
+
+def _doubts_of(
+    step: Any, estimates: Mapping[str, Mapping[str, Any]], sizes: Sequence[str], before: float
+) -> list[str]:
+    """What of the claim of one step is not to be believed."""
+    own = [p for p in step.effect.parameters if p.name in estimates]
+    rivals = step.group[1:]
+    what = " or ".join(step.group) if rivals else step.added
     doubt = []
     if own and not any(_clear(estimates[p.name]) for p in own):
         doubt.append(
@@ -609,9 +619,9 @@ def _of_step(
             f"that it is {step.added} ({', '.join(sizes)}): {', '.join(rivals)} "
             f"{'does' if len(rivals) == 1 else 'do'} as well."
         )
-    if not tested:
+    if np.isnan(step.test_gain):
         doubt.append(f"{step.added} before a validation record has confirmed it.")
-    return claim, doubt
+    return doubt
 
 
 def _not_shown(steps: Sequence[Any], ended: Ranking) -> list[str]:

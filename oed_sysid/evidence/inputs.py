@@ -110,10 +110,10 @@ def input_findings(
             "Signs and units of inputs: not all states of the model are measured, or follow from "
             "those that are."
         )
-    found: list[Finding] = []
     base = max(_evidence(run, model, pieces, None, 1.0, lag) for lag in LAGS)
     if not np.isfinite(base):
         return [], "Signs and units of inputs: the nominal model diverges from the measured states."
+    found: list[Finding] = []
     for index in range(len(model.inputs)):
         scores = [
             (_evidence(run, model, pieces, index, factor, 0.0) - base, factor, meaning)

@@ -268,15 +268,14 @@ def locate(
         for name, rival in (rivals or {}).items()
         if (seen := _simulated(rival)) is not None
     }
+    clear = [part for part in found[:N_FIRST] if part.gain > CLEAR]
     return Located(
         places=tuple(part.place for part in found),
         gains={part.place.name: part.gain for part in found},
         levels={part.place.name: part.level for part in found},
         force_names=tuple(names[i].removeprefix("force ") for i in chosen),
         forces=forces,
-        discrepancies={
-            part.place.name: part.smoothed() for part in found[:N_FIRST] if part.gain > CLEAR
-        },
+        discrepancies={part.place.name: part.smoothed() for part in clear},
         signatures=signatures,
         agreement={name: agreement(forces, parts) for name, parts in signatures.items()},
     )

@@ -270,6 +270,40 @@ def _beside(
     return replace(state, study=wide, added=(*kept, one), fit=found)
 
 
+def _cheapest(state: Standing) -> tuple[tuple[Standing, Proposals] | None, tuple[str, ...]]:
+    """The likeliest term beside all, most or none of the effects; terms tied beside all of them.
+
+    An effect that stays has its price.
+    """
+    n_known = len(state.added)
+    found: list[tuple[float, Standing, Proposals]] = []
+    tied: tuple[str, ...] = ()
+    for count in sorted({0, max(n_known - 1, 0), n_known}, reverse=True):
+        start = state.path[count]
+        proposals = propose(state.study, start)
+        if proposals.best is None:
+            continue
+        if count == n_known:
+            tied = proposals.group[:3]
+        option = _beside(state, state.added[:count], start, proposals)
+        if option is not None:
+            cost = option.fit.objective + PLACE_MARGIN * (len(option.added) - 1)
+            found.append((cost, option, proposals))
+    return (min(found, key=lambda one: one[0])[1:] if found else None), tied
+
+
+def _agreed(state: Standing, option: Standing) -> Standing | None:
+    """The search with a term, settled; None where validation records do not agree."""
+    study, validation_gain = state.study, np.nan
+    if study.validation is not None:
+        validation_gain = difference(study.validate(state.fit), option.study.validate(option.fit))
+        if validation_gain <= 0 or rises(option.study, state.fit, option.fit):
+            return None
+    last = replace(option.added[-1], validation_gain=validation_gain)
+    settled = option.study.settle(option.fit)
+    return replace(option, added=(*option.added[:-1], last), fit=settled)
+
+
 def with_term(
     state: Standing, max_effects: int
 ) -> tuple[Standing, Proposals | None, tuple[str, ...]] | None:
@@ -285,24 +319,10 @@ def with_term(
         Terms that would explain what is left and were not confirmed.
     """
     study, n_known = state.study, len(state.added)
-    best: tuple[float, Standing, Proposals] | None = None
-    tied: tuple[str, ...] = ()
-    for count in sorted({0, max(n_known - 1, 0), n_known}, reverse=True):
-        start = state.path[count]
-        proposals = propose(study, start)
-        if proposals.best is None:
-            continue
-        if count == n_known:
-            tied = proposals.group[:3]
-        option = _beside(state, state.added[:count], start, proposals)
-        if option is None:
-            continue
-        cost = option.fit.objective + PLACE_MARGIN * (len(option.added) - 1)
-        if best is None or cost < best[0]:
-            best = cost, option, proposals
+    best, tied = _cheapest(state)
     if best is None:
         return state, None, ()
-    _, option, proposals = best
+    option, proposals = best
     found = option.fit
     fewer = n_known - len(option.added)
     gained = state.fit.objective - found.objective
@@ -317,18 +337,12 @@ def with_term(
     ):
         told = dismissal(study, term.name)
         return state.doubting(term.name, told), None, ()
-    validation_gain = np.nan
-    if study.validation is not None:
-        validation_gain = difference(study.validate(state.fit), option.study.validate(found))
-        if validation_gain <= 0 or rises(option.study, state.fit, found):
-            return state, None, tied
-    last = replace(option.added[-1], validation_gain=validation_gain)
-    option = replace(option, added=(*option.added[:-1], last), fit=option.study.settle(found))
-    if len(option.added) > max_effects + 1:
+    agreed = _agreed(state, option)
+    if agreed is None or len(agreed.added) > max_effects + 1:
         return state, None, tied
-    present = {one.effect.name for one in option.added}
+    present = {one.effect.name for one in agreed.added}
     gone = tuple(one.effect.name for one in state.added if one.effect.name not in present)
-    return rebuilt(replace(option, replaced=gone)), proposals, ()
+    return rebuilt(replace(agreed, replaced=gone)), proposals, ()
 
 
 def _without_imitations(

@@ -23,7 +23,7 @@ column carries a usual name of a rigid body's motion, kinematics can use it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -164,11 +164,18 @@ def _declared(
     used, inner = needed
     if is_rate and not _is_kinematic(model, target, {measured[s] for s in used}):
         return None
-    aliases = [(s, measured[s]) for s in dict.fromkeys(used) if measured[s] != s]
-    ordered = [(name, inner[name]) for name in model.signals if name in inner]
+    steps = _steps(model, measured, used, inner)
     signals = tuple(dict.fromkeys(measured[s] for s in used))
-    steps = (*aliases, *ordered, (f"{target}_prime_", text))
+    steps = (*steps, (f"{target}_prime_", text))
     return Relation(target, signals, text, is_rate, True, steps, constants)
+
+
+def _steps(
+    model: Model, measured: Mapping[str, str], used: Sequence[str], inner: Mapping[str, str]
+) -> tuple[tuple[str, str], ...]:
+    """Other names of measured signals, then inner signals in the order of the model."""
+    aliases = [(s, measured[s]) for s in dict.fromkeys(used) if measured[s] != s]
+    return (*aliases, *((name, inner[name]) for name in model.signals if name in inner))
 
 
 def _is_kinematic(model: Model, target: str, signals: set[str]) -> bool:
@@ -211,9 +218,9 @@ def _standard(
 ) -> tuple[Relation, ...]:
     """Equations of a rigid body for signals with standard names and units."""
     units = {o.name: o.unit for o in model.outputs if o.name not in absent}
-    odd = {o.name for o in model.outputs if o.expression not in (None, o.name)}
-    own = {n for n, unit in units.items() if STANDARD_UNITS.get(n) == unit and n not in odd}
-    known = own | {name for name in spare if name in STANDARD_UNITS and name not in units}
+    plain = {o.name for o in model.outputs if o.expression in (None, o.name)}
+    own = {n for n in plain & set(units) if STANDARD_UNITS.get(n) == units[n]}
+    known = own | ((spare & set(STANDARD_UNITS)) - set(units))
     # Where the model has an equation for one of these states, it knows better.
     mine = {s for s in model.kinematics if s in STANDARD} | related
     asked = [target for target in STANDARD if target in known - mine]

@@ -43,7 +43,7 @@ with a step, over the widest surroundings in which noise is all that this leaves
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -212,6 +212,21 @@ def _quantum(series: np.ndarray) -> float:
     return float(np.min(np.diff(np.unique(series))))
 
 
+def _fast(faults: Sequence[Fault], after: Mapping[str, np.ndarray]) -> set[str]:
+    """Signals whose samples that stand out follow steps of the inputs beyond chance."""
+    share = float(np.concatenate(list(after.values())).mean())
+    begins: dict[str, list[bool]] = {}
+    for f in faults:
+        if f.kind in ANSWERS:
+            known = begins.setdefault(f.signal, [])
+            known += [bool(after[f.record][f.rows[group[0]]]) for group in f.groups()]
+    return {
+        name
+        for name, said in begins.items()
+        if any(said) and bdtrc(sum(said) - 1, len(said), share) < CHANCE
+    }
+
+
 def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     """Faults of all records, and the records with what is faster than its samples marked.
 
@@ -220,17 +235,7 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     """
     faults = [fault for trace in traces for fault in screen(trace)]
     after = {trace.name: trace.pushed for trace in traces}
-    share = float(np.concatenate([trace.pushed for trace in traces]).mean())
-    begins: dict[str, list[bool]] = {}
-    for f in faults:
-        if f.kind in ANSWERS:
-            known = begins.setdefault(f.signal, [])
-            known += [bool(after[f.record][f.rows[group[0]]]) for group in f.groups()]
-    fast = {
-        name
-        for name, said in begins.items()
-        if any(said) and bdtrc(sum(said) - 1, len(said), share) < CHANCE
-    }
+    fast = _fast(faults, after)
     kept = []
     for fault in faults:
         if fault.kind in ANSWERS and fault.signal in fast:

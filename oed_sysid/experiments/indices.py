@@ -205,6 +205,7 @@ def zigzag_indices(
     executes = rudder_executes(moments, helm, execute)
     at_execute = np.interp(executes, moments, angle)
     original = float(at_execute[0])
+    # Which way the first swing went: indices are the same for port and starboard.
     side = math.copysign(1.0, at_execute[1] - original)
 
     overshoots: list[float] = []
@@ -312,6 +313,7 @@ def turning_indices(
             "or check that heading is in radians."
         )
     origin = np.interp(begin, moments, north), np.interp(begin, moments, east)
+    # Axes of the approach: along the original course, and to starboard of it.
     along = (north - origin[0]) * math.cos(course) + (east - origin[1]) * math.sin(course)
     across = (east - origin[1]) * math.cos(course) - (north - origin[0]) * math.sin(course)
     quarter, half = (
@@ -328,6 +330,7 @@ def turning_indices(
     if turned >= steady_from + _STEADY_ARC and np.count_nonzero(steady) >= 3:
         radius = circle_radius(north[steady], east[steady])
         ratio = float(np.mean(speeds[steady]) / np.interp(begin, moments, speeds))
+        # Drift angle as a mean on the circle, so that a course across north does no harm.
         slip = angle[steady] - np.arctan2(track_east[steady], track_north[steady])
         drift = side * float(np.angle(np.mean(np.exp(1j * slip))))
     return TurningIndices(

@@ -302,6 +302,7 @@ class _Swings(Controller):
         names = self._settings.feedback
         seen = {name: measured_signal(self._settings.input, name, signals) for name in names}
         measured = seen[self._signal]
+        # Headings count from the first measured value, whatever the course of the approach.
         if self._reference is None and math.isfinite(measured):
             self._reference = measured
         if self._keep_gain and self._kept is None:
@@ -338,6 +339,7 @@ class _Swings(Controller):
         if self._lead:
             deviation = deviation + self._lead * seen[names[1]]
         if self._keep_gain and self._kept is not None:
+            # The keeper may shift the reference by half a switch, so that every swing still ends.
             most = 0.5 * self._switch
             shift = self._keep_gain * (seen[names[-1]] - self._kept)
             deviation = deviation - np.clip(shift, -most, most)

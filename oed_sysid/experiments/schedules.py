@@ -70,6 +70,7 @@ def staircase(
     if rate is None:
         held, edges = np.array([before, *levels]), np.array(times)
         return lambda moments: held[interval(moments, edges)]
+    # A ramp may be cut off by the next order before it has arrived.
     corners, value = [(times[0], before)], before
     for begin, end, level in zip(times, [*times[1:], math.inf], levels, strict=True):
         arrival = begin + abs(level - value) / rate

@@ -431,6 +431,7 @@ def reference_trajectory(
     states = np.empty((len(moments), graph.n_states))
     outputs = np.empty((len(moments), len(model.outputs)))
     steps_to = np.diff(moments)
+    # Without sampled actuators nothing depends on the step, and CVODES goes from sample to sample.
     longest = model.step if _is_sampled(graph) else np.inf
     for k, time in enumerate(moments):
         states[k] = z[: graph.n_states]

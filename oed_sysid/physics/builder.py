@@ -97,6 +97,7 @@ def rigid_body(
     active = _active(dof)
     oriented = _oriented(attitude, active)
     constants = _masses(mass, centre_of_gravity, inertia, active)
+    # M_RB and M_A as texts; only constants that are not zero come into the equations.
     rigid = frames.rigid_matrix(constants.names)
     added = frames.added_matrix(_added_mass(constants, added_mass, active))
     axes = {AXES[VELOCITIES.index(v)]: v for v in active}
@@ -256,11 +257,13 @@ def _added_mass(
             raise ModelError(f"Added mass {name!r} does not belong to a body with {active}.")
         key = (min(i, j), max(i, j))
         size = value.value if isinstance(value, Parameter) else float(value)
+        # M_A is symmetric for potential flow without forward speed: one of a pair says both.
         if key in places:
             raise ModelError(
                 f"Added mass {places[key]!r} and {name!r} are the same entry of a symmetric "
                 "matrix. Give one of the two."
             )
+        # The acceleration derivatives are minus the added masses: Y_vdot = -A_22.
         if i == j and size > 0:
             raise ModelError(f"Added mass {name!r} is {size:g}; derivatives are negative.")
         places[key] = name
@@ -332,6 +335,7 @@ def _submerged(
     for letter, value in zip("xyz", _three("centre_of_buoyancy", centre), strict=True):
         lever = constants.add(f"{letter}_B", value, "m", "centre of buoyancy", optional=True)
         gravity = f"{letter}_G" if f"{letter}_G" in constants.names else "0"
+        # r_G W - r_B B, the lever of the restoring moment, section 4.1.
         levers.append(plus(times(gravity, heavy), minus(times(lever, light))))
     excess = "0" if light == heavy else f"({heavy} - {light})"
     six = [*(times(excess, part) for part in down), *cross(levers, down)]
@@ -361,6 +365,7 @@ def _floating(
         for height, (axis, rate, angle, name) in zip(listed, sides, strict=False):
             if rate in active:
                 constants.add(name, height, "m", "metacentric height")
+                # Metacentric stability, K = -W GM_T sin(phi): section 4.2, moderate angles.
                 terms[axis] = f"-{heavy}*{name}*sin({angle})"
     if stiffness is not None:
         if "w" not in active:

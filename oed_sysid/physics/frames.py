@@ -217,6 +217,7 @@ def euler(active: Collection[str]) -> Attitude:
     p, q, r = (rate if rate in active else "0" for rate in "pqr")
     present = [name for name, rate in (("phi", p), ("theta", q), ("psi", r)) if rate != "0"]
 
+    # Rates of the zyx Euler angles, section 2.2.1, with angles that are not free at zero.
     sine, cosine = ("sin(phi)", "cos(phi)") if "phi" in present else ("0", "1")
     across = plus(times(q, sine), times(r, cosine))
     tangent = "tan(theta)" if "theta" in present else "0"
@@ -298,12 +299,15 @@ def rigid_matrix(present: Mapping[str, object]) -> Matrix:
     >>> rigid_matrix(["m", "z_G", "I_xx"])
     {(0, 0): 'm', (1, 1): 'm', (2, 2): 'm', (0, 4): 'm*z_G', (1, 3): '-m*z_G', (3, 3): 'I_xx'}
     """
+    # Upper triangle of M_RB about the origin: m I, the levers -m S(r_G), and the inertia I_b;
+    # section 3.3.
     entries: Matrix = {(i, i): "m" for i in range(3)}
     levers = {(0, 4): "z_G", (0, 5): "-y_G", (1, 3): "-z_G", (1, 5): "x_G", (2, 3): "y_G"}
     levers[2, 4] = "-x_G"
     for key, lever in levers.items():
         if lever.lstrip("-") in present:
             entries[key] = times("m", lever)
+    # Products of inertia stand with a minus, moments with a plus.
     names = {(3, 3): "I_xx", (4, 4): "I_yy", (5, 5): "I_zz"}
     names |= {(3, 4): "-I_xy", (3, 5): "-I_xz", (4, 5): "-I_yz"}
     entries |= {key: name for key, name in names.items() if name.lstrip("-") in present}
@@ -340,6 +344,8 @@ def gyroscopic(
     texts = momentum(entries, velocity)
     symbols = ["0" if text == "0" else name for name, text in zip(names, texts, strict=True)]
     first, second = velocity[:3], velocity[3:]
+    # -C(nu) nu with the linear momentum a and the angular one b: a x nu_2, and
+    # a x nu_1 + b x nu_2; theorem 3.2.
     forces = list(cross(symbols[:3], second))
     moments = zip(cross(symbols[:3], first), cross(symbols[3:], second), strict=True)
     forces += [plus(*pair) for pair in moments]
@@ -357,6 +363,7 @@ def current_rotation(entries: Matrix, velocity: Sequence[str], drift: Sequence[s
     The current ``drift`` is steady in NED, so that in body axes its rate is minus the
     angular velocity times it; Fossen (2011), section 8.3.
     """
+    # A current that is steady in NED turns backwards in body axes: v_c' = -omega x v_c.
     rate = [*(minus(text) for text in cross(velocity[3:], drift)), "0", "0", "0"]
     return momentum(entries, rate)
 

@@ -494,12 +494,14 @@ def fin(
             f"Fin {name!r} has the normal {normal!r}. Choose horizontal, vertical, or (x, y, z)."
         )
     side = [text_of(c) for c in (NORMALS[normal] if isinstance(normal, str) else normal)]
+    # The fin sees the flow of its own place: the motion of the origin and what it is swept by.
     swept = cross(turning, place)
     ahead, *across = (plus(v, w) for v, w in zip(flow, swept, strict=True))
     u, v = f"{name}_u", f"{name}_v"
     into = plus(*(times(n, part) for n, part in zip(side[1:], across, strict=True)))
     slope = _coefficient(lift, f"L_{name}", "kg/m", f"lift slope of {name}")
     parameters = [slope]
+    # u (u delta - v): lift at the small angle of attack delta - v/u times u squared.
     angle = plus(times(u, deflection), minus(v)) if into != "0" else times(u, deflection)
     push = times(slope.name, u, angle)
     force = [times(push, n) for n in side]
@@ -559,6 +561,7 @@ def accelerometer_text(
         return [f"dot({name})" if name in active else "0" for name in names]
 
     place, spin, speed = [text_of(c) for c in at], present("pqr"), present("uvw")
+    # Centripetal acceleration of the place where the instrument is.
     turning = cross(spin, cross(spin, place))
     parts = (rates("uvw"), cross(spin, speed), cross(rates("pqr"), place), turning)
     weight = "0" if gravity == 0 else minus(times(text_of(gravity), down[i]))

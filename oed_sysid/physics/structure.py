@@ -334,6 +334,7 @@ def _check_texts(model: Structure) -> None:
     for signal, text in model.actuator_signals.items():
         expressions.check(text, commands, where=f"{where}, actuator {signal!r}", tables=tables)
     extra = [state.name for effect in model.effects for state in effect.states]
+    # Forces see actuators' signals, not commands: what reaches them is the actuators' matter.
     known = {*model.state_names, *extra, *model.actuator_signals, *parameters, *CLOCK}
     for signal, text in model.signals.items():
         expressions.check(text, known, where=f"{where}, signal {signal!r}", tables=tables)
@@ -342,6 +343,7 @@ def _check_texts(model: Structure) -> None:
         expressions.check(text, known, where=f"{where}, rate of {state!r}", tables=tables)
     for key, text in model.inertia.items():
         expressions.check(text, known, where=f"{where}, inertia {key}", tables=tables)
+    # Sensors come last in the chain: only they see accelerations and forces.
     seen = known | rates_and_forces(model)
     for output in model.outputs:
         sensor = f"{where}, output {output.name!r}"

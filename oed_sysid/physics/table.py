@@ -100,6 +100,7 @@ class Row(Generic[Kind]):
 
     def _effect(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Effect:
         """The effect for the arguments of a constructor and what follows from them."""
+        # What the constructor worked out goes before the argument of the same name.
         known = {**arguments, **derived}
         signals = channels(arguments[self.each]) if self.each else ()
         if signals:
@@ -140,6 +141,7 @@ class Row(Generic[Kind]):
 
     def _derivative(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Force:
         """The effect of one hydrodynamic derivative."""
+        # The name of a derivative has the letter of the velocity, the term has the signal: w, w_r.
         letters = {k: factor_of(v) for k, v in arguments.items() if isinstance(v, str)}
         factors = (self.symbols or {}).items()
         symbols = {key.format(**letters): text.format(**arguments) for key, text in factors}
