@@ -26,7 +26,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -43,15 +43,12 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import make_folder
 from oed_sysid.text.csv_table import write_table
 
-if TYPE_CHECKING:
-    from oed_sysid.design.result import Design
-
 _WIDTH = 92
 # Relative error up to which a coefficient counts as found.
 _GOOD = 0.05
 
 
-def sea_trial_card(design: Design) -> str:
+def sea_trial_card(design: Any) -> str:
     """Return what to run, for how long, what to watch and what to expect.
 
     Parameters
@@ -92,7 +89,7 @@ def sea_trial_card(design: Design) -> str:
     return "\n".join(lines)
 
 
-def _danger(design: Design) -> list[str]:
+def _danger(design: Any) -> list[str]:
     """First lines where limits are likely to be left."""
     found = design.assurance
     if found is None or found.is_safe:
@@ -100,7 +97,7 @@ def _danger(design: Design) -> list[str]:
     return wrap(f"{found.danger} Read WATCH before anything else.", _WIDTH)
 
 
-def _start(design: Design, units: dict[str, str]) -> str:
+def _start(design: Any, units: dict[str, str]) -> str:
     initial = design.experiment.initial
     given = [f"{n} = {quantity(v, units[n])}" for n, v in initial.items() if v]
     speeds = [s.name for s in design.model.states if s.name in ("u", "v", "w")]
@@ -142,7 +139,7 @@ def _orders(model: Model, trajectory: Trajectory, units: dict[str, str]) -> list
     return lines
 
 
-def _motion(design: Design, units: dict[str, str]) -> list[str]:
+def _motion(design: Any, units: dict[str, str]) -> list[str]:
     """Predicted ranges, what other vehicles would do, and where to stop."""
     model, assurance = design.model, design.assurance
     head = f"  {'':<10} {'predicted':<24}"
@@ -166,7 +163,7 @@ def _between(lower: float, upper: float, unit: str) -> str:
     return f"{quantity(lower, unit).split(' ')[0]} to {quantity(upper, unit)}"
 
 
-def _watch(design: Design) -> list[str]:
+def _watch(design: Any) -> list[str]:
     limits = design.experiment.limits.signals
     words = []
     if not limits:
@@ -197,7 +194,7 @@ def _watch(design: Design) -> list[str]:
     return lines + abort_lines(design)
 
 
-def abort_lines(design: Design) -> list[str]:
+def abort_lines(design: Any) -> list[str]:
     """When to stop, and how often that is to be expected."""
     found = design.assurance
     if found is None or not found.rules:
@@ -217,7 +214,7 @@ def abort_lines(design: Design) -> list[str]:
     return [*lines, f"  Any of these fires on {found.any_fires:.1%} of {found.n_checked} vehicles."]
 
 
-def _accuracy(design: Design) -> list[str]:
+def _accuracy(design: Any) -> list[str]:
     kind = "white noise" if design.sea is None else "noise and random forces"
     lines = [f"ACCURACY TO EXPECT (standard error / value; {kind} as below)"]
     for reference in design.references:

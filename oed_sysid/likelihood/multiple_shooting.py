@@ -126,7 +126,7 @@ class MultipleShooting:
         at variance zero) and, if so, estimates their levels and times with everything
         else; ``"none"`` takes residuals for sensor noise; ``"all"`` lets a force into
         every equation; or the equations, states or places that are disturbed, such as
-        ``("Z", "M")`` or ``("actuator fin",)``. See :mod:`oed_sysid.likelihood.noise`.
+        ``("Z", "M")`` or ``("actuator fin",)``. See :mod:`oed_sysid.likelihood.noise_model`.
     horizon : float or None
         How far ahead the fit has to be right, s: records are predicted in windows of this
         length, each from a start state of its own (:mod:`oed_sysid.likelihood.horizons`). ``None``

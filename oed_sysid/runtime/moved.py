@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
 from types import ModuleType
 
 # Old public path and where its names are, below the package.
@@ -31,13 +32,18 @@ MOVED = {
     "estimators.baselines.regression_rows": "baselines.equations",
     "estimators.baselines.swarm": "baselines.population",
     "estimators.baselines.trajectory_cost": "baselines.population",
+    "estimators.base": "likelihood.estimator",
+    "estimators.multiple_shooting": "likelihood.multiple_shooting",
+    "estimators.multistart": "likelihood.multistart",
+    "estimators.profile": "likelihood.multistart",
     "experiment": "experiments.experiment",
     "fitting": "likelihood",
     "language": "text",
     "logs": "data.logs",
     "manoeuvres": "experiments.manoeuvres",
     "model": "physics.model",
-    "noise": "likelihood.noise",
+    "noise": "likelihood",
+    "noise.model": "likelihood.noise_model",
     "parameters": "physics.parameters",
     "predictions": "prediction",
     "predictions.course_control": "prediction.laws",
@@ -50,6 +56,23 @@ MOVED = {
 }
 
 
+def new_path(name: str) -> str | None:
+    """Return where a module of an old path is now; None for every other path.
+
+    >>> new_path("oed_sysid.effects.base"), new_path("oed_sysid.physics"), new_path("numpy")
+    ('oed_sysid.physics.base', None, None)
+    """
+    package, _, old = name.partition(".")
+    if package != "oed_sysid" or not old:
+        return None
+    parts = old.split(".")
+    for count in range(len(parts), 0, -1):
+        home = MOVED.get(".".join(parts[:count]))
+        if home is not None:
+            return ".".join((package, home, *parts[count:]))
+    return None
+
+
 class _Moved(MetaPathFinder, Loader):
     """Finds modules under their old paths."""
 
@@ -57,22 +80,21 @@ class _Moved(MetaPathFinder, Loader):
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Return how to load an old path; None for every other one."""
-        package, _, old = name.partition(".")
-        if package != "oed_sysid" or old not in MOVED:
+        new = new_path(name)
+        if new is None or find_spec(new) is None:
             return None
         # A package, so that paths below it are asked for here as well.
         return ModuleSpec(name, self)
 
     def exec_module(self, module: ModuleType) -> None:
         """Put the module that holds the names now in the place of the old one."""
-        new = f"oed_sysid.{MOVED[module.__name__.partition('.')[2]]}"
-        warnings.warn(
-            f"{module.__name__} is now {new}: import from there.", DeprecationWarning, stacklevel=2
-        )
-        sys.modules[module.__name__] = import_module(new)
+        name, new = module.__name__, str(new_path(module.__name__))
+        warnings.warn(f"{name} is now {new}: import from there.", DeprecationWarning, stacklevel=2)
+        sys.modules[name] = import_module(new)
 
 
 def understand_old_paths() -> None:
     """Let ``import`` find what has moved."""
     if not any(isinstance(finder, _Moved) for finder in sys.meta_path):
-        sys.meta_path.append(_Moved())
+        # Before the finder of files, which would load a second copy of a module under its old path.
+        sys.meta_path.insert(0, _Moved())
