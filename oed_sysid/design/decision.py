@@ -1,4 +1,4 @@
-r"""Stop or go on: what is known well enough after a run, and what the next one would buy.
+r"""Stop or go on: what is known well enough after a run, and what the next one would bring.
 
 What a model is for is a *goal*: standard deviations of some linear functions of the parameters,
 
@@ -394,7 +394,7 @@ def decide(
     hours: float | None = None,
     certainty: float = 0.95,
 ) -> Decision:
-    """Say whether to stop, or what to run next and what it would buy.
+    """Say whether to stop, or what to run next and what it would bring.
 
     Parameters
     ----------

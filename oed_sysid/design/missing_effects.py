@@ -387,7 +387,7 @@ class Detection:
 def missing_physics(
     misfits: Mapping[tuple[str, str], float], chances: Sequence[Detection]
 ) -> list[str]:
-    """Lines on rivals told apart and on effects revealed, records in hand included."""
+    """Lines on rivals told apart and on effects detected, records in hand included."""
     lines = [
         f"  If {first} is true, {second} is expected to fit worse by "
         f"2 dlogL = {misfit:.3g}{'' if misfit > 16 else ' (not enough to decide)'}; "

@@ -436,7 +436,7 @@ class Programme(_Accuracy):
     misfits : mapping of (str, str) to float
         For discrimination: expected ``2 dlogL`` of the first rival over the second.
     chances : tuple of Detection
-        For effects to be revealed: how surely each would show.
+        For effects to be detected: how surely each would show.
     """
 
     model: Model

@@ -342,8 +342,8 @@ class Innovations:
         )
         if not swept.ok or swept.rows is None:
             raise DesignError(
-                f"The filter of run {play.name!r} leaves the numbers. Check levels and times of "
-                "the random forces, or shorten the run."
+                f"The filter of run {play.name!r} diverges. Check levels and times of the "
+                "disturbance forces, or shorten the run."
             )
         n_columns = len(model.states) + len(free)
         seen = np.isfinite(measured)
