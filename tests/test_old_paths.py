@@ -17,9 +17,10 @@ def test_old_path_leads_to_the_module_that_has_its_names(old: str) -> None:
     """An old path is the new module itself, so that its classes are the same, and warns."""
     new = new_path(f"oed_sysid.{old}")
     assert new is not None
+    sys.modules.pop(f"oed_sysid.{old}", None)
     with pytest.warns(DeprecationWarning, match=new):
-        sys.modules.pop(f"oed_sysid.{old}", None)
-        assert import_module(f"oed_sysid.{old}") is import_module(new)
+        found = import_module(f"oed_sysid.{old}")
+    assert found is import_module(new)
 
 
 def test_modules_below_an_old_path_are_no_second_copies() -> None:
