@@ -7,18 +7,20 @@ matrix of its own, and nothing is sparse.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from oed_sysid.compiled.filter_pass import (
+    COLOUR_TIME,
+    COLOUR_VARIANCE,
+    FORCE_TIME,
+    FORCE_VARIANCE,
+    WHITE_VARIANCE,
+    Disturbed,
+    Results,
+)
 from oed_sysid.compiled.interpreter import Commands, chained, interpreted
 from oed_sysid.physics.model import Model
-
-if TYPE_CHECKING:
-    from oed_sysid.compiled.filtering import Disturbed, Results
-
-# Levels of the noise by kind, as ``filter.c`` numbers them.
-FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME = range(5)
 
 
 class InterpretedFilter:
