@@ -75,7 +75,7 @@ def sea_trial_card(design: Any) -> str:
         if name not in experiment.constants:
             rate = experiment.limits.rates.get(name)
             most = "" if rate is None else f", at most {quantity(rate, units[name])}/s"
-            lines.append(f"Orders of   {name}: {span(*pair, units[name])}{most}")
+            lines.append(f"Orders of   {name}: {span(pair[0], pair[1], units[name])}{most}")
     lines += ["", "RUN"]
     if experiment.reacts and experiment.excitation is not None:
         lines.append(f"  {experiment.excitation.describe()}")
@@ -151,9 +151,11 @@ def _motion(design: Any, units: dict[str, str]) -> list[str]:
         row = f"  {name:<10} {_between(values.min(), values.max(), units[name]):<24}"
         if assurance is not None:
             other = assurance.ranges.get(name)
-            row += f" {'-' if other is None else _between(*other, units[name]):<24}"
+            row += f" {'-' if other is None else _between(other[0], other[1], units[name]):<24}"
         limit = design.experiment.limits.signals.get(name)
-        lines.append(f"{row} {'' if limit is None else span(*limit, units[name])}".rstrip())
+        lines.append(
+            f"{row} {'' if limit is None else span(limit[0], limit[1], units[name])}".rstrip()
+        )
     if assurance is not None:
         lines.append(f"  95 % of vehicles: {assurance.drawn}, {assurance.n_checked} simulated")
     return lines
