@@ -236,6 +236,7 @@ class Fit(Estimate):
             ),
             sections=(
                 self._estimates(),
+                *self._intervals(),
                 self._residuals(style),
                 *self._random(),
                 *self._records(style),
@@ -294,6 +295,24 @@ class Fit(Estimate):
             "Estimates", (*self._local_lines(), *self._start_lines()), self._parameter_table(),
             drawings[: len(self.names)], indent=2,
         )  # fmt: skip
+
+    def _intervals(self) -> list[Section]:
+        """What was known before and what is known now, on a page."""
+        rows = []
+        for name in self.names:
+            parameter, (low, high) = self.model.parameter(name), self.interval(name)
+            prior = "" if parameter.prior_mean is None else f"{parameter.prior_mean:.4g}"
+            if parameter.prior_spread is not None:
+                prior += f" ± {TWO_SIDED_95 * parameter.prior_spread:.2g}"
+            interval = f"{low:.4g} to {high:.4g}"
+            if not np.isfinite(high - low):
+                interval = "unbounded"
+            elif high > low:  # two digits of its width
+                count = int(np.log10(max(abs(low), abs(high)) / (high - low)).clip(0)) + 3
+                interval = f"{low:.{count}g} to {high:.{count}g}"
+            rows.append((name, interval, prior, parameter.unit))
+        table = Table(("parameter", "95 % interval", "prior ± (95 %)", "unit"), rows)
+        return [Section("Intervals", tables=(table,), only="page")] if rows else []
 
     def _residuals(self, style: int) -> Section:
         words = self._captive_lines()
