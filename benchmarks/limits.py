@@ -3,7 +3,8 @@
     OMP_NUM_THREADS=1 python -m benchmarks.limits --vehicles 5000 --spread 0.2 0.3
 
 The REMUS-like vehicle in the diving plane, dives of 60 s from 20 m, pitch within 45 degrees,
-depth 2 to 60 m, random forces of 0.1 N, 0.3 N and 0.06 N m over 1 s. Each command is judged twice:
+depth 2 to 60 m, disturbance forces of 0.1 N, 0.3 N and 0.06 N m over 1 s. Each command is judged
+twice:
 by `assess_limits` on vehicles drawn with coefficients up to `--spread` off, and by the equations of
 `benchmarks.missing_physics.simulator` (Runge-Kutta at 0.01 s in plain NumPy, forces held for
 0.1 s, limits looked at every 0.01 s) on vehicles drawn anew. The commands are 3-2-1-1s of

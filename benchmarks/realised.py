@@ -1,9 +1,10 @@
-r"""Realised over stated errors of planned runs under random forces.
+r"""Realised over stated errors of planned runs under disturbance forces.
 
     OMP_NUM_THREADS=1 python -m benchmarks.realised [--repetitions 20] [--forces 1.0]
                                                     [--plan designed]
 
-The REMUS-like vehicle plays *plan* again and again under random forces of 0.1 N, 0.3 N, 0.06 N m
+The REMUS-like vehicle plays *plan* again and again under disturbance forces of 0.1 N, 0.3 N, 0.06 N
+m
 and 2 s (times ``--forces``) and white sensors; each repetition is integrated by the NumPy
 equations of :mod:`benchmarks.random_forces` (no code of the package) and estimated by
 ``MultipleShooting(disturbances="auto")``, levels and times unknown, no priors. Stated are the
@@ -43,7 +44,7 @@ def believed() -> Model:
 
 
 def sea(model: Model, factor: float) -> NoiseModel:
-    """Noise of the sensors, and random forces."""
+    """Noise of the sensors, and disturbance forces."""
     white = np.array(REMUS.noise_std)
     return NoiseModel(
         white, np.zeros_like(white), factor * np.array(MEDIUM), force_time=TIME,

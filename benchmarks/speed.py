@@ -451,7 +451,7 @@ def likelihood() -> None:
     earlier = MultipleShooting().fit(model, data)
     samples = sum(record.n_samples for record in data)
     for words, warm in (
-        (f"fit with random forces, {samples} samples of {len(model.outputs)} outputs", None),
+        (f"fit with disturbance forces, {samples} samples of {len(model.outputs)} outputs", None),
         ("the same from where an earlier fit ended", earlier),
     ):
         seconds = least(lambda warm=warm: MultipleShooting().fit(model, data, warm=warm), 5)

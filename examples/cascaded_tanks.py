@@ -5,8 +5,9 @@ first half of a record the missing effects are found, starting from a linear
 model; the second half validates them. Then the same question is put to a model that
 knows Torricelli's law already: does it lack the same things?
 
-One level of two is measured, so that a random force in a tank can do, from sample to sample, what
-an overflow does. Both questions are therefore put twice, without random forces and with them;
+One level of two is measured, so that a disturbance force in a tank can do, from sample to sample,
+what
+an overflow does. Both questions are therefore put twice, without disturbance forces and with them;
 where these leave structure missing, the search with them is made again without by itself.
 """
 
@@ -28,7 +29,7 @@ found = {
     for forces in ("none", "auto")
 }
 for (name, forces), improvement in found.items():
-    print(f"--- {name}, random forces: {forces}")
+    print(f"--- {name}, disturbance forces: {forces}")
     print(improvement.report())
     print()
 
@@ -44,7 +45,7 @@ print()
 best = found["linear", "none"]
 print(
     f"Conclusion: from the linear model {', '.join(step.added for step in best.steps)} are added, "
-    f"and the verdict is '{best.remains.kind}'. With random forces allowed in both tanks overflows "
-    "are found, too, if need be by a search made again without them. The scoreboard, by masked "
-    "blocks of the whole record, goes further."
+    f"and the verdict is '{best.remains.kind}'. With disturbance forces allowed in both tanks "
+    "overflows are found, too, if need be by a search made again without them. "
+    "The scoreboard, by masked blocks of the whole record, goes further."
 )

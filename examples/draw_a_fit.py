@@ -22,7 +22,7 @@ with tempfile.TemporaryDirectory() as temporary:
     problem = oed_sysid.load_problem(folder)
     data = problem.data()
 
-# Random forces, let in by default, would explain what is missing from sample to sample.
+# Disturbance forces, admitted by default, would explain what is missing from sample to sample.
 estimator = oed_sysid.MultipleShooting(disturbances="none")
 nominal = estimator.fit(problem.model, data)
 better = estimator.fit(problem.model + problem.effect("yaw_quadratic_damping"), data)

@@ -3,7 +3,8 @@
 The free-running model of KVLCC2 (7 m) is believed as published. The real one differs from that,
 has a hull that is not the same to both sides, which nobody knows, and meets irregular waves. A
 programme is planned, runs are done as long as the rule says so, and all of them are fitted with
-random forces. The standard programme (zigzags 10/10 and 20/20 and circles of 35 degrees in turn)
+disturbance forces. The standard programme (zigzags 10/10 and 20/20 and circles of 35 degrees in
+turn)
 stops by the same rule.
 """
 

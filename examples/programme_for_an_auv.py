@@ -2,7 +2,8 @@
 
 A programme is planned for a moderate sea. The real vehicle is up to 12 per cent off in every
 coefficient, has a pitch damping that the model does not know, and is pushed by waves. After each
-dive all records are fitted, random forces included, and the rule says: go on, or stop. Where it
+dive all records are fitted, disturbance forces included, and the rule says: go on, or stop. Where
+it
 finds that records contradict one another, no stated error holds: what is missing is looked for, and
 the model that is found is fitted from there on. The standard trials (zigzags 10/10 and 12/12 in
 turn) go on until the same rule stops them.

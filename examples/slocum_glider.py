@@ -15,7 +15,8 @@ problem = load_problem("slocum_glider")
 data = problem.data()
 train, test = data.split(test=[name for name in data.names if name.startswith("test")])
 
-# A dive in still water lasts as long as random forces that would explain it: none are let in.
+# A dive in still water lasts as long as disturbance forces that would explain it: none are
+# admitted.
 found = improve(
     problem.model, train, test, candidates=problem.effects, max_effects=2, disturbances="none"
 )

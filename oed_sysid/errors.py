@@ -35,7 +35,7 @@ class ProblemError(OedSysidError):
 
 
 class SimulationError(OedSysidError):
-    """A trajectory left the numbers (overflow or NaN) before its end."""
+    """A trajectory diverged (overflow or NaN) before its end."""
 
 
 class DesignError(OedSysidError):

@@ -52,7 +52,7 @@ TRUTH = {
 def runs(kind: str, off: float, seed: int, sea: float = 0.0) -> Dataset:
     """Three runs in steps of 0.01 s, the rudder ``off`` its first command, to either side, rad.
 
-    ``sea`` is the standard deviation of a random force that lasts 2 s, as a rudder angle, rad.
+    ``sea`` is the standard deviation of a disturbance force that lasts 2 s, as a rudder angle, rad.
     """
     rng = np.random.default_rng([3, seed])
     records = []
@@ -141,7 +141,7 @@ def test_fit_says_that_a_rudder_began_elsewhere() -> None:
 
 
 def test_fit_with_random_forces_says_it_too_and_a_sea_is_no_start() -> None:
-    """Random forces absorb a start, so that it is looked for before they are let in."""
+    """Random forces absorb a start, so that it is looked for before they are admitted."""
     for kind, off in (("lag", OFF), ("play", 0.03)):
         for seed in range(3):
             fit = MultipleShooting().fit(SHIP + RUDDERS[kind], runs(kind, off, seed))

@@ -1,4 +1,4 @@
-"""The benchmark of random forces: its simulator, its reference and its arithmetic."""
+"""The benchmark of disturbance forces: its simulator, its reference and its arithmetic."""
 
 from __future__ import annotations
 
@@ -278,7 +278,7 @@ def test_a_fit_that_raises_is_outside_its_intervals() -> None:
 
 
 def test_targets_admit_a_warning_only_for_wrong_sensors() -> None:
-    """Coverage of 80 per cent with a warning is enough for spikes, not for random forces."""
+    """Coverage of 80 per cent with a warning is enough for spikes, not for disturbance forces."""
     found = {
         "coverage": 80.0,
         "coverage_error": 1.0,

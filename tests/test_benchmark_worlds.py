@@ -168,7 +168,7 @@ def test_models_with_actuators_are_pushed_too() -> None:
 
 
 def test_bounds_count_what_the_world_adds() -> None:
-    """Under random forces nobody can reach what white noise alone would allow.
+    """Under disturbance forces nobody can reach what white noise alone would allow.
 
     The scatter of fits that look for forces themselves is that of the bound; the bound of white
     noise, several times smaller, is not.

@@ -329,7 +329,7 @@ def test_a_rudder_in_degrees_is_noticed() -> None:
 
 
 def test_far_starts_find_the_way_beside_few_tests() -> None:
-    """One bollard pull beside a zigzag does not keep the wide way in from longer intervals."""
+    """One bollard pull beside a zigzag does not keep globalisation from longer intervals."""
     pull = CaptiveTests("pull", {}, {"delta": [0.3]}, {"Y": [3.6]}, {"Y": 0.1})
     far = ship().with_values({name: 0.1 * value for name, value in TRUTH.items()})
     fit = pull.fit(MultipleShooting(start="wide", disturbances="none"), far, zigzag())

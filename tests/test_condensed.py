@@ -95,7 +95,7 @@ def test_robust_losses_are_weighed_sample_by_sample() -> None:
 
 
 def test_explosion_is_said_by_both() -> None:
-    """Where the model leaves the numbers neither gives an iterate."""
+    """Where the model diverges neither gives an iterate."""
     shooting = Shooting(yaw_model().with_values({"alpha": -1e12}), yaw_data(1), NOISE)
     point = shooting.start_point()
     assert Exact.at(shooting, point) is None

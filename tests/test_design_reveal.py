@@ -88,7 +88,7 @@ def test_concave_log_power_keeps_the_certificate() -> None:
 
 
 def test_parameters_keep_their_information_beside_shifts() -> None:
-    """With shifts beside them, and under random forces, parameters have the information as ever."""
+    """With shifts beside them and under disturbance forces, parameters keep their information."""
     model = ship()
     shifts = Shifts.of(model, EFFECTS)
     sea = NoiseModel(

@@ -122,11 +122,11 @@ def test_short_records_give_no_forecast() -> None:
 
 
 def test_a_model_that_diverges_is_a_verdict_not_a_crash() -> None:
-    """An unstable model is reported as leaving the numbers."""
+    """An unstable model is reported as diverging."""
     wild = NOMINAL + CUBIC.with_values({"n3": 500.0})
     found = compare(wild, Dataset((record("a", 1, 0.0),)))
     assert found[0].relative == np.inf
-    assert "leaves the numbers" in found.verdict
+    assert "diverges" in found.verdict
     assert found.report()
 
 

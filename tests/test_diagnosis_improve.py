@@ -65,7 +65,7 @@ def test_hidden_damping_is_found_and_explains_the_records() -> None:
 
 
 def test_nothing_is_claimed_where_nothing_is_missing() -> None:
-    """Over seeds, a right model stays as it is, under white noise and under random forces."""
+    """Over seeds, a right model stays as it is, under white noise and under disturbance forces."""
     claims = [
         improve(
             SHIP, dataset(seed, force=force), dataset(seed + 50, force=force), candidates=CANDIDATES

@@ -72,7 +72,7 @@ def test_what_falls_to_either_side_has_a_band_of_both(start: float, spread: floa
 
 
 def test_an_unknown_start_alone_has_a_band_of_both_sides() -> None:
-    """Without random forces, and with parameters that are known, the start decides the side."""
+    """Without disturbance forces, and with known parameters, the start decides the side."""
     path, std = predicted(1.0, 0.01, 0.02, force=0.0)
     runs = simulated(1.0, 0.01, 0.02, force=0.0)
     expected = np.sqrt(np.mean((runs - path) ** 2, axis=0))
@@ -91,7 +91,7 @@ def test_what_is_damped_keeps_its_first_order_band() -> None:
 
 @pytest.mark.parametrize("force", [0.0, FORCE])
 def test_the_colour_of_a_sensor_is_part_of_the_band(force: float) -> None:
-    """With or without random forces: its variance is added to that of the runs."""
+    """With or without disturbance forces: its variance is added to that of the runs."""
     growth, start, level = 1.0, 0.01, 0.2
     quiet = predicted(growth, start, force=force)[1]
     coloured = predicted(growth, start, force=force, colour=level)[1]

@@ -61,7 +61,7 @@ def test_other_input_explains_nothing(zigzag: Record, disturbances: str) -> None
 
 
 def test_drift_of_an_integrated_output_is_no_fault(zigzag: Record) -> None:
-    """A heading that random forces carry away counts by its increments."""
+    """A heading that disturbance forces carry away counts by its increments."""
     t = zigzag.times
     drift = np.radians(60.0) * np.sin(2 * np.pi * t / t[-1] / 1.5)
     rate = np.gradient(drift, t)

@@ -1,4 +1,4 @@
-"""The filter with random forces against its NumPy twin, dense covariances and differences."""
+"""The filter with disturbance forces against its NumPy twin, dense covariances and differences."""
 
 from __future__ import annotations
 

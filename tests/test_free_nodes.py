@@ -1,4 +1,4 @@
-"""The wide way in: from parameters that are nowhere near, to where the real problem begins."""
+"""The globalisation phase: from parameters far off to where the real problem begins."""
 
 from __future__ import annotations
 

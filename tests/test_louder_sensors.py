@@ -1,4 +1,4 @@
-"""Sensors that are louder than declared lead no search astray."""
+"""Sensors that are noisier than declared lead no search astray."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ CRAFT = BODY.model(
 
 
 def runs(seed: int, louder: float) -> Dataset:
-    """Records by SciPy of a craft that lacks nothing; its sensors are ``louder`` than declared."""
+    """Records by SciPy of a craft that lacks nothing; its sensors are ``noisier`` than declared."""
     rng = np.random.default_rng(seed)
     found = []
     for index in range(3):

@@ -373,7 +373,7 @@ def test_interrupted_fit_can_be_resumed() -> None:
 
 
 def test_diverging_model_is_a_status_that_advises() -> None:
-    """A model that leaves the numbers from every start is reported, not raised."""
+    """A model that diverges from every start is reported, not raised."""
     parameter = Parameter("alpha", -1e9, fixed=True)
     fit = MultipleShooting(noise=NOISE).fit(yaw_model(alpha=parameter), yaw_data(15))
     assert fit.status.code == "diverged"

@@ -78,7 +78,7 @@ def test_segments_without_ends_have_the_same_sums() -> None:
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_explosion_is_said(compiled: bool) -> None:
-    """A trajectory that leaves the numbers gives None."""
+    """A trajectory that diverges gives None."""
     model, record = yaw_model().with_values({"alpha": -1e12}), yaw_data(1)[0]
     blocks = gather(
         Kernel(model, compiled=compiled),

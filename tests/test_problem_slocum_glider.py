@@ -87,7 +87,7 @@ def test_pitch_scale_agrees_with_the_authors(
 def test_inertia_is_found_first(problem: Problem, split: tuple[Dataset, Dataset]) -> None:
     """Among eleven candidates inertia explains most, and the validation dives agree.
 
-    Random forces that last as long as a dive would explain what inertia does.
+    Disturbance forces that last as long as a dive would explain what inertia does.
     """
     found = improve(
         problem.model, *split, candidates=problem.effects, max_effects=1, disturbances="none"

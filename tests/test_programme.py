@@ -178,7 +178,7 @@ def test_all_runs_together_keep_their_limits_on_as_many_vehicles_as_wanted() -> 
 
 @pytest.fixture(name="programme", scope="module")
 def _programme() -> Programme:
-    """A programme of half an hour and four runs at most, under random forces."""
+    """A programme of half an hour and four runs at most, under disturbance forces."""
     return design_programme(
         ship(),
         PATTERN,

@@ -55,7 +55,7 @@ def runs(slow: float, seed: int) -> list[Record]:
 
 @pytest.mark.parametrize(("slow", "kind"), [(0.0, "adequate"), (0.08, "structure missing")])
 def test_slow_misfit_far_above_the_wiggles_is_no_noise(slow: float, kind: str) -> None:
-    """A third of the signal, ten times its finest wiggles, is named; the same sensor is not."""
+    """A third of the signal, ten times its fast content, is named; the same sensor is not."""
     one, two = runs(slow, 1)
     found = improve(CART, Dataset((one,)), Dataset((two,)), candidates=[DRY], disturbances="none")
     assert found.remains.kind == kind
@@ -76,7 +76,7 @@ def test_slow_misfit_far_above_the_wiggles_is_no_noise(slow: float, kind: str) -
     ],
 )
 def test_what_a_sensor_can_be(share: float, ratio: float, time: float | None, kind: str) -> None:
-    """Large, slow and far above the wiggles: all three."""
+    """Large, slow and far above the high-frequency content: all three."""
     left = Remains(0.0, time, shares={"u": share}, over_wiggles={"u": ratio})
     assert left.kind == kind
 
@@ -100,7 +100,7 @@ def test_levels_differ_where_the_records_tell_them_apart(told: bool, kind: str) 
 
 
 def test_a_model_that_leaves_the_numbers_is_not_adequate() -> None:
-    """However likely the records are with random forces or noise alone."""
+    """However likely the records are with disturbance forces or noise alone."""
     left = Remains(0.0, None, shares={"u": np.inf, "z": 0.01}, over_wiggles={"u": np.inf})
     assert left.kind == "structure missing"
     assert left.diverging == ("u",)
@@ -164,7 +164,7 @@ BODY = Model(
 
 
 def truth(k: int, *, cubic: float = 0.0, stop: float = 0.0, sea: float = 0.0) -> Record:
-    """One run, by SciPy: a spring that hardens, a soft stop, a random force; N/m^3, N/m, N."""
+    """One run, by SciPy: a spring that hardens, a soft stop, a disturbance force; N/m^3, N/m, N."""
     rng = np.random.default_rng([5, k])
     times = np.arange(0.0, 120.0, 0.2)
     push = np.repeat(rng.uniform(-12.0, 12.0, 20), 30)
@@ -221,7 +221,7 @@ def test_a_stop_is_no_sea(model: Model) -> None:
 
 
 def test_a_sea_follows_nothing(model: Model) -> None:
-    """A random force stays one."""
+    """A disturbance force stays one."""
     found = improved(model, sea=3.0)
     assert not found.steps
     assert found.remains.kind == "random forces"

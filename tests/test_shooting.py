@@ -181,7 +181,7 @@ def test_other_channels_are_refused() -> None:
 
 
 def test_divergence_is_none_not_nan() -> None:
-    """Where the model leaves the numbers, there is no linearisation."""
+    """Where the model diverges, there is no linearisation."""
     model = yaw_model(alpha=Parameter("alpha", -1e6))
     shooting = Shooting(model, yaw_data(), NOISE, interval=np.inf)
     assert shooting.linearise(shooting.start_point()) is None

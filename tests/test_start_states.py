@@ -51,7 +51,7 @@ ESTIMATOR = MultipleShooting(noise="given", disturbances="none", coloured="never
 
 
 def disturbed(model: Model, data: Dataset, starts: object) -> Fit:
-    """A fit in which a random force is let in, whatever the test says of it."""
+    """A fit in which a disturbance force is admitted, whatever the test says of it."""
     return MultipleShooting(noise="given", disturbances=("v",)).fit(
         model,
         data,
@@ -130,7 +130,7 @@ def test_stated_errors_are_right(way: str) -> None:
         scores.append(np.linalg.solve(root, fit.estimates - [1.0, 0.4]))
     variance = float(np.mean(np.square(scores)))
     spread = np.sqrt(2.0 / np.size(scores))
-    # With a force let in that is not there, intervals may be a little too wide.
+    # With a force admitted that is not there, intervals may be a little too wide.
     assert (0.5 if "random" in way else 1.0 - 3.5 * spread) < variance < 1.0 + 3.5 * spread
 
 

@@ -164,7 +164,7 @@ def test_a_stiff_model_is_fitted(disturbances: str | tuple[str, ...]) -> None:
     times = np.arange(0.0, 60.0, 0.1)
     inputs = drive_inputs(times)
     gust = np.zeros((len(times), 1))
-    if disturbances != "none":  # a random force of 0.05 rad/s2 and 0.5 s
+    if disturbances != "none":  # a disturbance force of 0.05 rad/s2 and 0.5 s
         for k in range(1, len(times)):
             gust[k] = np.exp(-0.2) * gust[k - 1] + 0.05 * np.sqrt(1 - np.exp(-0.4)) * rng.normal()
     shaken = replace(

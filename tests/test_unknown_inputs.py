@@ -62,7 +62,7 @@ def data() -> Dataset:
 
 
 def fitted(model: Model, data: Dataset) -> Fit:
-    """A fit with known noise and no random forces."""
+    """A fit with known noise and no disturbance forces."""
     return MultipleShooting(noise=NOISE, disturbances="none").fit(model, data)
 
 

@@ -89,7 +89,7 @@ def silverbox() -> Numbers:
 
 
 def tanks() -> Numbers:
-    """The cascaded tanks, V, from two models, without and with random forces."""
+    """The cascaded tanks, V, from two models, without and with disturbance forces."""
     return {
         f"{name.replace(' ', '_')}_{forces}": of(found)
         for (name, forces), found in ran("cascaded_tanks")["found"].items()
@@ -111,7 +111,7 @@ def esso_osaka() -> Numbers:
 
 
 def slocum_glider() -> Numbers:
-    """The glider without random forces (the example), with them, and four explanations."""
+    """The glider without disturbance forces (the example), with them, and four explanations."""
     names = ran("slocum_glider")
     train, test, problem = names["train"], names["test"], names["problem"]
     fits = {label: fit.predict(test).rms for label, fit in names["fits"].items()}

@@ -80,7 +80,7 @@ UNKNOWN: dict[str, float] = {
 }
 EFFECTS, UNKNOWN_TERMS = tuple(AMPLITUDES), tuple(UNKNOWN)
 
-FORCE = (0.1, 0.3, 0.06)  # a moderate random force, N, N, N m
+FORCE = (0.1, 0.3, 0.06)  # a moderate disturbance force, N, N, N m
 _slow = {
     level: tuple(size * f for f in FORCE)
     for level, size in (("low", 0.3), ("mid", 1.0), ("high", 3.0))

@@ -41,7 +41,7 @@ fifth to three times typical. It reproduces the records of another simulator to 
 than 13.4 in twice the log-likelihood (one false claim in a hundred searches over 40
 candidates): weaker effects do not show in these records, whatever the method. Errors are over
 whole records in units of the noise. *colour5* and *colour9* is sensor noise with correlation 0.5
-and 0.9 from sample to sample; *force* is a random force and moment on every axis, correlated
+and 0.9 from sample to sample; *force* is a disturbance force and moment on every axis, correlated
 over 1 s, *mid* 0.1 N, 0.3 N, 0.06 N m (*low* 0.3 and *high* 3 times that); *gust* is drawn anew
 every 0.1 s, five times larger.
 

@@ -79,7 +79,7 @@ class Case:
     lacking : str or None
         Usual part that the nominal model does without.
     waves, input_noise : float
-        Sizes of the random forces and of the noise on a logged input.
+        Sizes of the disturbance forces and of the noise on a logged input.
     runs : Runs
         Training records first.
     """

@@ -14,7 +14,7 @@ from benchmarks.random_forces.trial import Outcome
 QUANTILE = 1.959964
 # An error of more than this many standard errors counts as this many in z.
 LARGEST = 100.0
-# Level and time of each random force.
+# Level and time of each disturbance force.
 Forces = Mapping[str, tuple[float, float]]
 DIFFICULT = ("large", "large_calm", "unstable", "weak", "weak_small")
 LARGEST_RATIO = 1.1
@@ -97,7 +97,7 @@ def missed(scenario: Scenario, found: Mapping[str, Any]) -> list[str]:
 
     Coverage of 93 to 97 % (90 to 97 % where forces are large, the vehicle is
     unstable or the trial weak); wrong sensors may be flagged in 95 % of the runs instead. Errors
-    of at most 1.1 times the reference's wherever random forces act; prediction
+    of at most 1.1 times the reference's wherever disturbance forces act; prediction
     bands of 93 to 97 %.
     """
     lowest = 90.0 if scenario.name in DIFFICULT else 93.0
@@ -247,7 +247,7 @@ def _force_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
                 f"| {f['within']:.0f} | {often} | {own} |"
             )
     if not rows:
-        return ["The fits tell no levels of random forces."]
+        return ["The fits tell no levels of disturbance forces."]
     head = (
         "| scenario | force | level / true: median (5 to 95 %) | time / true | both within 20 %, % "
         "| any force found, % | reference: level, time; within |"

@@ -131,7 +131,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Command line of the benchmark."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.random_forces",
-        description="Coverage and errors under random forces and imperfect sensors.",
+        description="Coverage and errors under disturbance forces and imperfect sensors.",
     )
     parser.add_argument("scenarios", nargs="*", help=f"default all: {', '.join(SCENARIOS)}")
     parser.add_argument("--sets", type=int, default=SETS, help="data sets per scenario")

@@ -18,7 +18,7 @@ Yaw of a ship per unit of inertia, with a rudder zero of each record:
 .. math:: \dot\psi = r, \qquad
     \dot r = N_r r + N_{|r|r} |r| r + N_\delta (\delta + \delta_0) + w_N
 
-The random forces :math:`w` are first-order Gauss-Markov processes of standard
+The disturbance forces :math:`w` are first-order Gauss-Markov processes of standard
 deviation :math:`\sigma` and time :math:`\tau`.
 """
 
@@ -273,7 +273,7 @@ class Scenario:
     fresh : Manoeuvre
         What is predicted.
     force : tuple of float
-        Standard deviation of each random force.
+        Standard deviation of each disturbance force.
     force_time : float
         Their time, s.
     swell : float or None

@@ -1,7 +1,7 @@
 r"""Simulated records, the truth: plain NumPy, no code of the package.
 
 Runge-Kutta of fourth order at 0.01 s (yaw: 0.1 s), commands held between
-samples; the random forces are drawn at the same fine step from
+samples; the disturbance forces are drawn at the same fine step from
 
 .. math:: w_{k+1} = \varphi w_k + \sigma \sqrt{1 - \varphi^2}\, \varepsilon_k,
     \qquad \varphi = e^{-\Delta t/\tau}
@@ -140,7 +140,7 @@ def simulate(scenario: Scenario, seed: int, numbers: Sequence[int]) -> list[Set]
 class _Column:
     """One manoeuvre of one data set and all its random numbers.
 
-    Random forces at the fine step, sensor noise, spikes in standard
+    Disturbance forces at the fine step, sensor noise, spikes in standard
     deviations, samples that are absent, noise of the logged fin, parameters of
     the record.
     """

@@ -52,7 +52,7 @@ class Outcome:
         What the fit warns of: its status if it did not converge, and its
         ``concerns`` or the sentences of its report.
     force : dict or None
-        Level and time of the random force of each equation, where a fit tells them.
+        Level and time of the disturbance force of each equation, where a fit tells them.
     covered : dict
         Share of a fresh record within the 95 % band, by kind of start.
     seconds : float
@@ -198,13 +198,13 @@ def _kind(concern: Any) -> str:
 
 
 def forces(fit: Any, vehicle: str) -> dict[str, tuple[float, float]] | None:
-    """Level and time of each random force, where the fit has them."""
+    """Level and time of each disturbance force, where the fit has them."""
     noise = getattr(fit, "noise", None)
     if getattr(noise, "force", None) is None:
         return None
     names = VEHICLES[vehicle].forces
     levels = np.atleast_1d(np.asarray(noise.force, dtype=float))
-    if not len(levels):  # none was let in
+    if not len(levels):  # none was admitted
         return dict.fromkeys(names, (0.0, float("nan")))
     times = np.broadcast_to(np.asarray(noise.force_time, dtype=float), levels.shape)
     if len(levels) < len(names):

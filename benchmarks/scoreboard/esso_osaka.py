@@ -196,7 +196,7 @@ def scored(model: Model, name: str, records: Sequence[Record]) -> Row:
     """
     ratio = relative(np.vstack([errors(model, record) for record in records]))
     if not np.isfinite(ratio).all():
-        raise SimulationError(f"{model.name} leaves the numbers in it, so that no error is told.")
+        raise SimulationError(f"{model.name} diverges in it, so that no error is told.")
     note = "u {:.2f}, v {:.2f}, r {:.2f}; not fitted; ".format(*ratio) + extent(records)
     return Row(f"Esso Osaka, {name}, mean ratio", float(ratio.mean()), SOURCE, "", note)
 

@@ -240,7 +240,7 @@ def _box(located: Located, place: Place, top: float) -> str:
         level = 1 + sum(behind < share * top for share in _NEAR)
     said = "best" if best else f"{behind:,.0f} behind" if gain > CLEAR else "chance"
     size = located.levels.get(place.name, 0.0)
-    tip = f"{place.name}: log-likelihood gain {gain:.0f}; size {size:.2g} {place.unit}"
+    tip = f"{place.name}: likelihood-ratio statistic {gain:.0f}; size {size:.2g} {place.unit}"
     return (
         f'<span class="place l{level}{best}" title="{escape(tip)}">'
         f"{escape(place.signal)}<small>{said}</small></span>"

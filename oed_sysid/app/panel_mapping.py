@@ -129,7 +129,7 @@ def _ask_channels(source: str, problem: Problem, log: Log) -> None:
         )  # fmt: skip
         row[3].checkbox(
             f"Flip {channel.name}", key=choices.preset(key("flip"), False),
-            label_visibility="collapsed", help="Its axis points the other way round.",
+            label_visibility="collapsed", help="Its axis points reversed.",
         )  # fmt: skip
         if channel.unit == "rad":
             row[4].checkbox(

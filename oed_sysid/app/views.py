@@ -61,9 +61,9 @@ def of_located(located: Located, dataset: Dataset, fit: Fit | None, key: str) ->
     def draw() -> None:
         st.html(charts.chain(located))
         st.caption(
-            "How far the log-likelihood gain of something unknown at each place is behind that of "
-            f"the best, {max(located.gains.values(), default=0.0):,.0f}: the stronger the colour, "
-            f"the likelier the place. Outlined: the best. Chance gains up to {CLEAR:.0f}."
+            "How far the likelihood-ratio statistic of something unknown at each place is behind "
+            f"that of the best, {max(located.gains.values(), default=0.0):,.0f}: the stronger the "
+            f"colour, the likelier the place. Outlined: the best. Chance gains up to {CLEAR:.0f}."
         )
 
     tabs: Tabs = {"Signal chain": draw}

@@ -406,7 +406,7 @@ class Outcome:
         Whether the stated 95 % interval holds the truth; empty without noise.
     bounds : mapping of str to float
         Least relative standard error that these data allow (Cramér-Rao), start
-        states unknown, random forces and colour of the world counted as noise;
+        states unknown, disturbance forces and colour of the world counted as noise;
         infinite where they say nothing.
     prediction : float
         Root mean square error of the model on the validation run, from the true

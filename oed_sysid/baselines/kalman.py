@@ -24,7 +24,7 @@ START_SPREAD = 10.0
 PEAKEDNESS = 2.0
 DIVERGED = Status(
     "diverged",
-    "the filter left the numbers. Start closer, give smaller parameter_std, add process_std, or "
+    "the filter diverged. Start closer, give smaller parameter_std, add process_std, or "
     "use MultipleShooting, whose result does not depend on the order of the samples.",
 )
 

@@ -175,7 +175,7 @@ class TrajectoryCost:
         if not np.isfinite(self(best)[0]):
             status = Status(
                 "diverged",
-                "every candidate left the numbers. Narrow the bounds, or reduce model.step.",
+                "every candidate diverged. Narrow the bounds, or reduce model.step.",
             )
         information, covariance, coloured = self._errors(best)
         return fit_from_values(

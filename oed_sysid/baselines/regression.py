@@ -39,7 +39,7 @@ from oed_sysid.physics.model import Model
 
 CONVERGED = Status("converged", "")
 DIVERGED = (
-    "the values solve the regression, but the model with them leaves the numbers when it is "
+    "the values solve the regression, but the model with them diverges when it is "
     "simulated. Simulation needs stable values: remove terms that the data do not see, or use "
     "MultipleShooting."
 )

@@ -1,7 +1,8 @@
 r"""What keeps real records from being what a model simulates.
 
 Where data come from the very equations that are fitted, with the very noise that is declared,
-every method looks better than at sea. A :class:`World` changes one thing at a time: random forces
+every method looks better than at sea. A :class:`World` changes one thing at a time: disturbance
+forces
 on all equations of motion,
 
 .. math:: w_{k+1} = \varphi w_k + \sigma_w \sqrt{1 - \varphi^2}\, \varepsilon_k, \qquad
@@ -35,7 +36,7 @@ FORCE_TIME, NOISE_TIME = 4.0, 5.0
 SPIKE_SIZE = 20.0  # x noise
 # Least share of white noise, of the variance, where a bound is calculated: a filter needs some.
 LEAST_WHITE = 0.01
-# Steps per sample in which random forces are drawn and integrated.
+# Steps per sample in which disturbance forces are drawn and integrated.
 SUBSTEPS = 4
 
 
@@ -48,7 +49,7 @@ class World:
     title : str
         For tables.
     forces : float
-        Level of random forces, share of the largest force.
+        Level of disturbance forces, share of the largest force.
     colour : float
         Share of the sensor noise's variance that has a memory of five samples.
     declared : float
@@ -116,7 +117,7 @@ class World:
     def _pushed(
         self, model: Model, clean: Record, experiment: Experiment, rng: np.random.Generator
     ) -> Record:
-        """The same commands with random forces on every equation of motion."""
+        """The same commands with disturbance forces on every equation of motion."""
         levels = self._levels(model, clean, experiment)
         places, start = tuple(levels), _start(model, experiment)
         pushes = [f"push_{i}" for i in range(len(places))]
@@ -148,7 +149,7 @@ class World:
         return clean.with_outputs(path.outputs[::SUBSTEPS])
 
     def _levels(self, model: Model, clean: Record, experiment: Experiment) -> dict[str, float]:
-        """Standard deviation of the random force on each equation of motion, by axis or state."""
+        """Standard deviation of the disturbance force on each equation, by axis or state."""
         places = tuple(model.axes) or tuple(
             state.name
             for state in model.states

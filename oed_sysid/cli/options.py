@@ -194,7 +194,7 @@ ROWS = {
     "known_noise": Row(
         "Trust the noise levels that the problem declares instead of estimating them."),
     "disturbances": Row(
-        "Where random forces may act: found out, nowhere, everywhere, or in the equations "
+        "Where disturbance forces may act: found out, nowhere, everywhere, or in the equations "
         "named, as Z,M.", "auto|none|all|NAMES"),
     "save": Row(
         "Keep the whole fit, data included, for report, export, compare --with, design --after "
@@ -256,7 +256,7 @@ ROWS = {
         "How many starts and steps: seconds, a minute, several minutes.", "quick|normal|thorough"),
     "after": Row("Complete what a fit knows already, as kept by --save of fit or improve.", "FIT"),
     "programme.after": Row(
-        "Complete what a fit knows already; its random forces are those expected.", "FIT"),
+        "Complete what a fit knows already; its disturbance forces are those expected.", "FIT"),
     "sea": Row(
         "Random forces to expect: still, calm, moderate, rough, or levels by equation as "
         "Z=0.3,M=0.06,time=2; with a fit those that it found.", "STATE"),

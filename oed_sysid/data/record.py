@@ -210,7 +210,7 @@ class Record:
         What was done to the numbers on the way, in sentences.
     independent : bool
         Whether samples are tests of their own, such as captive ones, in whatever order: no
-        random force, colour or correlation links one to the next.
+        disturbance force, colour or correlation links one to the next.
 
     Raises
     ------

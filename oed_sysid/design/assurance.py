@@ -33,7 +33,8 @@ is known as well,
 .. math:: s_i(\theta) = \sqrt{[F(\theta)^{-1}]_{ii}}, \qquad \theta \sim p(\theta)
 
 and the range that eight in ten of them stay within is stated. Beyond ``TRUSTED`` a linear bound
-under random forces promises too much (calm fins with stated errors of 30 to 80 per cent realised
+under disturbance forces promises too much (calm fins with stated errors of 30 to 80 per cent
+realised
 3.4 times more), so that no number is given there.
 """
 
@@ -69,7 +70,7 @@ _TAIL = 0.025
 _STOP, _BEYOND = 0.9, 0.1
 # What a crew watches: attitude, depth, speed.
 WATCHED = ("phi", "theta", "z", "u")
-# Relative error up to which a bound under random forces is taken as it is.
+# Relative error up to which a bound under disturbance forces is taken as it is.
 TRUSTED = 0.3
 # Share of the vehicles left out at either end of a range of errors.
 _OUTSIDE = 0.1
@@ -118,7 +119,7 @@ class Assurance:
     limited : bool
         Whether there is any limit on the motion.
     waves : str
-        Random forces that every vehicle met, in words; empty for none.
+        Disturbance forces that every vehicle met, in words; empty for none.
     rules : tuple of AbortRule
         Where the crew stops, and how often it would.
     any_fires : float
@@ -230,7 +231,7 @@ def assess_limits(
     wanted : float, optional
         Probability that is asked for, for the words of the report.
     sea : NoiseModel, optional
-        Random forces: every vehicle meets waves of its own.
+        Disturbance forces: every vehicle meets waves of its own.
     others : sequence of Model
         Other structures that remain possible; the vehicles are drawn from all in turn.
 

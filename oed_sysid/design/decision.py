@@ -16,7 +16,8 @@ All of it is linear algebra on one set of derivatives, so that the answer is the
 vehicle has turned.
 
 Errors are those of a model that is right, and a model that lacks a term does not look wrong in one
-run: coefficients stand for it, random forces take the rest. So two more things are asked before
+run: coefficients stand for it, disturbance forces take the rest. So two more things are asked
+before
 everything is called known. Another run must have had the chance to contradict the first; where none
 has, the one that tells most is the next. And what was known before and every record must agree
 (:mod:`oed_sysid.likelihood.between_records`), apart from differences of a tenth of the goals. Where

@@ -119,7 +119,7 @@ def design_experiment(
         Family of commands, and the effort.
     knowledge : Knowledge
         What is known before, and the noise to expect; by default all that the fit or the model
-        says. With random forces the search sees white noise (measured to cost 3 to 6 %); the
+        says. With disturbance forces the search sees white noise (measured to cost 3 to 6 %); the
         choice among what it found, and the accuracy that is stated, see the forces.
     caution : Caution, "auto" or None
         How surely limits are to be kept although the parameters are uncertain. By default they

@@ -10,7 +10,7 @@ sizes and on absent effects in units of theirs,
 
 with the criterion :math:`\varphi` of :mod:`oed_sysid.design.criteria` or
 :mod:`oed_sysid.design.missing_effects`. Designs, programmes and decisions all take the expected
-information from here; random forces and autocorrelated sensors are in :math:`F`
+information from here; disturbance forces and autocorrelated sensors are in :math:`F`
 (:mod:`oed_sysid.information.bound`).
 
 A search sees white noise. Its levels are raised by one factor until a run is worth to it what it
@@ -57,8 +57,8 @@ class Knowledge:
     start : {"unknown", "known"} or mapping of str to float
         See :func:`~oed_sysid.information.information_of`.
     noise : optional
-        Standard deviations, a noise model with random forces, or a fit; by default the fit's
-        noise, random forces included, or the model's ``noise_std``.
+        Standard deviations, a noise model with disturbance forces, or a fit; by default the fit's
+        noise, disturbance forces included, or the model's ``noise_std``.
     coloured : optional
         See :func:`~oed_sysid.information.information_of`.
     spread : float or None
@@ -107,7 +107,7 @@ class ExpectedInformation:
     sigma : ndarray (n_outputs,)
         Standard deviations of the sensors' noise, white and coloured together.
     sea : NoiseModel or None
-        Random forces and autocorrelated sensors, if any.
+        Disturbance forces and autocorrelated sensors, if any.
     prior : Information or None
         Known before, on the shared parameters.
     before : ndarray (n, n)
@@ -256,7 +256,8 @@ class ExpectedInformation:
     def seen_white(self, run: Experiment) -> ExpectedInformation:
         """The same with the levels of a search raised until a run tells what it will tell.
 
-        Without it a search by shifts would take records in hand, judged under random forces, for
+        Without it a search by shifts would take records in hand, judged under disturbance forces,
+        for
         worse than what it may plan.
         """
         if self.sea is None or self.shifts is None:

@@ -1,6 +1,6 @@
 r"""Several runs together: which, how often, in which order, measured with what.
 
-For each of a library of runs the information :math:`F_i(\theta_s)` is taken, random forces
+For each of a library of runs the information :math:`F_i(\theta_s)` is taken, disturbance forces
 included, on the nominal vehicle and on others drawn from what is known; weights with a
 certificate and whole runs by exchange follow :mod:`oed_sysid.design.allocation`. Then the
 commands of the chosen runs are refined (column generation): with everything but run ``j``

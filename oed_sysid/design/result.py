@@ -132,7 +132,7 @@ class Design(_Accuracy):
     assurance : Assurance or None
         How surely limits are kept although the parameters are uncertain, if asked for.
     sea : NoiseModel or None
-        Random forces and coloured sensors that the accuracy takes into account; None
+        Disturbance forces and coloured sensors that the accuracy takes into account; None
         where noise is white.
     spread : AccuracyRange or None
         Accuracy on other vehicles that are possible, if asked for.

@@ -202,7 +202,7 @@ class Task:
     scenarios : tuple of Model
         Uncertain vehicles on which limits are kept.
     waves : tuple of (Model, ndarray)
-        The same with random forces as inputs, and a draw of these for each.
+        The same with disturbance forces as inputs, and a draw of these for each.
     caution : Caution or None
     n_waived : int
         Scenarios that may fail.

@@ -313,7 +313,7 @@ def kept_on(
 def in_waves(
     models: Sequence[Model], experiment: Experiment, sea: NoiseModel, rng: np.random.Generator
 ) -> tuple[tuple[Model, np.ndarray], ...]:
-    """Vehicles with random forces as inputs, and a draw of these for each.
+    """Vehicles with disturbance forces as inputs, and a draw of these for each.
 
     Parameters
     ----------
@@ -348,7 +348,7 @@ class Scenarios:
     n_waived : int
         How many of them may fail.
     waves : sequence of (Model, ndarray (n_times, n_waves)), optional
-        Each of the vehicles with random forces as further inputs, and one draw of these.
+        Each of the vehicles with disturbance forces as further inputs, and one draw of these.
     """
 
     def __init__(

@@ -3,7 +3,7 @@ r"""After data: where a model fails, which effect it lacks, and what is left.
 A claim needs three things: a gain :math:`2\Delta\log L` on the training records that chance
 rarely gives; a gain on the validation records, judged with noise levels and start states estimated
 there and the parameters' uncertainty taken along; and an error there that is finite and does not
-rise. What remains has a kind and a size: noise of the sensors, random forces, or structure.
+rise. What remains has a kind and a size: noise of the sensors, disturbance forces, or structure.
 
 =============================== ===========================================================
 module                          question

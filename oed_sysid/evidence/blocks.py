@@ -475,7 +475,7 @@ def solve(
 def gain_of(
     gram: np.ndarray, right: np.ndarray, faults: tuple[Candidate, ...], chosen: Sequence[int]
 ) -> float:
-    """Log-likelihood gain of a set of faults."""
+    """Likelihood-ratio statistic of a set of faults."""
     if not chosen:
         return 0.0
     inner = gram[np.ix_(chosen, chosen)] + ridge(faults, chosen)

@@ -33,7 +33,7 @@ from oed_sysid.runtime.threads import single_threaded
 from oed_sysid.text.units import shown_unit
 
 TWO_SIDED_95 = 1.959964
-# An estimated noise level this far above what the fastest wiggles show is suspect.
+# An estimated noise level this far above what the high-frequency content shows is suspect.
 SUSPECT_NOISE = 1.3
 
 
@@ -377,7 +377,7 @@ def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray,
     """One set of noise levels for all models, and what is doubtful about it.
 
     In this order: a level that a fit was given, a declared one, the smallest
-    that a fit estimated, and the fastest wiggles of the records. A filter along the records
+    that a fit estimated, and the high-frequency content of the records. A filter along the records
     estimates declared levels again: errors are still in units of what was declared.
     """
     fits = [item for item in given if isinstance(item, Fit)]
@@ -396,15 +396,18 @@ def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray,
         for name, level, low in zip(names, sigma, floor, strict=True):
             if unknown[names.index(name)] and level > SUSPECT_NOISE * low:
                 notes.append(
-                    f"the noise of {name} was estimated by a fit as {level:.2g}, while its fastest "
-                    f"wiggles show {low:.2g}: part of what counts as noise may be misfit."
+                    f"the noise of {name} was estimated by a fit as {level:.2g}, while its "
+                    f"high-frequency content shows {low:.2g}: part of what counts as noise may "
+                    "be misfit."
                 )
     elif unknown.any():
         sigma = np.where(unknown, floor, sigma)
         which = ", ".join(
             name for name, is_unknown in zip(names, unknown, strict=True) if is_unknown
         )
-        notes.append(f"the noise of {which} was taken from the fastest wiggles of the records.")
+        notes.append(
+            f"the noise of {which} was taken from the high-frequency content of the records."
+        )
     return sigma, tuple(notes)
 
 

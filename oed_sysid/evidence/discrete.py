@@ -103,7 +103,7 @@ class Ratios:
     counts: np.ndarray
 
     def gain_over(self, other: Ratios) -> float:
-        """Log-likelihood gain of these ratios over others."""
+        """Likelihood-ratio statistic of these ratios over others."""
         return float(np.sum(self.counts * np.log(other.raw / self.raw)))
 
 

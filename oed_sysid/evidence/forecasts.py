@@ -35,12 +35,12 @@ class Forecasts:
         Times at which forecasts begin, s, per record.
     errors : tuple of ndarray (n_starts, n_ahead, n_outputs)
         Measured minus forecast, per record; NaN where nothing was measured or
-        the forecast left the numbers.
+        the forecast diverged.
     expected : tuple of ndarray (n_starts, n_ahead, n_outputs)
         Standard deviation of these errors if the model were right: noise, and
         the error of the start state.
     failed : int
-        Number of forecasts that left the numbers.
+        Number of forecasts that diverged.
     """
 
     horizon: float

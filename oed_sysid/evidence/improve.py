@@ -122,7 +122,7 @@ def improve(
         Whether the declared noise levels are right and sensors have no other
         noise; otherwise levels and colour are estimated.
     disturbances : str or sequence of str
-        Where random forces may act beside what is missing: in all equations (``"auto"``,
+        Where disturbance forces may act beside what is missing: in all equations (``"auto"``,
         ``"all"``), in none (``"none"``) or in those named, as ``("Y", "N")``. Forces that need not
         repeat explain part of any misfit: where none act (calm water, long slow motion), an effect
         shows more clearly without them.
@@ -256,7 +256,7 @@ def _ended(
 
 
 def _unexplained(end: _Ended) -> bool:
-    """Whether structure is missing under random forces, and whole runs miss much of a signal."""
+    """Whether structure is missing under disturbance forces, and whole runs miss much."""
     if end.left.kind != "structure missing" or not end.left.random:
         return False
     study = end.state.study
@@ -265,7 +265,7 @@ def _unexplained(end: _Ended) -> bool:
 
 
 def _calmer(found: _Reached, calm: _Reached, notes: list[str]) -> _Reached:
-    """Of a search with random forces and one without, the one whose end is likelier with them.
+    """Of a search with disturbance forces and one without, the one whose end is likelier with them.
 
     A large missing effect makes forces grow until the records are likely and whole runs are not:
     gains are then judged in a valley from which the right effect does not lead out.
@@ -294,7 +294,7 @@ def _calmer(found: _Reached, calm: _Reached, notes: list[str]) -> _Reached:
 
 
 def _astray(study: Study, found: FilteredSolution) -> bool:
-    """Whether random forces explain the records at the price of whole runs."""
+    """Whether disturbance forces explain the records at the price of whole runs."""
     acting = [
         place
         for place, level in zip(found.noise.places, found.noise.force, strict=True)
@@ -304,7 +304,7 @@ def _astray(study: Study, found: FilteredSolution) -> bool:
 
 
 def _bought(study: Study, found: FilteredSolution) -> list[str]:
-    """Words where random forces still explain the records at the price of whole runs."""
+    """Words where disturbance forces still explain the records at the price of whole runs."""
     if not _astray(study, found):
         return []
     alone = own_error(study, found, study.train)

@@ -32,7 +32,8 @@ from oed_sysid.runtime.display import (
     as_text,
 )
 
-# Log-likelihood gain, less the cost of freedom, from which a candidate is mentioned as a hint.
+# Likelihood-ratio statistic, less the cost of freedom, from which a candidate is mentioned as a
+# hint.
 HINT = 4.0
 # Invisible candidates that are named.
 NAMED = 6
@@ -110,7 +111,7 @@ class Yardstick:
         if unknown:
             lines.append(
                 f"The noise of {', '.join(unknown)} was not declared: it is what the fastest "
-                "wiggles show, or more where the final model needs it."
+                "high-frequency content shows, or more where the final model needs it."
             )
         return lines
 
@@ -172,7 +173,8 @@ class Step:
     group : tuple of str
         Identifiers that these data cannot tell from it, itself first.
     gain : float
-        Log-likelihood gain on the training records: by how much twice the log-likelihood grows.
+        Likelihood-ratio statistic on the training records: by how much twice the log-likelihood
+        grows.
     needed : float
         Gain that chance rarely exceeds, however many candidates were tried.
     test_gain : float
@@ -292,7 +294,7 @@ class Improvement:
 
     @property
     def located(self) -> dict[str, float]:
-        """Log-likelihood gain of a disturbance at each place of the signal chain."""
+        """Likelihood-ratio statistic of a disturbance at each place of the signal chain."""
         return dict(self.location.gains)
 
     @property
@@ -547,7 +549,7 @@ def advice(
     parameters : sequence of mapping
         ``name``, ``value``, ``std_error`` and ``unit`` of every estimate.
     explained : bool
-        Whether what remains is noise, or random forces that the standard errors hold.
+        Whether what remains is noise, or disturbance forces that the standard errors hold.
     suspect : bool
         Whether the log contradicts itself, so that nothing found in it is to be believed.
     before : float

@@ -1,6 +1,6 @@
 r"""Locate where a model fails: at which stage of the signal chain, in which equation, when.
 
-At one place of the chain after the other a disturbance of first order is let in: its level, its
+At one place of the chain after the other a disturbance of first order is admitted: its level, its
 time, the parameters and the start states are estimated together by the likelihood of
 :mod:`oed_sysid.likelihood.filtered`, and its gain over white noise alone,
 
@@ -77,14 +77,14 @@ class Located:
     places : tuple of Place
         Largest gain first.
     gains : dict
-        Log-likelihood gain that a disturbance at each place brings over white
+        Likelihood-ratio statistic that a disturbance at each place brings over white
         noise alone, keys such as ``"force Z"``.
     levels : dict
         Most likely standard deviation of that disturbance, in its unit.
     force_names : tuple of str
         Equations, in the order of the columns of ``forces``.
     forces : tuple of Series
-        Smoothed residual forces, all let in together, per record.
+        Smoothed residual forces, all admitted together, per record.
     discrepancies : dict
         For the places with the largest gain, the smoothed disturbance there
         if nothing else is wrong; one :class:`Series` per record.
@@ -154,14 +154,18 @@ class Located:
         later = [name for name in self.gains if name not in self.group]
         if later:
             lag = self.gains[self.best] - self.gains[later[0]]
-            text += f" (next: {later[0]}, log-likelihood gain {lag:.0f} lower)" if lag > 0 else ""
+            text += (
+                f" (next: {later[0]}, likelihood-ratio statistic {lag:.0f} lower)"
+                if lag > 0
+                else ""
+            )
         return text + "."
 
     def document(self, train: Dataset | None = None) -> Report:
         """Return the finding; with the training records, residual forces against their signals."""
         headers = (
             "where the model fails",
-            "log-likelihood gain",
+            "likelihood-ratio statistic",
             "behind the best",
             "size",
             "unit",
@@ -237,7 +241,7 @@ def locate(
     """Locate where a model fails.
 
     At one place of the chain after the other (every actuator, flow, equation, kinematic relation
-    and sensor) a disturbance is let in, estimated with everything else, and its gain over white
+    and sensor) a disturbance is admitted, estimated with everything else, and its gain over white
     noise alone compared.
 
     Parameters
@@ -391,7 +395,7 @@ class _Bench:
     quiet : FilteredSolution
         The fit to white noise alone.
     model : Model
-        At the values of the fit with random forces.
+        At the values of the fit with disturbance forces.
     initial, local : sequence
         Start states and values of each record of that fit.
     unknown : ndarray of bool (n_outputs,)
@@ -432,7 +436,7 @@ class _Bench:
     def judged(self, place: Place) -> Evidence:
         """The most likely disturbance of one place."""
         base = self.quiet
-        # Parameters bend to what is missing: those of the fit with random forces are nearer.
+        # Parameters bend to what is missing: those of the fit with disturbance forces are nearer.
         found = self._fitted(place, self.model.values, self.initial, self.local)
         if found is None or not found.objective < base.objective:
             found = self._fitted(place, base.values, base.initial, base.local)

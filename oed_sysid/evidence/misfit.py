@@ -151,7 +151,7 @@ class OutputMisfit:
         if self.n_samples == 0:
             return f"{name}: not measured"
         if not np.isfinite(self.rmse):
-            return f"{name}: the prediction leaves the numbers"
+            return f"{name}: the prediction diverges"
         if self.is_noise:
             return f"{name}: the misfit is noise"
         if self.relative < NOISE_LIMIT:
@@ -199,7 +199,7 @@ def output_misfit(
     output : Output
     residuals : sequence of ndarray (n_times,)
         Measured minus model, per record; NaN where nothing was measured,
-        infinite where the prediction left the numbers.
+        infinite where the prediction diverged.
     sigma : float
         Noise level.
     inside_band : sequence of ndarray of bool (n_times,)
@@ -223,7 +223,7 @@ def output_misfit(
     windows = tuple(
         _windows(t, r, window) if in_time else np.abs(r) for t, r in zip(times, scaled, strict=True)
     )
-    # Records on which the prediction left the numbers have no pattern to look at.
+    # Records on which the prediction diverged have no pattern to look at.
     whole = [i for i, residual in enumerate(residuals) if not np.isinf(residual).any()]
     usable = [residuals[i] for i in whole]
     complete = len(whole) == len(times)

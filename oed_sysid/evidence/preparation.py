@@ -17,7 +17,8 @@ straight line through :math:`k + 1` neighbours leaves has to be noise,
 
 .. math:: \operatorname{rms}(y - \ell_k) \le \max(\lambda\,\sigma,\ \epsilon\,s_y),
 
-with the level :math:`\sigma` of the fastest wiggles and the spread :math:`s_y` of the signal.
+with the level :math:`\sigma` of the high-frequency content and the spread :math:`s_y` of the
+signal.
 """
 
 from __future__ import annotations

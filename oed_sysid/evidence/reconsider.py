@@ -58,7 +58,7 @@ def with_effect(
 
 
 def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
-    """The fit, or a likelier one from the nominal values, or from a fit without random forces.
+    """The fit, or a likelier one from the nominal values, or from a fit without disturbance forces.
 
     Where a large effect was missing, forces have grown to explain it and parameters have followed
     them. Once it is there, that may be a valley of its own.

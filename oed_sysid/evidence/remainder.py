@@ -1,6 +1,6 @@
-r"""What a model leaves unexplained: noise of sensors, random forces, or structure.
+r"""What a model leaves unexplained: noise of sensors, disturbance forces, or structure.
 
-The likelihood with random forces is compared with that without, everything else estimated
+The likelihood with disturbance forces is compared with that without, everything else estimated
 anew. A force is *random* where its level is the same on the validation records, no term of the
 dictionary explains it and it does not follow the motion
 (:mod:`oed_sysid.evidence.residual_forces`);
@@ -27,7 +27,7 @@ REMAINDER_LIMIT = 14.0
 # Below this share of a signal's spread an error of the model is no reason to go on.
 RELEVANT = 0.01
 # Share of a signal's spread that cannot be noise of its sensor; and that which cannot be where it
-# is slow and far above what the fastest wiggles show.
+# is slow and far above what the high-frequency content shows.
 ABSORBED, DRIFTING = 0.5, 0.1
 # Slow noise, over what was declared, that is no longer the declared sensor.
 LOUDER = 2.5
@@ -37,7 +37,7 @@ SAME_LEVEL = 2.0
 
 @dataclass(frozen=True)
 class RandomForceFound:
-    """One random force that is left.
+    """One disturbance force that is left.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Remains:
     Attributes
     ----------
     forces : float
-        Gain in twice the log-likelihood that random forces bring over noise of the
+        Gain in twice the log-likelihood that disturbance forces bring over noise of the
         sensors alone.
     sensor_time : float or None
         Correlation time of the sensors' noise, s; None where white noise
@@ -103,7 +103,8 @@ class Remains:
         Error of the model on its own, as a share of each signal's spread; infinite where it leaves
         the numbers.
     over_wiggles : mapping of str to float
-        The same error, over the declared noise of each signal, or over what its fastest wiggles
+        The same error, over the declared noise of each signal, or over what its high-frequency
+        content
         show.
     declared : tuple of str
         Signals whose noise was declared.
@@ -137,12 +138,12 @@ class Remains:
 
     @property
     def diverging(self) -> tuple[str, ...]:
-        """Signals for which the model on its own leaves the numbers."""
+        """Signals for which the model on its own diverges."""
         return tuple(name for name, share in (self.shares or {}).items() if share == np.inf)
 
     @property
     def drifting(self) -> tuple[str, ...]:
-        """Signals whose misfit is said to be slow noise of a sensor whose wiggles are far finer."""
+        """Signals whose misfit would be slow noise far above their high-frequency content."""
         if self.sensor_time is None or not self.over_wiggles:
             return ()
         shares = self.shares or {}
@@ -175,7 +176,7 @@ class Remains:
             return f"log suspect: {self.suspect} Nothing is certified before that is put right."
         if self.diverging:
             return (
-                "structure missing: on its own the model leaves the numbers in "
+                "structure missing: on its own the model diverges in "
                 f"{', '.join(self.diverging)}, whatever the likelihood says. Bound the parameters, "
                 "or declare noise_std, and look at the values of the fit."
             )
@@ -189,7 +190,7 @@ class Remains:
         return self._with_forces(colour)
 
     def _without_forces(self, colour: str) -> str:
-        """The sentence where no random force acts."""
+        """The sentence where no disturbance force acts."""
         if self.kind != "structure missing":
             return f"adequate: the remaining misfit is noise at this level{colour}."
         if self.drifting and not self.is_absorbed:
@@ -203,7 +204,7 @@ class Remains:
         )
 
     def _with_forces(self, colour: str) -> str:
-        """The sentence where random forces act."""
+        """The sentence where disturbance forces act."""
         listed = "; ".join(force.text for force in self.random)
         shares = self._shares()
         if self.kind == "adequate":
@@ -230,7 +231,10 @@ class Remains:
         ratios = self.over_wiggles or {}
         return ", ".join(
             f"{ratios[name]:.2g} times "
-            + ("the declared noise of " * (name in self.declared) or "the fastest wiggles of ")
+            + (
+                "the declared noise of " * (name in self.declared)
+                or "the high-frequency content of "
+            )
             + name
             for name in self.drifting
         )

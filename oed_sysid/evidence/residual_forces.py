@@ -1,6 +1,7 @@
 r"""Residual forces: what must have acted in every equation, given the whole record.
 
-The filter of a fit, random forces let in, gives innovations ``e`` and their derivatives by all
+The filter of a fit, disturbance forces admitted, gives innovations ``e`` and their derivatives by
+all
 unknowns; its smoother (:mod:`oed_sysid.likelihood.smoother`) turns both into forces. The unknowns
 take the Gauss-Newton step that goes with the innovations, and their covariance enters the errors:
 
@@ -11,7 +12,7 @@ take the Gauss-Newton step that goes with the innovations, and their covariance 
 Free parameters absorb part of a missing force. The residual force is the rest; a candidate is put
 through the same projection and the same smoother before it is compared with it.
 
-What was taken for a random force may follow the motion of the vehicle. A force that nobody can
+What was taken for a disturbance force may follow the motion of the vehicle. A force that nobody can
 foresee knows nothing of where the model goes on its own. So the smoothed force :math:`\hat d` is
 averaged, on all records but one, in classes of one or two signals :math:`s` of the model's own run;
 on the record left out these means :math:`m(s(t))` are compared with :math:`\hat d(t)`, and so on
@@ -20,7 +21,8 @@ for every record. The correlation has the standard error
 .. math:: \sigma_\rho^2 = \frac1n\Bigl(1 + 2\sum_{k>0} \rho_d(k)\,\rho_m(k)\Bigr)
 
 (Bartlett 1935, *J. R. Stat. Soc.* 98, 536). Signals are those of the model on its own, not the
-measured ones: these follow a random force because it moves the vehicle. Commands that are not held
+measured ones: these follow a disturbance force because it moves the vehicle. Commands that are not
+held
 may answer it, too (a helmsman's rudder), and then nothing is asked.
 """
 
@@ -43,7 +45,7 @@ from oed_sysid.likelihood.projection import bounded_step
 from oed_sysid.likelihood.smoother import Path
 from oed_sysid.runtime.display import as_dict
 
-# Smallest force let in, as a share of its unit: where none was found one may have acted all the
+# Smallest force admitted, as a share of its unit: where none was found one may have acted all the
 # same. Smallest white noise of a sensor, in the same way: a level that colour has taken over would
 # make one sensor the whole truth.
 LEAST_FORCE, LEAST_WHITE = 0.1, 0.5

@@ -96,7 +96,7 @@ class Finding:
     unit : str
         Unit of the size.
     gain : float or None
-        Log-likelihood gain (twice the logarithm of the likelihood ratio).
+        Likelihood-ratio statistic (twice the logarithm of the likelihood ratio).
     alternatives : tuple of str
         Other explanations that these records cannot tell from this one.
     correction : Correction or None
@@ -133,7 +133,7 @@ class Finding:
         """Return the finding as sentences, the most important first."""
         head = self.says
         if self.gain is not None:
-            head += f" Log-likelihood gain {self.gain:.0f}."
+            head += f" Likelihood-ratio statistic {self.gain:.0f}."
         rows = [head]
         if self.alternatives:
             rows.append(f"These records cannot tell it from: {'; '.join(self.alternatives)}.")
@@ -324,7 +324,13 @@ class LogCheck:
             for one in self.findings
         ]
         table = Table(
-            ("finding", "size, 95 % interval", "log-likelihood gain", "left as it is", "fix"),
+            (
+                "finding",
+                "size, 95 % interval",
+                "likelihood-ratio statistic",
+                "left as it is",
+                "fix",
+            ),
             rows,
             caption="Suspect findings are stressed.",
             words=(0, 3, 4),

@@ -17,7 +17,7 @@ from oed_sysid.evidence.study import Study, total_error
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.physics import Effect
 
-# Error of whole runs, over that of a fit without random forces, that they should not cost.
+# Error of whole runs, over that of a fit without disturbance forces, that they should not cost.
 BOUGHT = 2.0
 # Error of whole validation runs after an addition, over that before, that is no rise while random
 # forces act, and where the validation records gain as much as chance never gives besides: runs
@@ -147,7 +147,7 @@ def rises(
     before, after : FilteredSolution
     gain : float, optional
         In twice the log-likelihood of the validation records: with a named effect that gains
-        there, runs may wander under random forces.
+        there, runs may wander under disturbance forces.
     """
     assert study.validation is not None
     old, new = (own_error(study, fit, study.validation) for fit in (before, after))

@@ -1,7 +1,8 @@
 r"""What stays the same while models are compared: records, candidates, noise, one compiled filter.
 
 Every model on the way is a nominal model and some of the candidate effects, fitted by the
-likelihood of :mod:`oed_sysid.likelihood.filtered` with a random force in every equation: a model
+likelihood of :mod:`oed_sysid.likelihood.filtered` with a disturbance force in every equation: a
+model
 that lacks an effect then admits what it cannot explain, instead of bending its parameters to it.
 One compiled filter of all candidates serves every such model.
 
@@ -55,7 +56,7 @@ from oed_sysid.physics.model import Model
 # Below this share of a typical magnitude's inverse square, training records say nothing.
 VAGUE = 1e-8
 
-# A fit to white noise, on the way to one with random forces.
+# A fit to white noise, on the way to one with disturbance forces.
 PLAIN = MultipleShooting(max_iterations=15, coloured="never", disturbances="none")
 # Fits of start states on records: a validation, its error and the table of errors ask for the same.
 _ALONE: WeakKeyDictionary[
@@ -74,7 +75,7 @@ class Study:
     candidates : tuple of Effect
         What may be missing, absent.
     plain_error : float
-        Error of the nominal model fitted without random forces on the training records, over
+        Error of the nominal model fitted without disturbance forces on the training records, over
         all outputs, in units of the noise.
     skipped : tuple of str
         Candidates that do not fit the nominal model.
@@ -127,7 +128,8 @@ class Study:
         known_noise : bool
             Whether declared levels are right and sensors have no other noise.
         disturbances : str or sequence of str
-            Where random forces may act: ``"auto"`` or ``"all"`` of the equations, ``"none"`` of
+            Where disturbance forces may act: ``"auto"`` or ``"all"`` of the equations, ``"none"``
+            of
             them, or those that are named.
         """
         levels = given_levels(model.outputs)
@@ -145,7 +147,8 @@ class Study:
             disturbances = "none"
         inputs = [place for place in every_place(model) if place.stage == "actuator" and not tests]
         places, absent = _disturbed_places(model, disturbances)
-        # Without random forces, what is slow and far above a sensor's wiggles is structure.
+        # Without disturbance forces, what is slow and far above a sensor's high-frequency content
+        # is structure.
         setting = Setting.of(
             train,
             places,
@@ -266,7 +269,7 @@ class Study:
         Returns
         -------
         FilteredSolution or None
-            None where the filter leaves the numbers at the start.
+            None where the filter diverges at the start.
         """
         if noise is None:
             assert isinstance(start, FilteredSolution)
@@ -364,7 +367,8 @@ class Study:
     ) -> FilteredSolution | None:
         """A fit on other records: parameters held, start states and noise levels estimated.
 
-        With ``same_forces`` random forces are as strong and last as long as the fit says; only the
+        With ``same_forces`` disturbance forces are as strong and last as long as the fit says; only
+        the
         sensors' levels are estimated.
         """
         noise = found.noise if same_forces else self.loosened(found.noise)
@@ -387,7 +391,7 @@ class Study:
         """A fit on other records: parameters and noise levels held, start states estimated.
 
         Where levels are estimated too, it is from here that they are: a start state that is far
-        off would be taken for a random force, which it is not.
+        off would be taken for a disturbance force, which it is not.
         """
         kept = _ALONE.setdefault(found, [])
         for study, data, result in kept:
@@ -419,7 +423,7 @@ class Study:
         """Errors of the model on its own, ``(n_outputs,)``, as `compare` finds them.
 
         Shared parameters are held, start states estimated on each record under the fit's
-        noise model; infinite where the model leaves the numbers.
+        noise model; infinite where the model diverges.
         """
         measured = np.vstack([np.isfinite(record.outputs) for record in dataset]).any(axis=0)
         alone = self.alone(found, dataset)
@@ -449,7 +453,7 @@ def total_error(rms: np.ndarray) -> float:
 def _disturbed_places(
     model: Model, disturbances: str | Sequence[str]
 ) -> tuple[tuple[Place, ...], list[str]]:
-    """Places where random forces may act or physics may be missing; names of the latter alone."""
+    """Places where disturbance forces may act or physics may be missing; the latter alone."""
     try:
         places = chosen_places(model, "all")
     except ModelError as error:
@@ -507,7 +511,7 @@ def _nominal_start(model: Model, dataset: Dataset, white: np.ndarray) -> Start:
 
 
 def _end(fit: Fit) -> Start | None:
-    """Where a fit ended, as a start; None where it left the numbers."""
+    """Where a fit ended, as a start; None where it diverged."""
     if not np.isfinite(fit.cost):
         return None
     return Start(fit.model.values, fit.initial_states, fit.local_values)

@@ -125,7 +125,7 @@ def simulate_inputs(
     Raises
     ------
     SimulationError
-        If inputs or start do not fit, or the trajectory leaves the numbers.
+        If inputs or start do not fit, or the trajectory diverges.
 
     Examples
     --------

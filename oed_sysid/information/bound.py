@@ -1,7 +1,8 @@
 r"""Information of manoeuvres, before any data exist: the Cramer-Rao bound.
 
 Of a run with whitened sensitivities :math:`J = \Sigma^{-1/2}\, \partial y / \partial(x_0, p)`,
-or with derivatives of the innovations in units of their deviations where random forces act, start
+or with derivatives of the innovations in units of their deviations where disturbance forces act,
+start
 states and parameters of the run are eliminated by a triangular factor with them in front,
 
 .. math::
@@ -73,7 +74,7 @@ def information_of(
         Planned manoeuvres, records in hand, or both.
     noise : mapping or sequence of float, NoiseModel or Fit, optional
         Standard deviations of the outputs' noise, ``noise_std`` by default; or
-        a noise model with random forces, or a fit that found one.
+        a noise model with disturbance forces, or a fit that found one.
     coloured : mapping of str to float or sequence of float, optional
         Autoregression of an output's noise (one number: lag-one correlation);
         the Jacobian is prewhitened with it.

@@ -1,6 +1,6 @@
 r"""Measurement noise before there are residuals: levels, and colour as autoregression.
 
-How rough the sea is: random forces before anybody has measured them.
+How rough the sea is: disturbance forces before anybody has measured them.
 
 A word stands for forces that, within their time :math:`\tau`, would on their own move each
 velocity by a share :math:`\kappa` of what a reference manoeuvre moves it by:
@@ -252,7 +252,7 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 def sea_noise(
     model: Model, sea: str, reference: Iterable[Experiment], *, time: float | None = None
 ) -> NoiseModel:
-    """Return the noise of a model's sensors, and random forces of a sea.
+    """Return the noise of a model's sensors, and disturbance forces of a sea.
 
     Parameters
     ----------
@@ -363,7 +363,7 @@ def natural_forces(
 
 
 def sea_words(noise: NoiseModel) -> str:
-    """Return levels and times of the random forces in words.
+    """Return levels and times of the disturbance forces in words.
 
     >>> sea_words(NoiseModel.white_only(np.ones(1)))
     'none'

@@ -1,6 +1,6 @@
 r"""What a manoeuvre makes a model do, and how that depends on every unknown.
 
-Information of a run under random forces and coloured sensors, before any data exist.
+Information of a run under disturbance forces and coloured sensors, before any data exist.
 
 The likelihood of a disturbed record is that of the innovations of a filter
 (:mod:`oed_sysid.compiled.filtering`). Along the *nominal* trajectory, the one without noise, every
@@ -238,7 +238,7 @@ _SMALL = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
-    """A model under random forces, made ready once for any number of runs.
+    """A model under disturbance forces, made ready once for any number of runs.
 
     Attributes
     ----------
@@ -368,7 +368,7 @@ class Innovations:
 def expected_noise(
     model: Model, noise: Levels | NoiseModel | Fit
 ) -> tuple[NoiseModel | None, Levels]:
-    """Split the noise to expect: random forces and colour (None where there are none), levels.
+    """Split the noise to expect: disturbance forces and colour (None where there are none), levels.
 
     Levels are standard deviations of the sensors' noise, white and coloured together.
     """
@@ -410,8 +410,8 @@ def checked_noise(model: Model, noise: NoiseModel) -> NoiseModel:
         )
     if len(noise.places) != len(noise.force):
         raise DesignError(
-            f"The noise has {len(noise.force)} random forces at {len(noise.places)} places. Name "
-            "the place of each, such as 'force Z'."
+            f"The noise has {len(noise.force)} disturbance forces at {len(noise.places)} places. "
+            "Name the place of each, such as 'force Z'."
         )
     if not np.all(noise.white > 0):
         poor = [n for n, level in zip(names, noise.white, strict=True) if not level > 0]

@@ -2,7 +2,7 @@ r"""What absent effects would do to a run, beside what the parameters do.
 
 An effect of amplitudes :math:`a` (in units of the size that counts) moves the outputs by
 :math:`\sum_k a_k d_k`, the parameters by :math:`J\,\Delta\theta`, both in units of the noise
-(whitened, or as innovations under random forces). With start states and parameters of the run
+(whitened, or as innovations under disturbance forces). With start states and parameters of the run
 eliminated, all runs together hold
 
 .. math::

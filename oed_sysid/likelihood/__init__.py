@@ -6,7 +6,7 @@ r"""The engine under the estimators: one set of unknowns, one likelihood.
 over innovations ``e`` of variance ``S``. Unknown are parameters ``p`` (shared, or of each record),
 start states :math:`x_0`, and levels and times :math:`\eta` of the noise (``unknowns``). White
 sensors alone make ``S`` constant: condensed multiple shooting (``shooting``).
-Random forces make it that of an extended Kalman filter (``filtered``, ``random_forces``). One
+Disturbance forces make it that of an extended Kalman filter (``filtered``, ``random_forces``). One
 search serves both (``gauss_newton``): damped Gauss-Newton steps within bounds
 
 .. math::

@@ -12,7 +12,7 @@ Both sums are one model's: the *towed* model has the velocities twice, those tha
 and those that forces see, and an input ``towed`` that says which of the two the latter are; its
 other states stand still where it is towed. The tests are then one more record of that model, in
 which only forces are measured and whose samples are independent: their order says nothing, no
-random force or colour links them, and where they scatter more than their noise allows the
+disturbance force or colour links them, and where they scatter more than their noise allows the
 covariance is that of White (:mod:`oed_sysid.likelihood.covariance`). Where effects of the model
 remember, such as a rudder that lags, each test is a record of its own and begins at rest.
 """

@@ -18,7 +18,8 @@ is used where the squares of an output are larger than chance makes them, and is
 
 Innovations that swing with a period of their own, as waves and swell leave them.
 
-A filter takes random forces for first-order Gauss-Markov processes. Those of a sea with a narrow
+A filter takes disturbance forces for first-order Gauss-Markov processes. Those of a sea with a
+narrow
 spectrum leave innovations that are nearly white from sample to sample, and yet power about one
 frequency, where a vehicle that is moved there tells most of its parameters. Over ``R`` blocks of
 ``n`` innovations ``e`` in units of their standard deviation, and ``2 w + 1`` neighbouring

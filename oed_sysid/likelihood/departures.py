@@ -23,7 +23,7 @@ and :math:`\epsilon` the residuals, in units of noise,
 
 :func:`~oed_sysid.physics.unknown_start` makes it one of the unknowns.
 
-Inputs that act the other way round, or in another unit, than the start values say.
+Inputs that act reversed, or in another unit, than the start values say.
 
 An input of the other sign is a coefficient of the other sign: the fit converges, its residuals are
 noise, and every controller designed with it steers to the wrong side. Kinematics cannot see it, but
@@ -427,7 +427,7 @@ class OtherWay:
         if not self.unit:
             line = f'Input("{name}", "{unit}", sign={-self.channel.sign:g})'
             return (
-                f"Input {name} acts the other way round than the start values say ({told}). With "
+                f"Input {name} acts with the sign reversed against the start values ({told}). With "
                 "it reversed the same fit has the signs that were expected. If the log counts it "
                 f"the other way, write {line}; if the start values are wrong, change their signs."
             )
@@ -553,7 +553,8 @@ def is_noise(parts: Sequence[np.ndarray]) -> bool:
 def shown_in_log(dataset: Dataset, name: str) -> float:
     """Level of white noise that would wiggle as fast as the log of an input does, in its unit.
 
-    An upper limit: a command that changes from sample to sample wiggles, too. Infinite where no
+    An upper limit: a command that changes from sample to sample has it, too.
+    Infinite where no
     input has that name, or where records are too short to tell.
 
     Parameters

@@ -1,7 +1,7 @@
 """Every place of the signal chain at which something may be wrong, as a disturbance.
 
 command -> actuator -> flow -> force -> kinematics -> sensor: at each place an
-unknown signal can be let in, and the linear deviations say what it does to the
+unknown signal can be admitted, and the linear deviations say what it does to the
 outputs.
 """
 
@@ -113,7 +113,7 @@ def with_disturbance_inputs(model: Model, places: Sequence[Place]) -> Model:
 
 
 def _let_in(place: Place, name: str) -> Effect:
-    """A signal that is let in at a place, as an effect of its name."""
+    """A signal that is admitted at a place, as an effect of its name."""
     kind: dict[str, type[Effect]] = {
         "actuator": Actuator,
         "flow": Environment,

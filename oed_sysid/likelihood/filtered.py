@@ -1,4 +1,4 @@
-r"""Maximum likelihood with random forces: the problem that the iterates evaluate.
+r"""Maximum likelihood with disturbance forces: the problem that the iterates evaluate.
 
 .. math::
     -2 \log L(p, x_0, \eta) = \sum_k \frac{e_k^2}{S_k} + \log S_k + \text{priors}
@@ -319,7 +319,7 @@ class Filtered:
         Returns
         -------
         list of ndarray (n_times, n_outputs) or None
-            Per record; None where the larger model leaves the numbers.
+            Per record; None where the larger model diverges.
         """
         noise = wide.levels.disturbed(wide.noise(unknowns))
 

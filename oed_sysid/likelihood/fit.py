@@ -92,7 +92,7 @@ class Fit(Estimate):
     iterations : int
     seconds : float
     noise : NoiseModel
-        All that is random: white levels as in ``sigma``, colour, random forces.
+        All that is random: white levels as in ``sigma``, colour, disturbance forces.
     noise_std : mapping
         Standard errors of the estimated levels and times, by ``(name, "level" or "time")``;
         of levels relative.

@@ -7,7 +7,7 @@ faster, and for least squares enough, save that rounding errors are
 squared where an unstable trajectory amplifies them. Iterations therefore run on
 gathered sums and end on exact ones.
 
-Two iterates of the likelihood with random forces: frozen gain, and the filter as it is.
+Two iterates of the likelihood with disturbance forces: frozen gain, and the filter as it is.
 
 :class:`Whitened` has derivatives along the filtered path at frozen gain, from one pass.
 :class:`Differentiated` has those of the filter as it is, by differences of whole filters, and its
@@ -208,7 +208,7 @@ class Whitened:
 
     @classmethod
     def at(cls, problem: Filtered, point: Point) -> Whitened | None:
-        """Evaluate a point; None where the filter leaves the numbers."""
+        """Evaluate a point; None where the filter diverges."""
         found = problem.passes(point.unknowns)
         objective = sum(part.objective for part in found)
         if not np.isfinite(objective):
@@ -245,7 +245,7 @@ class Differentiated:
 
     @classmethod
     def at(cls, problem: Filtered, point: Point) -> Differentiated | None:
-        """Evaluate a point; None where the filter leaves the numbers."""
+        """Evaluate a point; None where the filter diverges."""
         objective = problem.objective(point.unknowns)
         return cls(problem, point, 0.5 * objective) if np.isfinite(objective) else None
 
@@ -317,8 +317,8 @@ CLOSED = 1e-8
 # shrink are theirs, and then so are gains below a share of the cost, or a cost, of the others:
 # estimates are within 0.04 standard errors of where they would end.
 NEARLY_CLOSED, ROUNDING_SHARE, ROUNDING_COST = 1e-6, 1e-8, 1e-3
-# With random forces: the step that ends the iterations at frozen gain, the rise of the cost that
-# its gradient may cause near the end, most steps of the exact one, the gain below which the last
+# With disturbance forces: the step that ends the iterations at frozen gain, the rise of the cost
+# that its gradient may cause near the end, most steps of the exact one, the gain below which the last
 # of these was enough, and its equations serve where it led, and the promised gain below which a
 # search without a way on has arrived.
 FROZEN_TOLERANCE, SLACK, POLISH_STEPS, SETTLED, STALLED_NEAR = 1e-3, 0.1, 8, 0.1, 0.1
@@ -423,7 +423,7 @@ def solve(
 
 @dataclass(frozen=True, eq=False)
 class FilteredSolution:
-    """Where the iterations of a likelihood with random forces ended.
+    """Where the iterations of a likelihood with disturbance forces ended.
 
     ``matrix`` is the information of all unknowns there, ``right`` half the negative
     gradient, priors excluded.
@@ -511,7 +511,7 @@ def solve_filtered(
     Returns
     -------
     FilteredSolution or None
-        None where the filter leaves the numbers at the start.
+        None where the filter diverges at the start.
     """
     begin = Whitened.at(problem, point)
     if begin is None:

@@ -57,7 +57,7 @@ _ADVICE = {
     "stalled": "no step lowers the misfit, yet the gradient is not zero. Values are the best found;"
     " check bounds and parameters that are not identifiable, or take another horizon.",
     "iterations": "the limit of iterations was reached. Raise max_iterations or start closer.",
-    "diverged": "the model leaves the numbers within the first horizon. Check signs and units of "
+    "diverged": "the model diverges within the first horizon. Check signs and units of "
     "the start values, or shorten the horizon.",
 }
 

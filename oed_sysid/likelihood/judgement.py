@@ -31,7 +31,7 @@ How much of every output a fitted model explains on its own, and whether that is
     s^2 = \frac{\sum_k (y_k - \hat y_k)^2}{\sum_k (y_k - \bar y)^2}, \qquad
     s_h^2 = \frac{\sum_k (\Delta_h y_k - \Delta_h \hat y_k)^2}{\sum_k (\Delta_h y_k)^2}
 
-with the model run on its own, :math:`\hat y`. A constant has :math:`s = 1`. Random forces make
+with the model run on its own, :math:`\hat y`. A constant has :math:`s = 1`. Disturbance forces make
 a heading or a position drift away although the model answers rightly to every command; there the
 increments over :math:`h` samples count too, and the smallest of all shares is taken.
 
@@ -79,7 +79,7 @@ DIFFERENCE_ERROR = 1.5
 # Change by a quarter of the step, in noise levels, that a trajectory must not show.
 STEP_CHANGE = 0.5
 FINER = 4
-# Samples over which the step is tried where random forces move the vehicle.
+# Samples over which the step is tried where disturbance forces move the vehicle.
 PIECE = 20
 # Beyond so many times its scale no value is physical, and none that the records do not show.
 RUNAWAY, UNSEEN = 1e8, 1e4
@@ -197,7 +197,7 @@ def fatal(fit: Estimate) -> tuple[Concern, ...]:
 
 
 def _has_numbers(fit: Estimate) -> bool:
-    """Whether the model, or the filter that goes along with the records, left the numbers."""
+    """Whether the model, or the filter that goes along with the records, diverged."""
     if fit.innovations is None:
         return all(np.isfinite(part).all() for part in fit.predictions)
     return all(
@@ -364,7 +364,7 @@ def _absorbed(fit: Estimate) -> tuple[Concern, ...]:
                     "",
                     factor,
                     f"The estimated noise of {name}, {fit.sigma[column]:.3g} {unit}, is "
-                    f"{factor:.3g} times what its fast wiggles show ({floor[column]:.3g}): it "
+                    f"{factor:.3g} times its high-frequency content ({floor[column]:.3g}): it "
                     "holds what the model does not explain. A misfit of one says nothing here; "
                     "declare noise_std, check signs and units, or look for what is missing.",
                 )
@@ -450,7 +450,7 @@ def delay_concerns(fit: Estimate) -> tuple[Concern, ...]:
 
 def start_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """Actuators that did not begin at their first command, the clearest record of each."""
-    if "white_starts" in fit.extras:  # random forces absorb a start
+    if "white_starts" in fit.extras:  # disturbance forces absorb a start
         clear = tuple(ActuatorStart(*one) for one in fit.extras["white_starts"])
     elif fit.innovations is not None or not fit.names:
         return ()
@@ -516,14 +516,14 @@ def input_concerns(fit: Estimate) -> tuple[Concern, ...]:
                 f"The log of input {channel.name} carries white noise of {level:.3g} "
                 f"{channel.unit}; fed to the model it moves the outputs by {size:.2g} noise "
                 "levels. The vehicle answers to the true input: fit the command instead of the "
-                "measurement, or smooth the log, or allow a random force at its actuator.",
+                "measurement, or smooth the log, or allow a disturbance force at its actuator.",
             )
         )
     return tuple(found)
 
 
 def _other_way(fit: Estimate) -> tuple[Concern, ...]:
-    """Inputs that act the other way round, or in another unit, than the start values say."""
+    """Inputs that act reversed, or in another unit, than the start values say."""
     nominal = fit.extras.get("nominal")
     if not fit.status.ok or not nominal:
         return ()
@@ -573,7 +573,8 @@ def _ran_away(name: str, value: float, size: float, unit: str) -> Concern:
 def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
     """Change of the outputs with a finer step in noise levels: the worst, its output and record.
 
-    With random forces the model alone may drift away; there pieces of ``PIECE`` samples begin at
+    With disturbance forces the model alone may drift away; there pieces of ``PIECE`` samples begin
+    at
     the states of the simulation.
     """
     coarse, fine = kernel(fit.model), kernel(replace(fit.model, step=fit.model.step / finer))
@@ -793,7 +794,7 @@ def unexplained(fit: Estimate) -> dict[str, float]:
     Parameters
     ----------
     fit : Estimate
-        With or without random forces.
+        With or without disturbance forces.
 
     Returns
     -------

@@ -62,9 +62,10 @@ from oed_sysid.physics.unknown import random_effects
 from oed_sysid.runtime.threads import one_thread
 
 # Residuals of a white fit, in noise, beyond which its values may be bent far off by what it takes
-# for noise: random forces are then looked for from the start values too.
+# for noise: disturbance forces are then looked for from the start values too.
 BENT = 3.0
-# Iterations of a white fit after which such residuals end it where random forces are looked for,
+# Iterations of a white fit after which such residuals end it where disturbance forces are looked
+# for,
 # or known from an earlier fit, and the share of the cost that has to be left.
 PATIENCE, KNOWN, ENOUGH = 8, 2, 0.7
 # Ends of a white fit that are where it was going.
@@ -122,7 +123,7 @@ class MultipleShooting:
     hessian : str
         For IPOPT: ``"gauss-newton"`` or ``"exact"``.
     disturbances : str or sequence of str
-        Random forces. ``"auto"`` tests at the white fit whether any act (a score test
+        Disturbance forces. ``"auto"`` tests at the white fit whether any act (a score test
         at variance zero) and, if so, estimates their levels and times with everything
         else; ``"none"`` takes residuals for sensor noise; ``"all"`` lets a force into
         every equation; or the equations, states or places that are disturbed, such as
@@ -131,7 +132,7 @@ class MultipleShooting:
         How far ahead the fit has to be right, s: records are predicted in windows of this
         length, each from a start state of its own (:mod:`oed_sysid.likelihood.horizons`). ``None``
         predicts whole records. A short horizon keeps misfit of structure out of the
-        derivatives; random forces are then not looked for.
+        derivatives; disturbance forces are then not looked for.
     constraints : sequence of str
         For IPOPT: comparisons among parameters, such as ``"M_uq < 0"`` or
         ``"Y_v*N_r > N_v*Y_r"``. Standard errors ignore them.
@@ -198,7 +199,7 @@ class MultipleShooting:
 
     @property
     def _white_only(self) -> bool:
-        """Whether the settings leave no room for random forces."""
+        """Whether the settings leave no room for disturbance forces."""
         return self.solver == "ipopt" or self.loss not in ("auto", "square")
 
     @property
@@ -675,7 +676,7 @@ def _starts(fit: Fit, task: _Task, setting: Setting) -> list[Start]:
 def _score(
     fit: Fit, task: _Task, setting: Setting, start: Start, kernel: FilterKernel, *, tests: bool
 ) -> ScoreTest:
-    """The score test at a white fit; where it only ``tests``, louder sensors are asked first."""
+    """The score test at a white fit; where it only ``tests``, noisier sensors are asked first."""
     model = task.model.with_values(dict(start.values))
     look = partial(
         score_test,
@@ -688,8 +689,8 @@ def _score(
     quiet = replace(setting, white=np.maximum(fit.sigma, setting.white))
     if tests and (larger := _larger_noise(fit, quiet.white)).any():
         # White noise above the declared level is no process noise.
-        louder = replace(quiet, white=np.where(larger, larger, quiet.white))
-        test = look(setting=louder)
+        noisier = replace(quiet, white=np.where(larger, larger, quiet.white))
+        test = look(setting=noisier)
         if test.gain < CLEAR:
             return test
     test = look(setting=quiet, times=_times(task.carried))
@@ -714,7 +715,7 @@ def _measured(dataset: Dataset) -> np.ndarray:
 
 
 def _carried(shooting: Shooting, point: Point, warm: Fit | None) -> Start | None:
-    """Where an earlier fit with random forces or coloured sensors ended, to go on from."""
+    """Where an earlier fit with disturbance forces or coloured sensors ended, to go on from."""
     if warm is None or warm.noise is None or warm.noise.is_white:
         return None
     whole, layout = point.unknowns, shooting.layout
@@ -727,7 +728,7 @@ def _carried(shooting: Shooting, point: Point, warm: Fit | None) -> Start | None
 
 
 def _times(carried: Start | None) -> list[float]:
-    """Correlation times of the random forces that an earlier fit found, s."""
+    """Correlation times of the disturbance forces that an earlier fit found, s."""
     noise = None if carried is None else carried.noise
     if noise is None:
         return []
@@ -793,6 +794,6 @@ def _larger_noise(fit: Fit, white: np.ndarray) -> np.ndarray:
 
 
 def _no_likelier(disturbed: Fit, white: Fit) -> bool:
-    """Whether random forces and colours are not worth their freedom."""
+    """Whether disturbance forces and colours are not worth their freedom."""
     gain = 2.0 * (disturbed.log_likelihood - white.log_likelihood)
     return bool(gain < CLEAR)

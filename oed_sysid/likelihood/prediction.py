@@ -4,13 +4,14 @@ Without measurements a trajectory spreads by three causes: parameters and start 
 
 .. math:: V(t) = J(t)\, C\, J(t)' + P(t), \qquad P_{k+1} = F P_k F' + Q
 
-the random forces of the noise model (``P``, from a filter that is shown nothing), and the
+the disturbance forces of the noise model (``P``, from a filter that is shown nothing), and the
 sensors. Where a first-order band would mislead, because parameters are poorly known or random
 forces throw the vehicle far, ``V`` is the mean square of runs in which all is drawn.
 
 What is predicted where all that is uncertain is drawn, not carried to first order.
 
-Mean squares about the prediction, of runs with parameters, start states and random forces drawn
+Mean squares about the prediction, of runs with parameters, start states and disturbance forces
+drawn
 together: beyond first order an unstable vehicle falls to one side or the other.
 
 Estimated series of unknown inputs, read off a fit; see :mod:`oed_sysid.physics.unknown`.
@@ -120,7 +121,7 @@ def runs_at_sea(
     noise: NoiseModel,
     split: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
 ) -> SimulateAll:
-    """Runs of a record under drawn random forces.
+    """Runs of a record under drawn disturbance forces.
 
     Parameters
     ----------
@@ -440,7 +441,7 @@ def _predict_disturbed(
     initial: Initial,
     way: str,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, float], dict[str, float]]:
-    """One record under random forces or coloured sensors."""
+    """One record under disturbance forces or coloured sensors."""
     known = _given(model, record, initial)
     start = Shooting(model, Dataset((record,)), noise.sensors, known_starts=known)
     begin = start.start_unknowns()

@@ -38,12 +38,13 @@ WORTH_COLOUR, WORTH_TIMES = 10.0, 12.0
 COLOURED = 4.0
 # Colour below this share of the white level has vanished.
 VANISHED = 0.02
-# Where a level that is let in begins at least, in its natural unit.
+# Where a level that is admitted begins at least, in its natural unit.
 LEAST_START = 1.0
 # Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
 # a model hardly damps what disturbs it, records tell of levels far below those that act.
 DECADES, STRIDE = 21, 3
-# Fastest wiggles, over the level declared, from which levels also begin at what these show.
+# High-frequency content, over the level declared, from which levels also begin at what
+# these show.
 LOUD = 1.5
 # Steps of everything else before levels move too.
 HELD_STEPS = 2
@@ -89,7 +90,7 @@ def fit_disturbed(
     Returns
     -------
     FilteredSolution or None
-        None where the filter leaves the numbers from every start.
+        None where the filter diverges from every start.
     """
     unit = test.unit
     begin = replace(
@@ -102,7 +103,7 @@ def fit_disturbed(
         ),
     )
     beginnings = [(start, begin) for start in starts]
-    if (loud := _louder(begin, dataset, setting)) is not None:
+    if (loud := _noisier(begin, dataset, setting)) is not None:
         beginnings += [(start, loud) for start in starts if start.noise is None]
     begun = []
     for start, noise in beginnings:
@@ -138,8 +139,8 @@ def fit_disturbed(
     return best
 
 
-def _louder(begin: NoiseModel, dataset: Dataset, setting: Setting) -> NoiseModel | None:
-    """Sensors as loud as their fastest wiggles, where these are clearly louder than declared.
+def _noisier(begin: NoiseModel, dataset: Dataset, setting: Setting) -> NoiseModel | None:
+    """Sensors at their high-frequency content, where it clearly exceeds what was declared.
 
     Levels that are to be estimated begin at what was declared. Where that is far too small, forces
     that follow every wiggle seem likely, and parameters follow the forces.
@@ -314,7 +315,7 @@ def with_colour(
 def _without_vanished_colour(
     found: FilteredSolution, setting: Setting, max_iterations: int
 ) -> FilteredSolution:
-    """Where the colour that was let in vanishes, the white level is bounded or declared again."""
+    """Where the colour that was admitted vanishes, the white level is bounded or declared again."""
     noise = found.noise
     has = np.zeros(len(setting.white), dtype=bool)
     has[found.problem.levels.coloured] = True

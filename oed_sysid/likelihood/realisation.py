@@ -1,4 +1,4 @@
-r"""One trial at sea, simulated: random forces and coloured sensors drawn from a noise model.
+r"""One trial at sea, simulated: disturbance forces and coloured sensors drawn from a noise model.
 
 .. math::
     w_{k+1} = \phi w_k + \sqrt{1 - \phi^2}\, \sigma \epsilon_k, \qquad \phi = e^{-\Delta/\tau}
@@ -71,7 +71,8 @@ def at_sea(
     model : Model
     experiment : Experiment
     noise : NoiseModel
-        Sensors in the order of the model's outputs; random forces in equations (``force Z``) and
+        Sensors in the order of the model's outputs; disturbance forces in equations (``force Z``)
+        and
         other disturbances (``sensor q``).
     rng : numpy.random.Generator
     """
@@ -97,7 +98,7 @@ def at_sea(
 def simulate_at_sea(
     model: Model, experiment: Experiment, noise: NoiseModel, *, rng: np.random.Generator
 ) -> Record:
-    """Simulate an experiment under random forces and return what would be logged.
+    """Simulate an experiment under disturbance forces and return what would be logged.
 
     Parameters
     ----------
@@ -105,7 +106,7 @@ def simulate_at_sea(
         The vehicle as it is.
     experiment : Experiment
     noise : NoiseModel
-        Sensors in the order of the model's outputs; random forces in equations (``force Z``).
+        Sensors in the order of the model's outputs; disturbance forces in equations (``force Z``).
     rng : numpy.random.Generator
 
     Returns

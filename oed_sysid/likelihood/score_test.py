@@ -1,6 +1,6 @@
 r"""What stays the same while the noise of some records is looked for.
 
-Do random forces act? A test at a fit that takes all that is left for white noise.
+Do disturbance forces act? A test at a fit that takes all that is left for white noise.
 
 There every disturbance has variance zero. The likelihood has a slope ``s`` and an information
 ``I`` in each variance, and
@@ -9,7 +9,8 @@ There every disturbance has variance zero. The likelihood has a slope ``s`` and 
 
 is what letting them in would gain in twice the log-likelihood (Silvapulle & Sen 2005,
 *Constrained statistical inference*, ch. 3). With three forces, five sensors and three times, white
-data stay below 6.8 in 95 and below 9.2 in 99 of 100 cases; above ``CLEAR`` disturbances are let in
+data stay below 6.8 in 95 and below 9.2 in 99 of 100 cases; above ``CLEAR`` disturbances are
+admitted
 and estimated with everything else, and stay only where that is likelier.
 
 At variance zero nothing is corrected, so that only forces need the filter:
@@ -44,14 +45,15 @@ from oed_sysid.likelihood.projection import bounded_step
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
 
-# Share of the white level seen in the fastest wiggles that an estimate must leave standing.
+# Share of the white level seen in the high-frequency content that an estimate must leave standing.
 LEAST_SEEN = 0.7
 # ... and the share of that where a sensor is coloured.
 COLOUR_SEEN = 0.1
-# Slow noise of a sensor, over what was declared or its fastest wiggles show, beyond which it is
-# none: noise with correlation 0.9 from sample to sample is at 4 times its wiggles, with 0.98 at 10.
+# Slow noise of a sensor, over what was declared or its high-frequency content shows, beyond which
+# it is none: noise with correlation 0.9 from sample to sample is at 4 times its high-frequency
+# content, with 0.98 at 10.
 DRIFTS = 10.0
-# Noise of a logged input, over what the fastest wiggles of the log show, that is believed.
+# Noise of a logged input, over what the high-frequency content of the log shows, that is believed.
 INPUT_SEEN = 2.0
 
 
@@ -68,11 +70,11 @@ class Setting:
     estimated : ndarray of bool (n_outputs,)
         Which of these are unknown.
     least_white : ndarray (n_outputs,)
-        What the fastest wiggles show is there, whatever disturbances could explain of it.
+        What the high-frequency content shows is there, whatever disturbances could explain of it.
     colour : bool
         Whether sensors may have coloured noise.
     inputs : tuple of Place
-        Logged inputs, which may be noisy: white from sample to sample, let in where it pays. Left
+        Logged inputs, which may be noisy: white from sample to sample, admitted where it pays. Left
         out are those whose log is held or smooth to the last digit.
     most_input : mapping of str to float
         Place of each to the level above which that noise would show in the log itself.
@@ -111,7 +113,8 @@ class Setting:
     ) -> Setting:
         """Setting of some records.
 
-        Where sensors are not ``drifting``, slow noise far above their wiggles is none of theirs.
+        Where sensors are not ``drifting``, slow noise far above their high-frequency content is
+        none of theirs.
         """
         floor, seen = credible_levels(dataset)
         least = np.where(seen, LEAST_SEEN * np.minimum(floor, white), 0.0)
@@ -179,12 +182,12 @@ class Setting:
                 places=noise.places,
             ),
             [f"{DISTURBANCE}{place.replace(' ', '_', 1)}" for place in noise.places],
-            # Where colour is let in, the white level has to make room for it.
+            # Where colour is admitted, the white level has to make room for it.
             white=self.estimated | colour,
             colour=colour,
             force=np.array([place not in self.known for place in noise.places], dtype=bool),
             own_times=own_times,
-            # ... and most of the fastest wiggles may be its own.
+            # ... and most of the high-frequency content may be its own.
             least_white=np.where(colour, COLOUR_SEEN, 1.0) * self.least_white,
             most_colour=self.most_colour,
             times=self.times(dataset),
@@ -204,7 +207,7 @@ CLEAR = 6.0
 # Share by which white levels may fall to make room.
 ROOM = 0.9
 # Samples from the start of each record that give the sizes of disturbances where the model on
-# its own leaves the numbers later.
+# its own diverges later.
 HEADS = (100, 30, 10)
 
 
@@ -266,7 +269,7 @@ def score_test(
     assert best is not None
     if np.isfinite(best.gain):
         return best
-    # The model on its own leaves the numbers: sizes from where it has not yet done so.
+    # The model on its own diverges: sizes from where it has not yet done so.
     for length in HEADS:
         heads = Dataset(tuple(_head(record, length) for record in dataset))
         found = _score_at(model, heads, setting, initial, local, TIMES[0] * sample, kernel)

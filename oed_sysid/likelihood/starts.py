@@ -1,11 +1,11 @@
-"""A wide way in: short intervals whose start states are all free.
+"""Globalisation: short intervals whose start states are all free.
 
 Far from the truth, trajectories over a whole record explode and their
 derivatives are useless. Over a second or so, from measured states, they do
 not. Dropping continuity altogether gives a problem that is nearly linear in
 the parameters; its solution starts the real one.
 
-Where an estimation begins: checks, an earlier fit, and the wide way in.
+Where an estimation begins: checks, an earlier fit, and the globalisation phase.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ class _FreeNodes:
         return step, moves, gain
 
 
-# Lengths, in samples, of the free-node intervals on the wide way in; beyond the
+# Lengths, in samples, of the free-node intervals on the globalisation phase; beyond the
 # last one they triple until they reach the length of a shooting interval.
 LADDER = (2, 4, 10, 30)
 # Mean square misfit, in noise units, from which a start is far; from which it is

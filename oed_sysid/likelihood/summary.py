@@ -103,7 +103,7 @@ _ADVICE = {
         "no trajectory satisfies the constraints. Loosen them, or start from values that do."
     ),
     "diverged": (
-        "the model leaves the numbers from every start that was tried. Check signs and units of "
+        "the model diverges from every start that was tried. Check signs and units of "
         "the start values, reduce model.step, or bound the parameters."
     ),
 }
@@ -208,7 +208,7 @@ def summarise_filtered(
     *,
     coloured: str = "auto",
 ) -> Fit:
-    r"""Build the result of an estimation with random forces from its last iterate.
+    r"""Build the result of an estimation with disturbance forces from its last iterate.
 
     With the information ``H`` of all unknowns, start states, per-record parameters and
     levels ``o`` are eliminated from that of the shared parameters ``p``,

@@ -1,4 +1,4 @@
-r"""What is not the same twice: random forces, noise of logged inputs, unknown inputs as series.
+r"""What is not the same twice: disturbance forces, noise of logged inputs, unknown inputs.
 
 .. math::
     w(t + \Delta) = e^{-\Delta/\tau} w(t) + \sqrt{1 - e^{-2\Delta/\tau}}\, \sigma\, \epsilon

@@ -84,7 +84,7 @@ class ClosedLoop:
     lower, upper : ndarray (n_times, n_outputs)
         95 % band of the draws; NaN without draws.
     failed : int
-        Draws that left the numbers.
+        Draws that diverged.
     caveat : str
         What to mind about the band; empty where nothing says so.
     law : str

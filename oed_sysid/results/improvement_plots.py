@@ -43,7 +43,7 @@ _BEST, _GROUP = COLOURS[1], COLOURS[5]
 
 
 def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None) -> Axes:
-    """Plot the log-likelihood gain of each candidate: quick score, and gain after a refit.
+    """Plot the likelihood-ratio statistic of each candidate: quick score, and gain after a refit.
 
     Bars are the gain in twice the log-likelihood after all parameters were
     estimated again with the candidate; candidates that were not refitted show
@@ -81,7 +81,7 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
     ax.set_yticks(rows, [name.replace("_", " ") for name in names])
     largest = max([*gain.values(), *(score[name] for name in names), 1.0])
     _readable_scale(ax, largest)
-    ax.set(xlabel="log-likelihood gain [-]")
+    ax.set(xlabel="likelihood-ratio statistic [-]")
     clean(ax)
     ax.grid(False, axis="y")
     _explain_bars(ax, alike=len(group) > 1)
@@ -90,7 +90,7 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
     best = ranking.refits[0]
     return say(
         ax,
-        f"{best.name} has the largest log-likelihood gain, {best.gain:.4g}; "
+        f"{best.name} has the largest likelihood-ratio statistic, {best.gain:.4g}; "
         f"{ranking.needed(best):.3g} are needed.",
     )
 

@@ -401,7 +401,7 @@ def _simulations(problem: Problem) -> list[str]:
             broken.append(f"experiment {name!r} cannot be simulated: {error}")
             continue
         if not (np.isfinite(record.outputs).all() and np.isfinite(record.inputs).all()):
-            broken.append(f"experiment {name!r} leaves the numbers")
+            broken.append(f"experiment {name!r} diverges")
     return broken
 
 

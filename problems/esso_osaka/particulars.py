@@ -54,7 +54,7 @@ SHIP = (
     known("m_x_prime", 0.020, "1", "surge added mass, assumed"),
     known("D_P", 0.084, "m", "propeller diameter"),
     known("A_R", 0.0106, "m^2", "rudder area"),
-    known("eta", 0.65, "1", "share of the rudder's height in the race, assumed"),
+    known("eta", 0.65, "1", "share of the rudder's height in the propeller slipstream, assumed"),
     known("f_alpha", 2.6, "1", "lift slope of the rudder, aspect ratio about 1.5"),
     known("x_R", -0.5 * LENGTH, "m", "rudder and propeller, from midship"),
 )

@@ -72,7 +72,8 @@ RUDDER_WAKE = Environment(
     source=SOURCE,
     needs="large drift to both sides",
 )
-# Freeing the race factor kappa, 0.5 in [1], by a fifth: it multiplies what the race adds.
+# Freeing the propeller slipstream factor kappa, 0.5 in [1], by a fifth: it multiplies what the
+# propeller slipstream adds.
 PROPELLER_RACE = Environment(
     "propeller_race",
     {"race": "1 + (race - 1)*(1 + E_propeller_race)"},
@@ -87,7 +88,7 @@ RACE_FROM_THRUST = Environment(
     "race_from_thrust",
     {"K_W": "K_W + E_race_from_thrust*(thrust/(rho*n_P**2*D_P**4) - K_W)"},
     (small("race_from_thrust", "1", 1.0),),
-    description="the race at the rudder is that of the thrust in the turn",
+    description="the propeller slipstream at the rudder is that of the thrust in the turn",
     source=SOURCE,
     needs="large drift, which changes the thrust",
 )

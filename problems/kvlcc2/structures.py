@@ -74,7 +74,7 @@ def variants(
         found.append(Structure(label, model, REGRESSION))
         found += [Structure(f"{label}, {h:g} s ahead", model, ahead(h)) for h in HORIZONS]
     for label, dropped in (
-        ("MAVMM, rudder outside the race", ("N_deltaT_prime",)),
+        ("MAVMM, rudder outside the propeller slipstream", ("N_deltaT_prime",)),
         ("MAVMM, no loss of speed in yaw", ("Y_ur_prime", "N_ur_prime")),
     ):
         found.append(Structure(label, without(full, *dropped), REGRESSION))
@@ -96,7 +96,7 @@ def candidates(dataset: Dataset) -> tuple[Structure, ...]:
     screw = plain + effects["race_from_thrust"] + effects["single_screw_asymmetry"]
     screw = screw.with_values({race: 1.0}).fix(race)
     return variants(
-        MAVMM.with_values(wake()), {"MMG": plain, "MMG, race from the thrust": screw}, dataset
+        MAVMM.with_values(wake()), {"MMG": plain, "MMG, slipstream from the thrust": screw}, dataset
     )
 
 

@@ -3,7 +3,7 @@ r"""What a hidden effect would gain, computed without the package.
 Along the true trajectory, one sample of the nominal vehicle misses the true one by
 :math:`b_k`; deviations follow :math:`\delta_{k+1} = A_k\delta_k + b_k` and show in the
 outputs as :math:`H_k\delta_k + d_k`. Parameters and initial states do the same with
-their own :math:`B_k`. A Kalman filter of the random forces and the sensor noise, at their
+their own :math:`B_k`. A Kalman filter of the disturbance forces and the sensor noise, at their
 true levels, turns these columns into whitened innovations, and
 
 .. math:: G = \|(I - P_J)\,W y\|^2
@@ -66,7 +66,7 @@ def gains(
     estimated : sequence of str
         Parameters that are estimated.
     waves : float
-        Size of the random forces.
+        Size of the disturbance forces.
     input_noise : float
         Size of the noise of the logged input, which the filter takes for a white force.
     """

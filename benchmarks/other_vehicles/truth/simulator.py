@@ -176,7 +176,7 @@ class Vehicle:
     noise : dict
         Standard deviation of each output.
     forces : dict
-        Standard deviation of the random force on each axis, by name.
+        Standard deviation of the disturbance force on each axis, by name.
     force_time : float
         Its correlation time, s.
     logged : str
@@ -424,7 +424,7 @@ def simulate(
     rng : numpy.random.Generator
         Draws forces and noise.
     waves : float
-        Size of the random forces, in those that the vehicle states.
+        Size of the disturbance forces, in those that the vehicle states.
     input_noise : float
         Noise of the logged input, in that of ``vehicle.logged``.
     parameters : mapping, optional
