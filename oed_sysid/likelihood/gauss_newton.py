@@ -318,9 +318,9 @@ CLOSED = 1e-8
 # estimates are within 0.04 standard errors of where they would end.
 NEARLY_CLOSED, ROUNDING_SHARE, ROUNDING_COST = 1e-6, 1e-8, 1e-3
 # With disturbance forces: the step that ends the iterations at frozen gain, the rise of the cost
-# that its gradient may cause near the end, most steps of the exact one, the gain below which the last
-# of these was enough, and its equations serve where it led, and the promised gain below which a
-# search without a way on has arrived.
+# that its gradient may cause near the end, most steps of the exact one, the gain below which the
+# last of these was enough, and its equations serve where it led, and the promised gain below which
+# a search without a way on has arrived.
 FROZEN_TOLERANCE, SLACK, POLISH_STEPS, SETTLED, STALLED_NEAR = 1e-3, 0.1, 8, 0.1, 0.1
 # Where the frozen gradient promises what no step keeps, few trials show it.
 MOST_DAMPING, FEW_LENGTHS = 10.0, 3
