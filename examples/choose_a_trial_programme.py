@@ -48,13 +48,7 @@ def zigzag(fin: float, switch: float, thrust: float) -> Experiment:
 # Designed for what is still unknown, and for limits that hold on 95 % of the likely vehicles.
 designed = design_experiment(
     fit,
-    Trial(
-        limits=problem.limits,
-        duration=90.0,
-        sample_time=0.5,
-        constants={"thrust": 9.0},
-        initial={"u": 1.5, "z": 20.0},
-    ),
+    Trial.like(zigzag(5, 5, 9), problem.limits),
     criterion=DOptimal(),
     caution=Caution(0.95, n_sets=40, n_checks=100),
     rng=rng,

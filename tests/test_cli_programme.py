@@ -98,7 +98,7 @@ def test_campaign_goes_on_until_enough_is_known(ship: Path, tmp_path: Path, caps
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["programme", "{ship}"], "Give hours, a number of runs"),
+        (["programme", "{ship}"], "--hours and --runs"),
         (["programme", "{ship}", "--runs", "2", "--sea", "wild"], "Say still"),
         (["programme", "{ship}", "--runs", "2", "--criterion", "Q"], "Choose one of D, A"),
         (["programme", "{ship}", "--runs", "2", "--sensor", "r"], "write NAME=NUMBER"),

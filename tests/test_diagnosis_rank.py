@@ -132,7 +132,12 @@ def step(*group: str, test_gain: float = 9.0, test_error: float = 1.0) -> Simple
     """A step as far as the advice looks at it."""
     effect = next(s.effect for s in RANKING.scores if s.effect.name == group[0])
     return SimpleNamespace(
-        added=group[0], group=group, effect=effect, test_gain=test_gain, test_error=test_error
+        added=group[0],
+        group=group,
+        effect=effect,
+        test_gain=test_gain,
+        test_error=test_error,
+        fit=None,
     )
 
 

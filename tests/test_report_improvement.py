@@ -58,8 +58,9 @@ def test_located_plot_shows_the_gains(story) -> None:
     ax = report.plot_located(located, n_shown=3)
     widths = [bar.get_width() for group in ax.containers for bar in group]
     gains = [located.gains[place.name] for place in located.places[:3]]
-    np.testing.assert_allclose(widths, [*(gains[0] - np.array(gains)), gains[0]])
-    assert widths[0] == 0.0
+    best = max(*located.gains.values(), 0.0)
+    np.testing.assert_allclose(widths, [*(best - np.array(gains)), best])
+    assert min(widths) == 0.0
     assert report.finding(ax) == located.verdict
 
 

@@ -268,9 +268,9 @@ class Contestant:
 # Defaults, but for what a benchmark needs: the published online weight, one process for a
 # swarm that runs beside others, and Gibbs draws enough for a mean and an interval.
 CONTESTANTS: Mapping[str, Contestant] = {
-    OURS: Contestant(MultipleShooting(disturbances="none")),
+    OURS: Contestant(MultipleShooting(disturbances="none", loss="square")),
     OURS_DISTURBED: Contestant(MultipleShooting(disturbances="auto", loss="auto")),
-    OURS_BELIEVING: Contestant(MultipleShooting(disturbances="none"), believes=True),
+    OURS_BELIEVING: Contestant(MultipleShooting(disturbances="none", loss="square"), believes=True),
     OURS_DISTURBED_BELIEVING: Contestant(
         MultipleShooting(disturbances="auto", loss="auto"), believes=True
     ),

@@ -79,7 +79,8 @@ class Budget:
     def __post_init__(self) -> None:
         if self.hours is None and self.n_runs is None:
             raise DesignError(
-                "A programme needs an end. Give Budget(hours=...), Budget(n_runs=...), or both."
+                "A programme needs an end. Give Budget(hours=...), Budget(n_runs=...), or both; on "
+                "the command line --hours and --runs."
             )
 
 
