@@ -224,6 +224,7 @@ def test_bands_hold_with_a_zigzag_that_was_read(rate: float) -> None:
     assert lost < 5
 
 
+@pytest.mark.slow
 def test_bands_hold_with_a_course_law_that_was_read() -> None:
     """Ten logs lie in the bands of replays whose course law was read from each of them."""
     fit = trained(np.random.default_rng(9))
@@ -236,6 +237,7 @@ def test_bands_hold_with_a_course_law_that_was_read() -> None:
     assert "course law of delta" in replay.report()
 
 
+@pytest.mark.slow
 def test_manoeuvres_are_no_course_law() -> None:
     """A constant rudder, a zigzag and an open-loop manoeuvre are refused by name."""
     log = steered(HELM, 60.0, np.random.default_rng(4))

@@ -161,6 +161,7 @@ def improved(case: str) -> Improvement:
 
 
 @given
+@pytest.mark.slow
 def test_a_term_is_proposed_where_no_known_effect_is_right() -> None:
     """Cubic pitch damping, which no candidate holds, is proposed with its value and unit."""
     found = improved("case_013")

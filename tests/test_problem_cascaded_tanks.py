@@ -48,6 +48,7 @@ def test_gravity_outflow_leads_from_linear_to_square_root(problem: Problem) -> N
     assert to_numpy(effect.terms["lower"], inside) == 0.0
 
 
+@pytest.mark.slow
 def test_the_error_falls_and_what_is_left_is_called_structure(
     problem: Problem, split: tuple[Dataset, Dataset]
 ) -> None:

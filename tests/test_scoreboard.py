@@ -656,6 +656,7 @@ def test_further_logs_are_scored_each_for_itself(
 
 
 @MEASURED
+@pytest.mark.slow
 def test_further_turns_are_scored(tmp_path: Path) -> None:
     """The turn of a further file scores as the registered one that it is a copy of."""
     data = load_problem("esso_osaka").data()
