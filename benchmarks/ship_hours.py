@@ -8,8 +8,7 @@ coefficient is within 30 per cent (uniform). It is then judged on vehicles drawn
 auv
     The REMUS-like vehicle in the diving plane, runs of 60 s from 25 m, pitch within 45 degrees,
     depth 2 to 60 m, disturbance forces of 0.1 N, 0.3 N and 0.06 N m over 2 s. Standard trials:
-    zigzags
-    10/10 and 20/20 at 1.5 m/s (there is no circle in this plane).
+    zigzags 10/10 and 20/20 at 1.5 m/s (there is no circle in this plane).
 auv long
     The same; runs may also last 300 s.
 tanker

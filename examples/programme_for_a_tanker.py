@@ -4,8 +4,7 @@ The free-running model of KVLCC2 (7 m) is believed as published. The real one di
 has a hull that is not the same to both sides, which nobody knows, and meets irregular waves. A
 programme is planned, runs are done as long as the rule says so, and all of them are fitted with
 disturbance forces. The standard programme (zigzags 10/10 and 20/20 and circles of 35 degrees in
-turn)
-stops by the same rule.
+turn) stops by the same rule.
 """
 
 from dataclasses import replace

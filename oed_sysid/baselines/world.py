@@ -2,8 +2,7 @@ r"""What keeps real records from being what a model simulates.
 
 Where data come from the very equations that are fitted, with the very noise that is declared,
 every method looks better than at sea. A :class:`World` changes one thing at a time: disturbance
-forces
-on all equations of motion,
+forces on all equations of motion,
 
 .. math:: w_{k+1} = \varphi w_k + \sigma_w \sqrt{1 - \varphi^2}\, \varepsilon_k, \qquad
     \sigma_w = \text{share} \cdot \max |F|,

@@ -34,8 +34,7 @@ is known as well,
 
 and the range that eight in ten of them stay within is stated. Beyond ``TRUSTED`` a linear bound
 under disturbance forces promises too much (calm fins with stated errors of 30 to 80 per cent
-realised
-3.4 times more), so that no number is given there.
+realised 3.4 times more), so that no number is given there.
 """
 
 from __future__ import annotations

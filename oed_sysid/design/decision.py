@@ -21,8 +21,7 @@ before
 everything is called known. Another run must have had the chance to contradict the first; where none
 has, the one that tells most is the next. And what was known before and every record must agree
 (:mod:`oed_sysid.likelihood.between_records`), apart from differences of a tenth of the goals. Where
-they
-do not, no stated error holds, and no number of further runs mends it.
+they do not, no stated error holds, and no number of further runs mends it.
 """
 
 from __future__ import annotations

@@ -257,8 +257,7 @@ class ExpectedInformation:
         """The same with the levels of a search raised until a run tells what it will tell.
 
         Without it a search by shifts would take records in hand, judged under disturbance forces,
-        for
-        worse than what it may plan.
+        for worse than what it may plan.
         """
         if self.sea is None or self.shifts is None:
             return self

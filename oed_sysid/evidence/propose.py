@@ -2,8 +2,7 @@ r"""Propose a term for what no known effect explains.
 
 Every term of a dictionary is a force along the filtered trajectory. At frozen gain the filter
 carries it to the innovations (:mod:`oed_sysid.likelihood.smoother`), the unknowns that the model
-has
-already are projected out, and the statistic
+has already are projected out, and the statistic
 
 .. math:: T = (s' M r)^2 / s' M s
 

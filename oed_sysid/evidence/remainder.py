@@ -104,8 +104,7 @@ class Remains:
         the numbers.
     over_wiggles : mapping of str to float
         The same error, over the declared noise of each signal, or over what its high-frequency
-        content
-        show.
+        content shows.
     declared : tuple of str
         Signals whose noise was declared.
     tied : tuple of str

@@ -22,8 +22,7 @@ for every record. The correlation has the standard error
 
 (Bartlett 1935, *J. R. Stat. Soc.* 98, 536). Signals are those of the model on its own, not the
 measured ones: these follow a disturbance force because it moves the vehicle. Commands that are not
-held
-may answer it, too (a helmsman's rudder), and then nothing is asked.
+held may answer it, too (a helmsman's rudder), and then nothing is asked.
 """
 
 from __future__ import annotations

@@ -129,8 +129,7 @@ class Study:
             Whether declared levels are right and sensors have no other noise.
         disturbances : str or sequence of str
             Where disturbance forces may act: ``"auto"`` or ``"all"`` of the equations, ``"none"``
-            of
-            them, or those that are named.
+            of them, or those that are named.
         """
         levels = given_levels(model.outputs)
         if known_noise and not np.all(np.isfinite(levels)):
@@ -368,8 +367,7 @@ class Study:
         """A fit on other records: parameters held, start states and noise levels estimated.
 
         With ``same_forces`` disturbance forces are as strong and last as long as the fit says; only
-        the
-        sensors' levels are estimated.
+        the sensors' levels are estimated.
         """
         noise = found.noise if same_forces else self.loosened(found.noise)
         levels = self.levels(noise, dataset)

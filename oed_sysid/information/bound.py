@@ -2,8 +2,7 @@ r"""Information of manoeuvres, before any data exist: the Cramer-Rao bound.
 
 Of a run with whitened sensitivities :math:`J = \Sigma^{-1/2}\, \partial y / \partial(x_0, p)`,
 or with derivatives of the innovations in units of their deviations where disturbance forces act,
-start
-states and parameters of the run are eliminated by a triangular factor with them in front,
+start states and parameters of the run are eliminated by a triangular factor with them in front,
 
 .. math::
     J = Q \begin{pmatrix} R_{00} & R_{0p} \\ 0 & R_{pp} \end{pmatrix}, \qquad

@@ -15,8 +15,7 @@ What an actuator remembers (the angle of a fin that lags, the side of a play) be
 command of a record. Where the true one was :math:`s` beside it, the outputs miss
 :math:`s\,\partial y/\partial m_0`, and parameters bend to it. As for delays
 (:mod:`oed_sysid.likelihood.departures`), with ``g`` this column of one record, ``J`` those of all
-unknowns
-and :math:`\epsilon` the residuals, in units of noise,
+unknowns and :math:`\epsilon` the residuals, in units of noise,
 
 .. math:: I = g'g - g'J(J'J)^{+}J'g, \quad \hat s = \frac{g'(1 - J(J'J)^{+}J')\epsilon}{I}, \quad
     \operatorname{std}\hat s = I^{-1/2} .

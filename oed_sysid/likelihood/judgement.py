@@ -574,8 +574,7 @@ def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
     """Change of the outputs with a finer step in noise levels: the worst, its output and record.
 
     With disturbance forces the model alone may drift away; there pieces of ``PIECE`` samples begin
-    at
-    the states of the simulation.
+    at the states of the simulation.
     """
     coarse, fine = kernel(fit.model), kernel(replace(fit.model, step=fit.model.step / finer))
     sigma = fit.sigma

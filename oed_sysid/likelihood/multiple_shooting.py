@@ -65,8 +65,7 @@ from oed_sysid.runtime.threads import one_thread
 # for noise: disturbance forces are then looked for from the start values too.
 BENT = 3.0
 # Iterations of a white fit after which such residuals end it where disturbance forces are looked
-# for,
-# or known from an earlier fit, and the share of the cost that has to be left.
+# for, or known from an earlier fit, and the share of the cost that has to be left.
 PATIENCE, KNOWN, ENOUGH = 8, 2, 0.7
 # Ends of a white fit that are where it was going.
 ENDED = ("converged", "enough")

@@ -11,8 +11,7 @@ forces throw the vehicle far, ``V`` is the mean square of runs in which all is d
 What is predicted where all that is uncertain is drawn, not carried to first order.
 
 Mean squares about the prediction, of runs with parameters, start states and disturbance forces
-drawn
-together: beyond first order an unstable vehicle falls to one side or the other.
+drawn together: beyond first order an unstable vehicle falls to one side or the other.
 
 Estimated series of unknown inputs, read off a fit; see :mod:`oed_sysid.physics.unknown`.
 """

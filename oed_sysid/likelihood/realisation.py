@@ -72,8 +72,7 @@ def at_sea(
     experiment : Experiment
     noise : NoiseModel
         Sensors in the order of the model's outputs; disturbance forces in equations (``force Z``)
-        and
-        other disturbances (``sensor q``).
+        and other disturbances (``sensor q``).
     rng : numpy.random.Generator
     """
     acting = [i for i in range(len(noise.force)) if noise.force[i] > 0]

@@ -10,8 +10,7 @@ There every disturbance has variance zero. The likelihood has a slope ``s`` and 
 is what letting them in would gain in twice the log-likelihood (Silvapulle & Sen 2005,
 *Constrained statistical inference*, ch. 3). With three forces, five sensors and three times, white
 data stay below 6.8 in 95 and below 9.2 in 99 of 100 cases; above ``CLEAR`` disturbances are
-admitted
-and estimated with everything else, and stay only where that is likelier.
+admitted and estimated with everything else, and stay only where that is likelier.
 
 At variance zero nothing is corrected, so that only forces need the filter:
 

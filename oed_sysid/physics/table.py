@@ -11,8 +11,7 @@ that one row serves every axis, velocity or signal:
 
 ``{E}`` is the amplitude. The function below a row states the arguments and the paragraph; where
 names have to be worked out it returns them: a :class:`~oed_sysid.physics.parameters.Parameter`
-becomes
-one of the effect's, and anything else stands for its name in the texts.
+becomes one of the effect's, and anything else stands for its name in the texts.
 
 Hydrodynamic derivatives (:func:`derivative_row`) need less: axis, factors and unit follow from
 the name of the coefficient, SNAME (1950).

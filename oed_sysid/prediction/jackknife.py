@@ -10,8 +10,7 @@ and an interval is :math:`q \pm t_{n-1} \sqrt{\operatorname{var} q}` with Studen
 differs from record to record and no parameter says, missing structure among it, is in it; an error
 that all records share, or that of a prior, is not. Every fit of four records or more has the same
 to first order at no cost (:mod:`oed_sysid.likelihood.between_records`); refits hold what is
-nonlinear
-as well.
+nonlinear as well.
 
 References
 ----------

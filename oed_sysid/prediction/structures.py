@@ -63,8 +63,7 @@ class Structure:
         Its values are the start values.
     estimator : Estimator
         Such as :class:`~oed_sysid.likelihood.multiple_shooting.MultipleShooting`; the weight of
-        records against
-        priors is one of its settings, so that it may be averaged over as well.
+        records against priors is one of its settings, so that it may be averaged over as well.
     tests : CaptiveTests, optional
         Forces at given motion that are fitted together with the records.
     """
