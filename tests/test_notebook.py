@@ -71,7 +71,10 @@ def test_short_text_is_one_line(name: str, story: dict[str, object]) -> None:
 def test_fit_shows_values_with_their_errors(story: dict) -> None:
     """Estimates, their errors and residuals (angles in degrees) are those of the fit."""
     fit = story["fit"]
-    estimates, residuals, *_ = tables(fit)
+    estimates, intervals, residuals, *_ = tables(fit)
+    for name, interval, *_ in intervals[1:]:
+        ends = [float(end) for end in interval.split(" to ")]
+        assert ends == pytest.approx(fit.interval(name), rel=0.01)
     for name, value, error, share, unit, _ in estimates[1:]:
         assert float(value) == pytest.approx(fit.values[name], rel=1e-4)
         assert float(error) == pytest.approx(fit.std_errors[name], rel=0.06)
