@@ -68,7 +68,7 @@ PACKAGES = {
 RESULTS = {
     "oed_sysid.evidence": (
         "compare.Comparison",
-        "diagnose.Diagnosis",
+        "compare.Diagnosis",
         "improvement.Improvement",
         "improvement.Step",
         "locate.Located",
