@@ -36,7 +36,7 @@ from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 
 # Squared conditioning up to which normal equations keep ten digits of the factor.
 _SAFE_SQUARED_CONDITION = 1e5
@@ -551,7 +551,7 @@ def confirm_bound(
         predicted=predicted,
         found=np.sqrt(np.mean(errors**2, axis=0)),
         bias=errors.mean(axis=0) / predicted,
-        coverage=np.mean(np.abs(errors) < 1.96 * stated, axis=0),
+        coverage=np.mean(np.abs(errors) < TWO_SIDED_95 * stated, axis=0),
         n_runs=n_runs,
         n_failed=n_runs - len(good),
     )

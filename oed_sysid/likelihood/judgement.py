@@ -65,7 +65,7 @@ from oed_sysid.likelihood.departures import (
 )
 from oed_sysid.likelihood.estimate import Estimate
 from oed_sysid.likelihood.noise_levels import signal_spread, spike_masks, spike_sizes, white_levels
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.text.units import shown_unit
 
 # A fit goes through the verdict as what it is.
@@ -242,7 +242,7 @@ def level_concerns(fit: Estimate) -> tuple[Concern, ...]:
         factor *= float(fit.sigma[column] / declared[column])
         if abs(np.log(factor)) < max(CLEAR * error, np.log(LEVEL_FACTOR)):
             continue
-        low, high = factor * np.exp(-1.96 * error), factor * np.exp(1.96 * error)
+        low, high = factor * np.exp(-TWO_SIDED_95 * error), factor * np.exp(TWO_SIDED_95 * error)
         wrong = "small" if factor > 1.0 else "large"
         so = f"Standard errors are too {wrong} for it: set noise_std, or noise='estimate'."
         if tests and factor > 1.0:
@@ -442,8 +442,8 @@ def delay_concerns(fit: Estimate) -> tuple[Concern, ...]:
             "",
             best.seconds,
             f"The residuals look as if {best.signal} {verb} {abs(best.seconds):.3g} +/- "
-            f"{1.96 * best.std:.2g} s {late} (expected none). Compare the clocks of the log, and "
-            f"shift {best.signal}, or add a delay or lag to the model.",
+            f"{TWO_SIDED_95 * best.std:.2g} s {late} (expected none). Compare the clocks of "
+            f"the log, and shift {best.signal}, or add a delay or lag to the model.",
         ),
     )
 
@@ -470,9 +470,10 @@ def start_concerns(fit: Estimate) -> tuple[Concern, ...]:
                 one.record,
                 one.size,
                 f"In {one.record!r}{others} {one.effect} did not begin at the first command of "
-                f"{one.signal}, but {factor * one.size:.2g} +/- {1.96 * factor * one.std:.2g} "
-                f"{shown} beside it, and parameters bend to that. Let the start of each record be "
-                "estimated: unknown_start(effect, std) of oed_sysid.physics, or begin records "
+                f"{one.signal}, but {factor * one.size:.2g} +/- "
+                f"{TWO_SIDED_95 * factor * one.std:.2g} {shown} beside it, and "
+                "parameters bend to that. Let the start of each record be estimated: "
+                "unknown_start(effect, std) of oed_sysid.physics, or begin records "
                 "later.",
             ),
         )

@@ -39,7 +39,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import first_state
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.jackknife import Estimator, Purpose, leave_out
-from oed_sysid.runtime.display import align, as_dict
+from oed_sysid.runtime.display import TWO_SIDED_95, align, as_dict
 
 # Records whose strengths differ by less than this share are of one rung.
 SAME_STRENGTH = 0.05
@@ -173,7 +173,11 @@ class StructureAverage:
         rows = [("quantity", "value", "95 % interval", "half width", "structure", "records")]
         for name, value in self.values.items():
             low, high = self.interval(name)
-            halves = (0.5 * (high - low), 1.96 * self.between[name], 1.96 * self.within[name])
+            halves = (
+                0.5 * (high - low),
+                TWO_SIDED_95 * self.between[name],
+                TWO_SIDED_95 * self.within[name],
+            )
             rows.append(
                 (
                     name,
