@@ -824,8 +824,8 @@ class _Lines:
         if any(mark in block for mark in (b'"', b"\r", b"#")):
             raise ValueError
         code = np.frombuffer(block, np.uint8)
-        ends = np.flatnonzero((code == self.delimiter[0]) | (code == ord("\n")))
-        ends = np.append(ends, code.size).reshape(-1, len(self.kinds) + self.closed)
+        marks = np.flatnonzero((code == self.delimiter[0]) | (code == ord("\n")))
+        ends = np.append(marks, code.size).reshape(-1, len(self.kinds) + self.closed)
         if np.any(code[ends[:-1, -1]] != ord("\n")) or block.count(b"\n") != len(ends) - 1:
             raise ValueError
         block, seconds = self._cut(block, ends)
