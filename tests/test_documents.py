@@ -268,7 +268,7 @@ def test_sailboat() -> None:
     same(max(found[name] for name in script.DOMINANT), kept["dominant"][0])
     same(max(found.values()), kept["weak"][0])
     joint = sailboat.gibbs(script.NOISE, 0, n_draws=2000)
-    same(max(joint.extras["r_hat"].values()), kept["chains"]["joint"]["r_hat"], rel=1e-4)
+    same(max(joint.posterior.r_hat.values()), kept["chains"]["joint"]["r_hat"], rel=1e-4)
     same(script.resultant_errors(joint.model), KEPT["sailboat_speed"]["forces"])
     worst = [max(script.speed_error(lv, seed) for seed in range(8)) for lv in sailboat.LEVELS]
     same(worst, KEPT["sailboat_speed"]["errors"])

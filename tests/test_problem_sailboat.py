@@ -37,7 +37,7 @@ def test_gibbs_finds_what_carries_the_forces() -> None:
     fit = gibbs(0.02, 0, n_draws=1000)
     for name in SCRIPT.DOMINANT:
         assert fit.values[name] == pytest.approx(PROBLEM.truth[name], rel=0.02), name
-    assert max(fit.extras["r_hat"].values()) < 1.01
+    assert max(fit.posterior.r_hat.values()) < 1.01
     rates = SCRIPT.noisy_rates(0, 0.02)
     least = EquationError(rule="exact", rates=rates, coloured="never").fit(PROBLEM.model, DATA)
     assert SCRIPT.apart(fit, least) < 0.15
@@ -47,7 +47,7 @@ def test_coordinate_draws_have_not_converged_where_joint_draws_have() -> None:
     """The published draw, one coefficient at a time, mixes slowly on this problem."""
     fit = gibbs(0.1, 1, draw="coordinate", n_draws=1000)
     assert fit.status.code == "iterations"
-    assert min(fit.extras["effective_draws"].values()) < 200
+    assert min(fit.posterior.effective_draws.values()) < 200
 
 
 @pytest.mark.slow

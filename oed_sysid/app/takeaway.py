@@ -29,6 +29,7 @@ KINDS = {
     "matlab": "MATLAB / Octave",
     "control": "linear, python-control",
     "sympy": "SymPy and LaTeX",
+    "latex": "LaTeX",
 }
 # Endings of a problem folder's files that belong to it.
 _OF_A_PROBLEM = (".py", ".md", ".toml", ".txt")

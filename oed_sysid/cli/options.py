@@ -29,6 +29,11 @@ def file_place(value: Any) -> Any:
     return value
 
 
+def json_place(value: Any) -> Any:
+    """As :func:`file_place`; ``-`` is standard output. An option's callback."""
+    return value if str(value) == "-" else file_place(value)
+
+
 def folder_place(value: Any) -> Any:
     """Say before the work where files of a folder could not be written; an option's callback."""
     if value is not None:
@@ -150,7 +155,8 @@ ROWS = {
     "design.out": Row("Commands to play, one row per sample.", "CSV", check=file_place),
     "programme.out": Row("Commands of every run as tables to play.", "FOLDER", check=folder_place),
     "json_file": Row(
-        "Also write the result to FILE as JSON.", "FILE", flag="--json", check=file_place),
+        "Also write the result to FILE as JSON; to standard output where it is -.", "FILE",
+        flag="--json", check=json_place),
     "picture": Row("Also draw the result (PNG, PDF, SVG).", "FILE", check=picture_place),
     "plan": Row(
         "Kinds and numbers of cases, such as 'single/white:40 none/white:20'.",
@@ -189,7 +195,7 @@ ROWS = {
     "no_noise": Row("Without noise."),
     "truth": Row("Simulate the problem's truth, where it states one."),
     "fit": Row("What `fit --save FIT` or `improve --save FIT` kept.", "FIT", flag=""),
-    "kind": Row("c, python, casadi, fmu, matlab, control or sympy.", "KIND", flag="--as"),
+    "kind": Row("c, python, casadi, fmu, matlab, control, sympy or latex.", "KIND", flag="--as"),
     "at": Row("With --as control: inputs and states of the trim, SI.", "NAME=VALUE..."),
     "known_noise": Row(
         "Trust the noise levels that the problem declares instead of estimating them."),

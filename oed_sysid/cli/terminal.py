@@ -17,9 +17,9 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
-from oed_sysid.cli.arguments import QUIET
+from oed_sysid.cli.arguments import FORM, QUIET
 from oed_sysid.runtime.display import plain
 from oed_sysid.runtime.files import write_text
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from oed_sysid.runtime.display import Report
     from oed_sysid.runtime.journal import Journal
 
+# A file name that means standard output.
+STANDARD = Path("-")
 # Exit code of a command that Ctrl-C ended.
 INTERRUPTED = 130
 # Promised decrease of the cost below which a fit ends.
@@ -42,10 +44,27 @@ PATIENCE, EVERY = 2.0, 10.0
 _RED, _PLAIN = "\x1b[1;31m", "\x1b[0m"
 
 
+def out(text: str) -> None:
+    """Print on standard output, or on standard error where ``--json -`` has the former.
+
+    Whoever reads may stop, as ``head`` does: the rest is left unsaid, and files are written all
+    the same.
+    """
+    put(text, sys.stderr if asked("json_file") == STANDARD else sys.stdout)
+
+
+def put(text: str, stream: IO[str]) -> None:
+    """Print on a stream that may have been closed at its other end."""
+    try:
+        print(text, file=stream, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
 def say(text: str = "") -> None:
     """Print a result."""
     if not quiet():
-        print(text)
+        out(text)
 
 
 def answer(text: str, report: str = "") -> None:
@@ -58,9 +77,9 @@ def answer(text: str, report: str = "") -> None:
     report : str
         Everything else.
     """
-    print(alarming(text))
+    out(alarming(text))
     if report and not quiet():
-        print(f"\n{report}")
+        out(f"\n{report}")
 
 
 def asked(name: str) -> Any:
@@ -95,7 +114,10 @@ def deliver(
     records : iterable of Dataset or None
         What the result depends on.
     """
-    answer(report.answer, report.text() if text is None else text)
+    if kept(FORM) == "latex":
+        out(report.latex())
+    else:
+        answer(report.answer, report.text() if text is None else text)
     store(facts, asked("json_file"), records=records)
     place = asked("html_file")
     if place is not None:
@@ -160,7 +182,10 @@ def table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         grid.add_column(header, no_wrap=index < len(headers) - 1)
     for row in rows:
         grid.add_row(*row)
-    Console(width=wide, highlight=False, markup=False).print(grid)
+    console = Console(width=wide, highlight=False, markup=False)
+    with console.capture() as said:
+        console.print(grid)
+    out(said.get().rstrip("\n"))
 
 
 class Shown:
@@ -366,7 +391,10 @@ def store(
     present = [dataset for dataset in records if dataset is not None]
     made = made_by(present, command=command, settings=settings)
     text = json.dumps(plain({**result, "oed_sysid": made}), indent=2, allow_nan=False)
-    write(text + "\n", path)
+    if path == STANDARD:
+        put(text, sys.stdout)
+    else:
+        write(text + "\n", path)
 
 
 def invocation() -> tuple[str, dict[str, Any]]:

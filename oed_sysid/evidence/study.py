@@ -49,6 +49,7 @@ from oed_sysid.likelihood.random_forces import (
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.likelihood.summary import eliminate, summarise_filtered
+from oed_sysid.likelihood.whole_runs import rms, whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 
@@ -407,26 +408,11 @@ class Study:
     def rms(self, found: FilteredSolution, dataset: Dataset) -> np.ndarray:
         """Errors of the model on its own, ``(n_outputs,)``, as `compare` finds them.
 
-        Shared parameters are held, start states estimated on each record under the fit's
-        noise model; infinite where the model diverges.
+        Shared parameters are held, start states fitted to each whole record; infinite where the
+        model diverges.
         """
-        measured = np.vstack([np.isfinite(record.outputs) for record in dataset]).any(axis=0)
-        alone = self.alone(found, dataset)
-        if alone is None:
-            return np.where(measured, np.inf, np.nan)
-        squares = np.zeros(len(self.base.outputs))
-        count = np.zeros(len(squares))
-        for index, record in enumerate(dataset):
-            outputs, _, ok = alone.problem.alone(alone.point.unknowns, index)
-            residual = record.residuals(outputs)
-            seen = np.isfinite(record.outputs)
-            count += seen.sum(axis=0)
-            with np.errstate(over="ignore", invalid="ignore"):
-                squares += (np.where(seen, residual, 0.0) ** 2).sum(axis=0)
-            if not ok:
-                squares[seen.any(axis=0)] = np.inf
-        with np.errstate(invalid="ignore"):
-            return np.where(count > 0, np.sqrt(squares / np.maximum(count, 1)), np.nan)
+        model = self.model(self.effects_of(found), found.values)
+        return rms(whole_runs(model, dataset, found.noise.sensors))
 
 
 def total_error(rms: np.ndarray) -> float:

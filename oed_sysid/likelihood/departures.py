@@ -54,7 +54,7 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, Run, kernel
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.likelihood.estimate import Estimate
+from oed_sysid.likelihood.estimate import ActuatorStart, Delay, Estimate
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
@@ -65,30 +65,6 @@ CLEAR = 4.5
 COLOUR_SHARE = 0.8
 # Share of the misfit beyond noise that a delay must explain where residuals are coloured.
 DELAY_SHARE = 0.3
-
-
-@dataclass(frozen=True)
-class Delay:
-    """Score estimate of the delay of one signal.
-
-    Attributes
-    ----------
-    signal, kind : str
-        Name, and ``output`` or ``input``.
-    seconds, std : float
-        Delay and standard error, s.
-    gain : float
-        What it explains, in twice the log-likelihood.
-    share : float
-        Of the misfit beyond noise.
-    """
-
-    signal: str
-    kind: str
-    seconds: float
-    std: float
-    gain: float
-    share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,28 +239,6 @@ def values_of(fit: Estimate, index: int) -> np.ndarray:
     for name, value in (fit.local_values[index] if fit.local_values else {}).items():
         values[names.index(name)] = value
     return values
-
-
-@dataclass(frozen=True)
-class ActuatorStart:
-    """Score estimate of where an actuator began in one record.
-
-    Attributes
-    ----------
-    effect, signal, record : str
-    size, std : float
-        Actual value before the record less the first command, and its standard error, in the
-        unit of the command.
-    share : float
-        Of the record's misfit beyond noise that it explains.
-    """
-
-    effect: str
-    signal: str
-    record: str
-    size: float
-    std: float
-    share: float
 
 
 def estimate_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
