@@ -194,15 +194,20 @@ def test_odometry_is_read_in_the_axes_of_a_vehicle(tmp_path: Path) -> None:
 
 
 def test_the_table_is_another_run() -> None:
-    """Played open loop, the nominal commands leave limits that the closed loop keeps."""
-    run = experiment("zigzag", duration=240.0, limits=Limits(signals={"psi": (-0.8, 0.8)}))
-    table = played(ship(), run)
+    """Played open loop, vehicles with another trim turn away; the closed loop holds them."""
+    trim = Parameter("d", 0.02, "rad")
+    ship_ = ship()
+    rate = "(K*(rudder + d) - r)/T"
+    parameters = (*ship_.parameters, trim)
+    askew = replace(ship_, kinematics={"psi": "r", "r": rate}, parameters=parameters)
+    run = experiment("zigzag", duration=600.0, limits=Limits(signals={"psi": (-0.8, 0.8)}))
+    table = played(askew, run)
     assert not table.reacts
-    here = simulate(ship(), run, noise=False).inputs
+    here = simulate(askew, run, noise=False).inputs
     assert table.commands(["rudder"]) == pytest.approx(here)
-    rng = np.random.default_rng(0)
     closed, open_ = (
-        assess_limits(ship(), one, rng=rng, spread=0.3, vehicles=60) for one in (run, table)
+        assess_limits(askew, one, rng=np.random.default_rng(0), spread=0.3, vehicles=60)
+        for one in (run, table)
     )
     assert closed.probability > 0.9
     assert open_.probability < 0.7

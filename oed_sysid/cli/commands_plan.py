@@ -19,6 +19,8 @@ from oed_sysid.cli.terminal import (
 from oed_sysid.errors import DesignError, FileError, ProblemError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from oed_sysid.cli.terminal import Shown
     from oed_sysid.data.dataset import Dataset
     from oed_sysid.design import Design, PredictedTracks, Servo
@@ -82,6 +84,7 @@ def design(
     servo: list[str] | None = None,
     overrides: Path | None = None,
     bag: Path | None = None,
+    controller: list[str] | None = None,
     model: str | None = None,
     seed: int = 0,
     json_file: Path | None = None,
@@ -104,6 +107,7 @@ def design(
         Trial,
         design_experiment,
         predicted_tracks,
+        write_controller,
     )
     from oed_sysid.design.choices import EFFORTS, named
     from oed_sysid.experiments.problem import load_problem
@@ -115,7 +119,9 @@ def design(
     for words in said:
         note(f"Limit: {words}.")
     # What cannot be written is said now, not after the work.
-    servos = {} if overrides is None else _servos(servo or [], limits)
+    wanted = _controllers(controller or [])
+    needs_servos = overrides is not None or "ardupilot" in wanted
+    servos = _servos(servo or [], limits) if needs_servos else {}
     _check_bag(bag)
     spread = None if after else uncertainty
     caution = Caution(certainty, spread) if certainty else _usual_caution(after, certainty)
@@ -151,7 +157,13 @@ def design(
                 prior=found.prior, rng=np.random.default_rng(seed), length=length,
             )  # fmt: skip
             _card(found, partial(keep.once, "track", show_track), card, chosen.title)
-        _write_played(found, overrides, servos, bag)
+        _write_played(found, overrides, servos, bag, partial(np.random.default_rng, seed))
+        for kind, place in wanted.items():
+            rules = None if found.assurance is None else found.assurance.rules
+            write_controller(
+                place, found.model, found.experiment, kind, aborts=rules, servos=servos
+            )
+            note(f"Written: {place}")
 
 
 def _on_other_vehicles(
@@ -181,17 +193,47 @@ def _on_other_vehicles(
     return found
 
 
-def _write_played(
-    found: Design, overrides: Path | None, servos: dict[str, Servo], bag: Path | None
-) -> None:
-    """Write the commands for an autopilot: as servo pulses, or as a bag."""
-    from oed_sysid.design import write_bag, write_overrides
+def _controllers(given: list[str]) -> dict[str, Path]:
+    """Files of controllers by their kind."""
+    from oed_sysid.cli.options import file_place
+    from oed_sysid.design.controllers import KINDS
 
-    played = found.trajectory.times, found.trajectory.inputs
+    found = {}
+    for text in given:
+        kind, _, place = text.partition("=")
+        if kind not in KINDS or not place:
+            raise DesignError(
+                f"--controller {text}: write KIND=FILE, a kind of {', '.join(KINDS)}."
+            )
+        found[kind] = file_place(Path(place))
+    return found
+
+
+def _write_played(
+    found: Design,
+    overrides: Path | None,
+    servos: dict[str, Servo],
+    bag: Path | None,
+    rng: Callable[[], np.random.Generator],
+) -> None:
+    """Write the commands for an autopilot that can only play: as servo pulses, or as a bag."""
+    from oed_sysid.design import assess_limits, played, write_bag, write_overrides
+
+    if overrides is None and bag is None:
+        return
+    closed = found.assurance
+    if found.experiment.reacts and closed is not None and closed.limited:
+        table = played(found.model, found.experiment)
+        open_loop = assess_limits(
+            found.model, table, rng=rng(), limits=found.experiment.limits, spread=closed.spread,
+            prior=found.prior, vehicles=closed.n_checked, sea=found.sea,
+        )  # fmt: skip
+        note(f"Played as a table, without its feedback: {open_loop.report()}.")
+    played_back = found.trajectory.times, found.trajectory.inputs
     if overrides is not None:
-        note(f"Written: {write_overrides(overrides, found.model, *played, servos=servos)}")
+        note(f"Written: {write_overrides(overrides, found.model, *played_back, servos=servos)}")
     if bag is not None:
-        note(f"Written: {write_bag(bag, found.model, *played)}")
+        note(f"Written: {write_bag(bag, found.model, *played_back)}")
 
 
 def _tell(show: Shown, n_starts: int, n_steps: int, now: SearchProgress) -> None:

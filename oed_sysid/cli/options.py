@@ -271,12 +271,16 @@ ROWS = {
         "room that it needs).", "FILE", check=card_place),
     "length": Row("Of the vehicle, for the sea room.", "M"),
     "servo": Row(
-        "RC channels of the inputs for --overrides; their ends are those of the limits.",
+        "RC channels of the inputs for --overrides and --controller ardupilot; their ends are "
+        "those of the limits.",
         "INPUT=CHANNEL..."),
     "overrides": Row(
         "Commands as servo pulses, to send as MAVLink RC_CHANNELS_OVERRIDE.",
         "CSV", check=file_place),
     "bag": Row("Commands as a ROS 2 bag to play.", "FOLDER", check=folder_place),
+    "controller": Row(
+        "What flies the run, feedback and abort rules included: ardupilot, ros2, moos or words.",
+        "KIND=FILE..."),
     "runs": Row("Largest number of runs.", "N", least=1),
     "hours": Row("Time for everything, h.", "H"),
     "campaign.hours": Row("Time for the whole trial.", "H"),
