@@ -34,8 +34,8 @@ LAYERS = (
     "design",
     "results",
     "testing",
-    "app",
     "cli",
+    "app",
     "__main__",
 )
 # These speak to the user and therefore use the public API, as a user does.

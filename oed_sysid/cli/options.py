@@ -1,20 +1,25 @@
 """Arguments and options of all commands: one table.
 
-A command declares what it takes in its signature, in plain types; the row of a parameter's
-name, or of ``command.name`` where a command means something of its own by it, says how it is
-written and what it is. :func:`described` joins the two for typer.
+A command declares what it takes in its signature, in plain types or in groups of them; the row of
+a parameter's name, or of ``command.name`` where a command means something of its own by it, says
+how it is written and what it is. :func:`described` joins the two for typer, the page asks for its
+options by the same rows (:func:`oed_sysid.app.panels.ask`), and :func:`line_of` writes the command
+that repeats what the page was asked.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
-from dataclasses import dataclass
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, is_dataclass
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
 
+from oed_sysid.cli.study import DEFAULT_MODEL, Option, Study, Task, grouped, options_of
 from oed_sysid.errors import FileError
 from oed_sysid.runtime.files import check_place
 
@@ -108,8 +113,11 @@ class Row:
             return typer.Argument(**settings, autocompletion=known)
         choices = [word for word in self.metavar.split("|") if len(word) == 1 or word.islower()]
         complete = _one_of(choices) if default in choices else None
-        flag = self.flag or f"--{name.replace('_', '-')}"
-        return typer.Option(flag, **settings, autocompletion=complete)
+        return typer.Option(self.written(name), **settings, autocompletion=complete)
+
+    def written(self, name: str) -> str:
+        """How the option of a parameter is written."""
+        return self.flag or f"--{name.replace('_', '-')}"
 
 
 def _one_of(choices: list[str]) -> Callable[[str], list[str]]:
@@ -293,29 +301,110 @@ ROWS = {
 # fmt: on
 
 
+def row_of(command: str, name: str) -> Row:
+    """Return the row of a command's option."""
+    return ROWS.get(f"{command}.{name}") or ROWS[name]
+
+
 def described(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose signature says what the table does."""
+    """Return a command whose signature says what the table does; groups are taken apart."""
+    name = command.__name__
     hints = get_type_hints(command)
+    listed = [
+        Option(one.name, hints[one.name], one.default)
+        for one in inspect.signature(command).parameters.values()
+        if not is_dataclass(hints[one.name])
+    ]
+    listed += [one for one in options_of(command) if one.group]
+
+    @wraps(command)
+    def called(**values: Any) -> None:
+        grouped_values = {one.name for one in listed if one.group}
+        alone = {key: value for key, value in values.items() if key not in grouped_values}
+        inner = {key: value for key, value in values.items() if key in grouped_values}
+        command(**alone, **grouped(command, inner))
+
+    return declared(called, name, listed)
+
+
+def declared(
+    command: Callable[..., None], name: str, options: Iterable[Option]
+) -> Callable[..., None]:
+    """Give a function of keyword arguments the signature that typer reads."""
     listed = []
-    for name, one in inspect.signature(command).parameters.items():
-        row = ROWS.get(f"{command.__name__}.{name}") or ROWS[name]
-        declared = row.declared(name, one.default)
-        listed.append(one.replace(annotation=Annotated[hints[name], declared]))
+    for one in options:
+        several = str(one.kind).startswith("tuple")
+        kind = list[str] | None if several else one.kind
+        default = None if several and one.default == () else one.default
+        listed.append(
+            inspect.Parameter(
+                one.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=default,
+                annotation=Annotated[kind, row_of(name, one.name).declared(one.name, default)],
+            )
+        )
     command.__signature__ = inspect.Signature(listed)  # type: ignore[attr-defined]
     command.__annotations__ = {one.name: one.annotation for one in listed}
     return command
 
 
-def noise_settings(known_noise: bool, disturbances: str) -> dict[str, Any]:
-    """Settings of an estimator from ``--known-noise`` and ``--disturbances``."""
-    return {
-        "noise": "given" if known_noise else "auto",
-        "disturbances": disturbances_of(disturbances),
-    }
+def reads_of(task: Task) -> Iterator[Option]:
+    """Options of the command of a task for what it is asked about."""
+    empty = inspect.Parameter.empty
+    yield Option("problem", str, empty)
+    for word in task.reads.split():
+        name = word.strip("[]")
+        if name in ("files", "validate"):
+            yield (
+                Option(name, list[str] | None, None)
+                if word.startswith("[")
+                else Option(name, list[str], empty)
+            )
+    yield Option("model", str | None, None)
+    if "noise" in task.reads:
+        yield Option("known_noise", bool, False)
+        yield Option("disturbances", str, "auto")
 
 
-def disturbances_of(text: str) -> str | tuple[str, ...]:
-    """What ``--disturbances`` says, as estimators take it."""
-    if text in ("auto", "none", "all"):
-        return text
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+def results_of(task: Task) -> Iterator[Option]:
+    """Options of the command of a task for what becomes of the result."""
+    for name in ("json_file", "html_file", "picture"):
+        yield Option(name, Path | None, None)
+    if "journal" in task.reads:
+        yield Option("kept_in", Path | None, None)
+        yield Option("fresh", bool, False)
+
+
+def line_of(task: Task, study: Study, options: Mapping[str, Any]) -> str:
+    """Return the command that asks for a task, its records in the folders train and test.
+
+    Examples
+    --------
+    >>> from oed_sysid.cli.tasks import TASKS
+    >>> study = Study.named("remus_diving_plane")
+    >>> line_of(TASKS["rank"], study, {"experiment": ("steps", "zigzag_5_5")})
+    'oed-sysid rank remus_diving_plane --experiment steps zigzag_5_5 --html rank.html'
+    """
+    words = ["oed-sysid", task.name, study.source, *_asked_about(task, study)]
+    for name, value in task.given(options).items():
+        values = value if isinstance(value, tuple) else () if value is True else (value,)
+        words += [row_of(task.name, name).written(name), *map(_word, values)]
+    return f"{shlex.join(words)} {task.keeps} --html {task.name}.html".replace("  ", " ")
+
+
+def _asked_about(task: Task, study: Study) -> Iterator[str]:
+    """Words of a command for the records and settings of a study."""
+    if study.variant != DEFAULT_MODEL:
+        yield from ("--model", study.variant)
+    present = [name for name in ("train", "test") if getattr(study, name) is not None]
+    if "files" in task.reads:
+        yield from present[:1]
+    if "validate" in task.reads and len(present) > 1:
+        yield from ("--validate", "test")
+    if "noise" in task.reads and study.known_noise:
+        yield "--known-noise"
+
+
+def _word(value: Any) -> str:
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
