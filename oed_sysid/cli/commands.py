@@ -15,7 +15,6 @@ from oed_sysid.cli.reading import read_records_of
 from oed_sysid.cli.study import Study
 from oed_sysid.cli.tasks import Bounds, Weather, numbers, patterns_of
 from oed_sysid.cli.terminal import answer, draw, note, progress, quiet, say, store, write
-from oed_sysid.data.dataset import write_csv
 from oed_sysid.errors import DataError, DesignError, OedSysidError
 from oed_sysid.runtime.display import Figure, Table, counted
 from oed_sysid.runtime.files import check_place, make_folder
@@ -118,6 +117,7 @@ def simulate(
     """
     import numpy as np
 
+    from oed_sysid.data.dataset import write_csv
     from oed_sysid.experiments.problem import load_problem
     from oed_sysid.experiments.simulation import simulate as run
 
@@ -255,6 +255,7 @@ def _written(
     log: Log, mapping: LogMapping, problem: Problem | None, out: Path
 ) -> tuple[Imported, list[Path]]:
     """Write a CSV file for every record."""
+    from oed_sysid.data.dataset import write_csv
     from oed_sysid.data.logs import import_log
 
     channels = problem.channels if problem is not None else None

@@ -17,14 +17,12 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-import numpy as np
-
-from oed_sysid.data.dataset import Dataset, together
 from oed_sysid.errors import DataError
-from oed_sysid.experiments.problem import Problem, load_problem
 
 if TYPE_CHECKING:
+    from oed_sysid.data.dataset import Dataset
     from oed_sysid.evidence.compare import Comparison
+    from oed_sysid.experiments.problem import Problem
     from oed_sysid.likelihood.fit import Fit
     from oed_sysid.physics.base import Effect
     from oed_sysid.runtime.display import Figure, Report
@@ -64,6 +62,8 @@ class Study:
     @classmethod
     def named(cls, source: str, model: str | None = None) -> Study:
         """Return a problem without records."""
+        from oed_sysid.experiments.problem import load_problem
+
         return cls(source, model or DEFAULT_MODEL, load_problem(source, variant=model))
 
     @cached_property
@@ -103,6 +103,10 @@ class Study:
             return self.disturbances
         return tuple(name.strip() for name in self.disturbances.split(",") if name.strip())
 
+    def without_records(self) -> Study:
+        """Return the problem alone."""
+        return replace(self, train=None, test=None)
+
     def training(self) -> Dataset:
         """Return the training records.
 
@@ -123,6 +127,8 @@ class Study:
         DataError
             If there are none.
         """
+        from oed_sysid.data.dataset import together
+
         if self.train is None or self.test is None:
             return self.training() if self.test is None else self.test
         return together(self.train, self.test)
@@ -144,6 +150,8 @@ def _content(dataset: Dataset | None) -> str:
     """Digest of the names and numbers of records."""
     if dataset is None:
         return "none"
+    import numpy as np
+
     parts: list[str | bytes] = []
     for record in dataset:
         parts.append(record.name)

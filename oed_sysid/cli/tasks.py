@@ -13,15 +13,12 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from oed_sysid.cli.limit_words import with_limits
 from oed_sysid.cli.study import Outcome, Study, Task
 from oed_sysid.cli.terminal import Shown, invocation
-from oed_sysid.data.dataset import check_disjoint, together, write_csv
 from oed_sysid.errors import DataError, DesignError, FileError, ProblemError
 from oed_sysid.runtime.display import Figure
 from oed_sysid.runtime.files import make_folder, write_text
@@ -50,6 +47,8 @@ class Bounds:
 
     def limits(self, problem: Problem, show: Shown) -> Limits:
         """Return the limits of the problem, changed by those in words."""
+        from oed_sysid.cli.limit_words import with_limits
+
         limits, said = with_limits(problem.model, problem.limits, self.limit)
         for words in said:
             show.note(f"Limit: {words}.")
@@ -236,6 +235,7 @@ def fit(study: Study, show: Shown) -> Outcome:
     [bold]Example[/bold]: oed-sysid fit remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv --save fit.json
     """
+    from oed_sysid.data.dataset import check_disjoint
     from oed_sysid.evidence.check import quick_check
     from oed_sysid.evidence.compare import compare as judge
 
@@ -267,6 +267,7 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     [bold]Example[/bold]: oed-sysid compare remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv
     """
+    from oed_sysid.data.dataset import check_disjoint, together
     from oed_sysid.evidence.check import quick_check
     from oed_sysid.evidence.compare import compare as judge
 
@@ -405,6 +406,8 @@ def design(
 
     [bold]Example[/bold]: oed-sysid design auv_diving_plane --duration 120 --max-fin 10
     """
+    import numpy as np
+
     from oed_sysid.design import Knowledge, Trial, design_experiment
 
     problem = study.problem
@@ -451,6 +454,8 @@ def programme(
 
     [bold]Example[/bold]: oed-sysid programme remus_diving_plane --runs 5 --hours 2 --sea moderate
     """
+    import numpy as np
+
     from oed_sysid.design import Knowledge, ProgrammeSearch, design_programme
 
     problem = study.problem
@@ -565,7 +570,8 @@ class Rounds:
             self._began.append(now)
         if len(self._began) < 2:
             return None
-        return float(np.diff(self._began).max()) * (self._n_most - round + 1)
+        longest = max(b - a for a, b in pairwise(self._began))
+        return longest * (self._n_most - round + 1)
 
     def tell(self, what: str) -> None:
         """Tell what is being done, and how long it takes at most."""
@@ -593,6 +599,8 @@ def _on_other_vehicles(
     found: Design, limits: Limits, spread: float | None, seed: int, show: Shown
 ) -> Design:
     """State how likely the limits are kept and, at sea, how accurate other vehicles become."""
+    import numpy as np
+
     from oed_sysid.design import accuracy_range, assess_limits
 
     if found.assurance is None:
@@ -651,6 +659,7 @@ class Corrected(Files):
 
     def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
         """Write the copies."""
+        from oed_sysid.data.dataset import write_csv
         from oed_sysid.evidence.check import corrected_copies, why_not_more
 
         if self.fix is None:
@@ -726,6 +735,8 @@ class Played(Files):
         self, found: Design, path: Path, title: str, show: Shown, settings: Mapping[str, Any]
     ) -> None:
         """Write the card as text, as a page or as one sheet of A4."""
+        import numpy as np
+
         from oed_sysid.design import predicted_tracks
         from oed_sysid.results import figure_card, save_figure
 

@@ -22,13 +22,13 @@ from typing import IO, TYPE_CHECKING, Any
 from oed_sysid.cli.arguments import FORM, QUIET
 from oed_sysid.runtime.display import plain
 from oed_sysid.runtime.files import write_text
-from oed_sysid.runtime.journal import Journal, unfinished_folder
 
 if TYPE_CHECKING:
     from oed_sysid.cli.study import Outcome
     from oed_sysid.data.dataset import Dataset
     from oed_sysid.likelihood.gauss_newton import Progress
     from oed_sysid.runtime.display import Figure
+    from oed_sysid.runtime.journal import Journal
 
 # A file name that means standard output.
 STANDARD = Path("-")
@@ -167,6 +167,8 @@ class Shown:
         journal: Journal | None = None,
         told: Callable[[str], None] | None = None,
     ) -> None:
+        from oed_sysid.runtime.journal import Journal
+
         self.journal = Journal() if journal is None else journal
         self.note = note
         self._told = told
@@ -330,6 +332,8 @@ def journal(folder: Path | None, fresh: bool = False, *, keeping: bool = True) -
         For the calculation.
     """
     import typer
+
+    from oed_sysid.runtime.journal import Journal, unfinished_folder
 
     try:
         place = (folder or unfinished_folder()) if keeping else None
