@@ -26,6 +26,7 @@ from oed_sysid.baselines.equations import Rows, regression_form, rows_of
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.estimate import Posterior
 from oed_sysid.likelihood.fit import Fit, Status
 from oed_sysid.likelihood.information import (
     COLOUR_LIMIT,
@@ -58,6 +59,7 @@ def fit_from_values(
     status: Status = CONVERGED,
     iterations: int = 1,
     known: Mapping[str, float] | None = None,
+    posterior: Posterior | None = None,
     extras: Mapping[str, Any] | None = None,
 ) -> Fit:
     """Simulate every record with the estimated values and build the result.
@@ -86,6 +88,8 @@ def fit_from_values(
         Iterations or samples.
     known : mapping of str to float, optional
         Known start of some states in all records; others are measured, or zero.
+    posterior : Posterior, optional
+        Draws, of a sampler.
     extras : mapping, optional
         What else the estimator has to tell.
     """
@@ -137,6 +141,7 @@ def fit_from_values(
         status=status,
         iterations=iterations,
         seconds=time.perf_counter() - began,
+        posterior=posterior,
         extras=dict(extras or {}),
     )
 
@@ -185,6 +190,8 @@ class Regression:
     status : Status
     iterations : int
         Iterations or samples.
+    posterior : Posterior or None
+        Draws, of a sampler.
     extras : mapping
         What else there is to tell.
     """
@@ -195,6 +202,7 @@ class Regression:
     coloured: bool = False
     status: Status = CONVERGED
     iterations: int = 1
+    posterior: Posterior | None = None
     extras: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,17 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.likelihood.archive import check_fit, decode_result, encode, made_by, write_result
 from oed_sysid.likelihood.between_records import RecordScatter, Sources
 from oed_sysid.likelihood.disturbances import places
-from oed_sysid.likelihood.estimate import Estimate, Status, checked_scatter
+from oed_sysid.likelihood.estimate import (
+    ActuatorStart,
+    Attempts,
+    CaptiveErrors,
+    Delay,
+    Estimate,
+    Posterior,
+    ProcessNoiseTest,
+    Status,
+    checked_scatter,
+)
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.judgement import Concern, grave, judge
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -109,7 +118,33 @@ class Fit(Estimate):
     sources : Sources, or None
         What priors and each record say of the shared parameters, apart from one another; None
         where the estimator does not tell. See :mod:`oed_sysid.likelihood.between_records`.
+    nominal : mapping of str to float
+        Start values of the estimated parameters; empty where the estimator does not tell.
+    excluded : mapping of str to pair of int
+        Samples that were left out as spikes, of how many, by output.
+    process_noise : ProcessNoiseTest, or None
+        What the fit to white noise said of process noise; None where it was not tested for.
+    tests_scatter : bool
+        Whether independent tests scatter more than their noise, so that their part of the
+        standard errors is from their residuals.
+    captive : CaptiveErrors, or None
+        Errors of captive tests that were fitted along.
+    horizon : float, or None
+        Seconds ahead that the fit predicts, in ``n_windows`` windows; None for whole records.
+    n_windows : int
+    attempts : Attempts, or None
+        Where all starts ended; None where there was one.
+    posterior : Posterior, or None
+        Draws of a sampler.
+    extras : mapping
+        What else an estimator tells of its way, such as the course of a recursion. Nothing in the
+        package is decided by it.
     """
+
+    @classmethod
+    def of_saved(cls, **content: Any) -> Fit:
+        """Build a fit of the fields of a file; of version 0.1 some were told in ``extras``."""
+        return cls(**_typed(content))
 
     @cached_property
     def concerns(self) -> tuple[Concern, ...]:
@@ -358,15 +393,18 @@ class Fit(Estimate):
 
     def _captive_lines(self) -> list[str]:
         """Forces at given motion that were fitted along, one line each."""
-        errors: Mapping[str, float] = self.extras.get("captive", {})
-        sizes: Mapping[str, float] = self.extras.get("captive_misfit", {})
+        told = self.captive or CaptiveErrors({}, {})
         lines = [
-            f"captive {axis}: error {sizes[axis]:.3g} x noise"
-            + (f", {100 * error:.3g} % of its rms" if np.isfinite(error) else "")
-            for axis, error in errors.items()
-            if np.isfinite(sizes.get(axis, np.nan))
+            f"captive {axis}: error {size:.3g} x noise"
+            + (
+                f", {100 * told.relative[axis]:.3g} % of its rms"
+                if told.relative[axis] < np.inf
+                else ""
+            )
+            for axis, size in told.in_noise.items()
+            if np.isfinite(size)
         ]
-        if self.extras.get("tests_scatter"):
+        if self.tests_scatter:
             lines.append(
                 "Forces of the captive tests scatter more than their noise allows: their part "
                 "of the standard errors is from their residuals, in whatever order."
@@ -544,11 +582,44 @@ class Fit(Estimate):
     )  # fmt: skip
 
 
+def _typed(content: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a fit, with what version 0.1 kept in ``extras`` as what it is now."""
+    extras = dict(content.get("extras", {}))
+    told: dict[str, Any] = {}
+    for name, field in (("nominal", "nominal"), ("excluded", "excluded"), ("horizon", "horizon"),
+                        ("tests_scatter", "tests_scatter"), ("windows", "n_windows")):  # fmt: skip
+        if name in extras:
+            told[field] = extras.pop(name)
+    if extras.keys() & {"disturbance_test", "process_noise_failed"}:
+        delay = extras.pop("white_delay", None)
+        told["process_noise"] = ProcessNoiseTest(
+            extras.pop("disturbance_test", np.inf),
+            extras.pop("process_noise_failed", ""),
+            None if delay is None else Delay(*(*delay, np.nan, np.nan)),
+            tuple(ActuatorStart(*one) for one in extras.pop("white_starts", ())),
+        )
+    if "captive" in extras:
+        errors = extras.pop("captive")
+        told["captive"] = CaptiveErrors(errors, extras.pop("captive_misfit", {}))
+    for field, kind in (("attempts", Attempts), ("posterior", Posterior)):
+        names = [one.name for one in fields(kind)]
+        if extras.keys() >= set(names):
+            told[field] = kind(*(extras.pop(name) for name in names))
+    extras.pop("magnitudes", None)
+    return {**content, **told, "extras": extras} if "extras" in content else content
+
+
 # Everything that a saved fit is made of.
 ARCHIVED: tuple[type, ...] = (
     *(
         Fit,
         Status,
+        ProcessNoiseTest,
+        Delay,
+        ActuatorStart,
+        CaptiveErrors,
+        Attempts,
+        Posterior,
         Information,
         NoiseModel,
         RecordScatter,

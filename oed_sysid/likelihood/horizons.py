@@ -391,8 +391,7 @@ def fit_horizons(
     Returns
     -------
     Fit
-        Its predictions and residuals are those of the windows; ``extras["horizon"]`` tells their
-        length.
+        Its predictions and residuals are those of the windows.
     """
     began = time.perf_counter()
     check_horizon(shooting, horizon)
@@ -439,11 +438,9 @@ def fit_horizons(
         status=Status(reason, _ADVICE[reason]),
         iterations=iterations,
         seconds=time.perf_counter() - began,
-        extras={
-            "horizon": horizon,
-            "windows": problem.n_windows,
-            **({"tests_scatter": True} if scattered else {}),
-        },
+        horizon=horizon,
+        n_windows=problem.n_windows,
+        tests_scatter=scattered,
     )
 
 

@@ -41,7 +41,7 @@ the misfit is one and the iterations converge. :func:`grave` says so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -53,8 +53,6 @@ from oed_sysid.likelihood.covariance import clear_peaks
 from oed_sysid.likelihood.departures import (
     CLEAR,
     COLOUR_SHARE,
-    ActuatorStart,
-    Delay,
     clear_delay,
     clear_starts,
     estimate_delays,
@@ -308,19 +306,20 @@ def colour_concerns(fit: Estimate) -> tuple[Concern, ...]:
 
 def _process_noise(fit: Estimate) -> tuple[Concern, ...]:
     """Process noise that acts, but whose estimation failed."""
-    if (reason := fit.extras.get("process_noise_failed")) is None:
+    test = fit.process_noise
+    if test is None or not test.failed:
         return ()
-    gain = float(fit.extras.get("disturbance_test", np.inf))
     return (
         Concern(
             "process_noise",
             "",
             "",
-            gain,
-            f"Process noise seems to act (2 delta ln L is about {gain:.3g} by the score test), but "
-            f"the fit with it ended with {reason!r}: these values are from the fit without it. "
-            "Look for what is missing with improve() and for faults of the log with "
-            "`oed-sysid check`, or name the disturbed equations, such as disturbances=('Z', 'M').",
+            test.statistic,
+            f"Process noise seems to act (2 delta ln L is about {test.statistic:.3g} by the score "
+            f"test), but the fit with it ended with {test.failed!r}: these values are from the "
+            "fit without it. Look for what is missing with improve() and for faults of the log "
+            "with `oed-sysid check`, or name the disturbed equations, such as "
+            "disturbances=('Z', 'M').",
         ),
     )
 
@@ -378,8 +377,7 @@ def _absorbed(fit: Estimate) -> tuple[Concern, ...]:
 def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """Isolated outliers, and those that the fit has left out."""
     found = []
-    excluded: Mapping[str, Sequence[int]] = fit.extras.get("excluded", {})
-    for name, (count, total) in excluded.items():
+    for name, (count, total) in fit.excluded.items():
         found.append(
             Concern(
                 "spikes",
@@ -424,9 +422,9 @@ def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
 
 def delay_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """A delay of one signal: the one that explains most, others follow once it is mended."""
-    if "white_delay" in fit.extras:
-        name, kind, seconds, std = fit.extras["white_delay"]
-        best: Delay | None = Delay(name, kind, seconds, std, np.nan, np.nan)
+    best = None if fit.process_noise is None else fit.process_noise.delay
+    if best is not None:
+        pass  # found before disturbance forces absorbed it
     elif fit.innovations is not None or not fit.names:
         return ()
     else:
@@ -450,8 +448,9 @@ def delay_concerns(fit: Estimate) -> tuple[Concern, ...]:
 
 def start_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """Actuators that did not begin at their first command, the clearest record of each."""
-    if "white_starts" in fit.extras:  # disturbance forces absorb a start
-        clear = tuple(ActuatorStart(*one) for one in fit.extras["white_starts"])
+    clear = () if fit.process_noise is None else fit.process_noise.actuator_starts
+    if clear:
+        pass  # found before disturbance forces absorbed it
     elif fit.innovations is not None or not fit.names:
         return ()
     else:
@@ -525,12 +524,11 @@ def input_concerns(fit: Estimate) -> tuple[Concern, ...]:
 
 def _other_way(fit: Estimate) -> tuple[Concern, ...]:
     """Inputs that act reversed, or in another unit, than the start values say."""
-    nominal = fit.extras.get("nominal")
-    if not fit.status.ok or not nominal:
+    if not fit.status.ok or not fit.nominal:
         return ()
     return tuple(
         Concern("other_way", one.channel.name, "", one.factor, one.text)
-        for one in other_way(fit, nominal)
+        for one in other_way(fit, fit.nominal)
     )
 
 
@@ -539,10 +537,11 @@ def _other_way(fit: Estimate) -> tuple[Concern, ...]:
 
 def _runaway(fit: Estimate) -> tuple[Concern, ...]:
     """Values far beyond any scale."""
-    magnitudes: Mapping[str, float] = fit.extras.get("magnitudes", {})
     for name, value in fit.values.items():
         parameter = fit.model.parameter(name)
-        scale = max(magnitudes.get(name, 0.0), parameter.scale or 0.0)
+        scale = parameter.scale or 0.0
+        if name in fit.nominal:
+            scale = replace(parameter, value=fit.nominal[name]).magnitude
         # Without a scale: beyond what any coefficient in SI units can be.
         most = RUNAWAY if np.isfinite(fit.std_errors.get(name, 0.0)) else UNSEEN
         limit = most * scale if scale > 0 else 1e15

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -15,6 +15,7 @@ from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.likelihood.departures import clear_delay, clear_starts, estimate_delays
 from oed_sysid.likelihood.disturbances import Place, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
+from oed_sysid.likelihood.estimate import ProcessNoiseTest
 from oed_sysid.likelihood.estimator import (
     check_count,
     check_disturbances,
@@ -104,7 +105,7 @@ class MultipleShooting:
     loss : str
         ``"auto"`` is the square, and leaves out samples that clearly are spikes at the fit
         without process noise, before process noise is tested for (NaN in the fit's own data,
-        counted in ``extras["excluded"]`` and in the report); ``"square"`` keeps them;
+    counted in ``fit.excluded`` and in the report); ``"square"`` keeps them;
         ``"huber"`` and ``"student"`` let them count less. With a ``horizon``, ``"auto"`` is
         the square.
     start : str
@@ -275,21 +276,19 @@ class MultipleShooting:
         task = _Task(model, known_starts, estimated, began, carried)
         fit = white = self._summary(task, end, weighed=not wanted)
         interrupted = fit.status.code == "interrupted"
-        told = _nominal(model)
         if self.loss == "auto" and not interrupted:
-            fit, excluded = self._without_spikes(fit, model, known_starts)
-            told |= excluded
+            fit = self._without_spikes(fit, model, known_starts)
         disturbed = None
         if wanted and not interrupted:
             fit, disturbed = self._disturbed(fit, task)
         if disturbed is not None:
-            disturbed = _judged(disturbed, end, told)
+            disturbed = _judged(replace(disturbed, excluded=fit.excluded), end, model)
             if not self._tests(model) or disturbed.status.code not in FAILED:
                 return disturbed
-            told["process_noise_failed"] = disturbed.status.code
+            fit = _failed(fit, disturbed.status.code)
         if wanted:
             fit, end = self._weighed(fit, white, task, end)
-        fit = _judged(fit, end, told)
+        fit = _judged(fit, end, model)
         if disturbed is None or fit.status.code not in FAILED:
             return fit
         # No better without process noise.
@@ -398,12 +397,9 @@ class MultipleShooting:
             solution = minimise(end.shooting, end.solution.point) or end.solution
             end = _End(end.shooting, solution, end.iterations + solution.iterations)
         whole = self._summary(task, end)
-        kept = {key: told for key, told in fit.extras.items() if key not in white.extras}
-        return replace(whole, extras={**kept, **whole.extras}), end
+        return replace(whole, process_noise=fit.process_noise), end
 
-    def _without_spikes(
-        self, fit: Fit, model: Model, known_starts: KnownStarts | None
-    ) -> tuple[Fit, dict[str, object]]:
+    def _without_spikes(self, fit: Fit, model: Model, known_starts: KnownStarts | None) -> Fit:
         """Fit again without samples that stand out alone, and how many of how many they were."""
         before, again, iterations = _measured(fit.dataset), fit, fit.iterations
         plain = replace(self, loss="square", disturbances="none")
@@ -423,7 +419,7 @@ class MultipleShooting:
             again = looking._fit(model, left, again, None, known_starts)
             iterations += again.iterations
         if again is fit:
-            return fit, {}
+            return fit
         again = plain._fit(model, again.dataset, again, None, known_starts)
         after = _measured(again.dataset)
         counts = {
@@ -431,7 +427,7 @@ class MultipleShooting:
             for name, n, m in zip(model.output_names, before, after, strict=True)
             if m < n
         }
-        return replace(again, iterations=iterations + again.iterations), {"excluded": counts}
+        return replace(again, iterations=iterations + again.iterations, excluded=counts)
 
     def _disturbed(self, fit: Fit, task: _Task) -> tuple[Fit, Fit | None]:
         """Go on from a white fit with process noise and autocorrelated sensors, where they act.
@@ -454,7 +450,7 @@ class MultipleShooting:
             test = _score(fit, task, setting, starts[0], kernel, tests=self._tests(task.model))
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
-        fit = replace(fit, extras={**fit.extras, "disturbance_test": test.gain})
+        fit = replace(fit, process_noise=ProcessNoiseTest(test.gain))
         if self._tests(task.model) and test.gain < CLEAR:
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
@@ -464,11 +460,12 @@ class MultipleShooting:
             if found is not None and not _no_likelier(found, fit):
                 break
         if found is None:
-            return replace(fit, extras={**fit.extras, "process_noise_failed": "diverged"}), None
+            return _failed(fit, "diverged"), None
         if self._tests(task.model) and _no_likelier(found, fit):
             return fit, None
-        extras = {**found.extras, "disturbance_test": test.gain, **_absorbable(fit)}
-        return fit, replace(found, extras=extras, model=with_levels(found.model, found.noise))
+        told = _before_absorbed(fit, test.gain)
+        model = with_levels(found.model, found.noise)
+        return fit, replace(found, process_noise=told, model=model)
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
         """Where process noise may act; None where there is no such place."""
@@ -644,19 +641,16 @@ def _first_point(shooting: Shooting, warm: Fit | None, *, guessed: bool) -> Poin
     return warm_point(shooting, warm)
 
 
-def _judged(fit: Fit, end: _End, told: Mapping[str, object]) -> Fit:
-    """The fit with all that is told of it, and a status that holds for its values."""
+def _judged(fit: Fit, end: _End, begun: Model) -> Fit:
+    """The fit with the values that it began from, and a status that holds for its own."""
     fit = with_step_advice(fit, end.shooting, end.solution)
-    return with_verdict(replace(fit, extras={**fit.extras, **told}))
+    return with_verdict(replace(fit, nominal={p.name: p.value for p in begun.free_parameters}))
 
 
-def _nominal(model: Model) -> dict[str, object]:
-    """What is told of the start values."""
-    free = model.free_parameters
-    return {
-        "magnitudes": {p.name: p.magnitude for p in free},
-        "nominal": {p.name: p.value for p in free},
-    }
+def _failed(fit: Fit, code: str) -> Fit:
+    """The fit without process noise, told how the one with it ended."""
+    assert fit.process_noise is not None
+    return replace(fit, process_noise=replace(fit.process_noise, failed=code))
 
 
 def _starts(fit: Fit, task: _Task, setting: Setting) -> list[Start]:
@@ -698,14 +692,12 @@ def _score(
     return test
 
 
-def _absorbable(fit: Fit) -> dict[str, object]:
-    """Delays and starts of actuators at the white fit: process noise absorbs them."""
-    found: dict[str, object] = {}
-    if fit.names and (late := clear_delay(fit, estimate_delays(fit))) is not None:
-        found["white_delay"] = (late.signal, late.kind, late.seconds, late.std)
-    if fit.names and (elsewhere := clear_starts(fit)):
-        found["white_starts"] = tuple(astuple(one) for one in elsewhere)
-    return found
+def _before_absorbed(fit: Fit, statistic: float) -> ProcessNoiseTest:
+    """The test at the white fit, with delays and starts of actuators that the forces absorb."""
+    if not fit.names:
+        return ProcessNoiseTest(statistic)
+    late, elsewhere = clear_delay(fit, estimate_delays(fit)), clear_starts(fit)
+    return ProcessNoiseTest(statistic, delay=late, actuator_starts=elsewhere)
 
 
 def _measured(dataset: Dataset) -> np.ndarray:

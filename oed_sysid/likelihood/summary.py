@@ -17,7 +17,6 @@ import numpy as np
 
 from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.data.record import Record
 from oed_sysid.likelihood.between_records import Sources, eliminate_own, scatter_of, sources_of
 from oed_sysid.likelihood.covariance import (
     ReducedProblem,
@@ -189,14 +188,8 @@ def summarise(
         iterations=iterations,
         seconds=time.perf_counter() - began,
         start_states=_described(shooting.known_starts, model),
-        extras=_told(shooting.records, scattered),
+        tests_scatter=scattered and any(record.independent for record in shooting.records),
     )
-
-
-def _told(records: Sequence[Record], scattered: bool) -> dict[str, bool]:
-    """Whether independent tests, where there are some, tell their errors themselves."""
-    tests = any(record.independent for record in records)
-    return {"tests_scatter": True} if tests and scattered else {}
 
 
 def summarise_filtered(
@@ -300,7 +293,7 @@ def summarise_filtered(
             for part, seen in zip(passes, measured, strict=True)
         ),
         start_states=_described(problem.known_starts, model),
-        extras=_told(problem.records, covariance is not white),
+        tests_scatter=covariance is not white,
     )
 
 
