@@ -56,7 +56,7 @@ CASADI_LAYERS = (
 )
 MATPLOTLIB_LAYERS = ("results",)
 FORBIDDEN_NAMES = ("utils", "util", "helpers", "helper", "common", "misc")
-MEDIAN_LINES = 360
+MEDIAN_LINES = 400
 
 
 def modules(folder: Path) -> list[Path]:
