@@ -35,7 +35,7 @@ from oed_sysid.likelihood.noise_levels import (
     start_levels,
     without_spikes,
 )
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.likelihood.nonlinear_program import NonlinearProgram
 from oed_sysid.likelihood.random_forces import (
     Start,
@@ -117,12 +117,15 @@ class MultipleShooting:
         Called with a :class:`~oed_sysid.likelihood.gauss_newton.Progress` after every iteration.
     solver : Solver
         Method, iterations, tolerance; constraints among parameters.
-    disturbances : str or sequence of str
+    disturbances : str, Sea or sequence of these
         Disturbance forces. ``"auto"`` tests at the white fit whether any act (a score test
         at variance zero) and, if so, estimates their levels and times with everything
         else; ``"none"`` takes residuals for sensor noise; ``"all"`` lets a force into
         every equation; or the equations, states or places that are disturbed, such as
-        ``("Z", "M")`` or ``("actuator fin",)``. See :mod:`oed_sysid.likelihood.noise_model`.
+        ``("Z", "M")`` or ``("actuator fin",)``. Where forces act, narrow-band ones are tested
+        for and taken in their place (:mod:`oed_sysid.likelihood.sea`); ``Sea(period=8.0)``
+        declares one, of which what is left out is estimated. See
+        :mod:`oed_sysid.likelihood.noise_model`.
     horizon : float or None
         How far ahead the fit has to be right, s: records are predicted in windows of this
         length, each from a start state of its own (:mod:`oed_sysid.likelihood.horizons`). ``None``
@@ -137,7 +140,7 @@ class MultipleShooting:
     coloured: str = "auto"
     progress: Callable[[Progress], None] | None = None
     solver: Solver = Solver()  # noqa: RUF009 (frozen)
-    disturbances: str | Sequence[str] = "auto"
+    disturbances: str | Sea | Sequence[str | Sea] = "auto"
     horizon: float | None = None
 
     def __post_init__(self) -> None:
@@ -180,6 +183,20 @@ class MultipleShooting:
     def _white_only(self) -> bool:
         """Whether the settings leave no room for disturbance forces."""
         return self.solver.method == "ipopt" or self.loss not in ("auto", "square")
+
+    @property
+    def _seas(self) -> tuple[Sea, ...]:
+        """Seas that are declared."""
+        given = (self.disturbances,) if isinstance(self.disturbances, Sea) else self.disturbances
+        return tuple(one for one in given if isinstance(one, Sea))
+
+    @property
+    def _named(self) -> str | tuple[str, ...]:
+        """What is asked for besides; forces everywhere where there is nothing but a sea."""
+        if isinstance(self.disturbances, str):
+            return self.disturbances
+        given = () if isinstance(self.disturbances, Sea) else self.disturbances
+        return tuple(one for one in given if isinstance(one, str)) or "all"
 
     @property
     def name(self) -> str:
@@ -449,7 +466,7 @@ class MultipleShooting:
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
         """Where process noise may act; None where there is no such place."""
-        asked = "all" if self.disturbances == "auto" else self.disturbances
+        asked = "all" if self.disturbances == "auto" else self._named
         try:
             places = () if asked == "none" else chosen_places(model, asked)
         except ModelError:
@@ -476,6 +493,8 @@ class MultipleShooting:
             inputs=() if chosen else inputs,
             known=[process.place for process in declared if process.known],
             known_starts=task.known_starts,
+            seas=self._seas,
+            any_sea=not self._seas,
         )
 
     def _estimated(
