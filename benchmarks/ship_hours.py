@@ -40,7 +40,7 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -48,7 +48,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import RESULTS, Store, ignorant, machine, markdown
-from benchmarks.limits import inside
+from benchmarks.missing_physics.simulator import SAMPLE, STEP, SUBSTEPS, Case, Fin, _Truth
 from benchmarks.random_forces.scenarios import MEDIUM
 from oed_sysid import Experiment, Limits, Model, NoiseModel, load_problem
 from oed_sysid.design import (
@@ -73,6 +73,8 @@ BATCH = 20
 THRUSTS = (5.0, 9.0, 14.0)  # N, the second that of the standard trials, the last the most there is
 # Targets: share of the standard programme's ship time; share of vehicles that keep the limits.
 TARGETS, KEPT = {"D": 0.5, "A": 0.25}, 0.95
+# Limits of the REMUS-like vehicle: pitch, rad, and depth, m.
+PITCH, LEAST, MOST = math.radians(45.0), 2.0, 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,6 +232,47 @@ def limits_kept(
             np.stack(played, axis=2), values, np.stack(forces, axis=2),
             (run.initial["u"], run.initial["z"]),
         )  # fmt: skip
+    return kept
+
+
+def inside(
+    commands: np.ndarray,
+    vehicles: Sequence[Mapping[str, float]],
+    forces: np.ndarray,
+    start: tuple[float, float],
+) -> np.ndarray:
+    """Which vehicles keep the limits, side by side.
+
+    Parameters
+    ----------
+    commands : ndarray (n_times, 2, n_vehicles or 1)
+        Fin, rad, and thrust, N, held from sample to sample.
+    vehicles : sequence of mapping
+        Derivatives by name.
+    forces : ndarray (n_times, 3, n_vehicles)
+        X, Z in N, M in N m, held from sample to sample.
+    start : tuple of float
+        Speed, m/s, and depth, m.
+
+    Returns
+    -------
+    ndarray of bool (n_vehicles,)
+    """
+    n = len(vehicles)
+    truth = _Truth([Case("v", values) for values in vehicles])
+    commands = np.broadcast_to(commands, (*commands.shape[:2], n))
+    state = np.zeros((9, n))
+    state[0] = state[7] = start[0]
+    state[4] = state[6] = start[1]
+    fin = Fin(truth, commands[0, 0])
+    kept = np.ones(n, dtype=bool)
+    for k in range(len(commands) - 1):
+        fin.command(commands[k, 0])
+        for sub in range(SUBSTEPS):
+            time = k * SAMPLE + sub * STEP
+            state = truth.advance(state, time, fin.advance(sub), commands[k, 1], forces[k])
+            pitch, depth = state[3], state[4]
+            kept &= (np.abs(pitch) <= PITCH) & (depth >= LEAST) & (depth <= MOST)
     return kept
 
 

@@ -174,3 +174,12 @@ def test_an_improvement_that_takes_too_long_is_an_abort() -> None:
     began = time.process_time()
     while time.process_time() - began < 0.3:
         sum(range(1000))
+
+
+def test_problem_of_the_times_has_its_size() -> None:
+    """Twelve states, twenty-five free parameters and 36,030 samples."""
+    from benchmarks.speed import six_degrees_task
+
+    model, train, _ = six_degrees_task()
+    assert (len(model.state_names), len(model.free_names)) == (12, 25)
+    assert sum(record.outputs.size for record in train) == 36030

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.scoreboard import (
-    boehm,
     circles,
     esso_osaka,
     glider,
@@ -27,7 +26,6 @@ BOARDS: dict[str, Callable[[], list[Row]]] = {
     "turns": turns.score,
     "roll_decay": roll_decay.score,
     "glider": glider.score,
-    "boehm": boehm.score,
 }
 TARGET = Path(__file__).resolve().parent.parent.parent / "docs" / "scoreboard.md"
 HEAD = """# Scoreboard

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.scoreboard.esso_osaka import further, pieces
-from benchmarks.scoreboard.row import Row, attempted, refused
+from benchmarks.scoreboard.row import Row, attempted
 from oed_sysid import Channels, Dataset, Fit, Model, MultipleShooting, Record, load_problem
 from oed_sysid.errors import DataError, OedSysidError, SimulationError
 from oed_sysid.experiments.indices import turning_indices
@@ -191,21 +191,22 @@ def further_rows(
     path: Path, sources: Mapping[str, tuple[Sequence[Structure], Dataset]], channels: Channels
 ) -> list[Row]:
     """Rows of one further file, or why its turn cannot be scored."""
-    try:
-        longest = max(pieces(path, channels), key=lambda piece: piece.duration)
-        turns(Dataset((longest,)))  # before anything is fitted: is it a turn to 180 degrees?
-    except Exception as error:
-        return [refused(f"Esso Osaka, {path.stem}, turn", "-", path.name, error)]
-    rows: list[Row] = []
-    for what, (structures, train) in sources.items():
 
-        def score_one(
-            what: str = what, structures: Sequence[Structure] = structures, train: Dataset = train
-        ) -> Sequence[Row]:
-            return _rows(what, predicted(structures, train, Dataset((longest,))))
+    def longest() -> Dataset:
+        """The turn, refused before anything is fitted if it is none to 180 degrees."""
+        test = Dataset((max(pieces(path, channels), key=lambda piece: piece.duration),))
+        turns(test)
+        return test
 
-        rows += attempted(f"Esso Osaka, {path.stem}, turn from {what}", "-", path.name, score_one)
-    return rows
+    return attempted(
+        f"Esso Osaka, {path.stem}, turn", "-", path.name,
+        lambda: [
+            row
+            for test in [longest()]
+            for what, (structures, train) in sources.items()
+            for row in _rows(what, predicted(structures, train, test))
+        ],
+    )  # fmt: skip
 
 
 def _rows(what: str, found: tuple[StructureAverage, Mapping[str, float]]) -> Sequence[Row]:

@@ -459,11 +459,12 @@ def _white_alone(part: FilterPass, entries: Sequence[tuple[int, int]]) -> Filter
 
 
 def disturbed_model(model: Model, disturbances: Sequence[str]) -> Model:
-    """The model with disturbances as free parameters, all else as it is.
+    """The model with disturbances as free parameters, each once, all else as it is.
 
     Random effects that the model holds already are only let loose.
     """
     effects: list[Effect] = []
+    disturbances = tuple(dict.fromkeys(disturbances))
     present = [name for name in disturbances if name in model.parameter_names]
     if present:  # a model that is built anew is checked anew
         model = model.free(*present)
