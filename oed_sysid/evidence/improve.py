@@ -55,7 +55,7 @@ from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import level_concerns
-from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
+from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -257,7 +257,7 @@ def _ended(
 
 def _unexplained(end: _Ended) -> bool:
     """Whether structure is missing under disturbance forces, and whole runs miss much."""
-    if end.left.kind != "structure missing" or not end.left.random:
+    if not end.left.structured:
         return False
     study = end.state.study
     missed = study.rms(end.state.fit, study.train) / signal_spread(study.train)
@@ -450,8 +450,6 @@ def _result(
         for number, one in enumerate(state.added, start=1)
     ]
     yardstick = Yardstick.of(study.train, sigma)
-    worst = rms[-1]["test"] if study.validation is not None else rms[-1]["train"]
-    shares, ratios = _missed(study, sigma, worst, yardstick)
     term = None
     if proposals is not None and proposals.best is not None:
         term = Term.of(proposals, steps[-1], state.replaced)
@@ -467,9 +465,8 @@ def _result(
         location=location,
         remains=replace(
             end.left,
-            shares=shares,
-            over_wiggles=ratios,
-            declared=tuple(np.array(study.base.output_names)[~study.estimated].tolist()),
+            training=fits[-1].whole_runs,
+            validation=None if study.validation is None else fits[-1].runs_on(study.validation),
             suspect=_suspect(log, steps),
         ),
         parameters=parameter_table(fits[-1]),
@@ -482,20 +479,6 @@ def _result(
         skipped=study.skipped,
         last=found.last if steps else None,
     )
-
-
-def _missed(
-    study: Study, sigma: np.ndarray, worst: np.ndarray, yardstick: Yardstick
-) -> tuple[dict[str, float], ...]:
-    """What whole runs miss of every output beyond noise, over its spread and over its noise."""
-    # Noise that nobody declared is what the fastest content shows, whatever a fit took for noise.
-    fast = np.where(study.estimated, np.minimum(sigma, credible_levels(study.train)[0]), sigma)
-    excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0))
-    pairs = (
-        zip(study.base.output_names, excess / unit, strict=True)
-        for unit in (yardstick.spread, fast)
-    )
-    return tuple({name: float(v) for name, v in pair if not np.isnan(v)} for pair in pairs)
 
 
 def _suspect(log: LogCheck | None, steps: Sequence[Step]) -> str:

@@ -28,6 +28,7 @@ from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.judgement import Concern, grave, judge
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.prediction import Initial, Prediction, predict
+from oed_sysid.likelihood.whole_runs import WholeRuns, judged_runs
 from oed_sysid.physics import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.channels import Channels, Input, Output, State
@@ -155,6 +156,26 @@ class Fit(Estimate):
     def grave(self) -> tuple[Concern, ...]:
         """Why the values must not be used although the fit converged; see :mod:`.explained`."""
         return grave(self, self.concerns)
+
+    @cached_property
+    def whole_runs(self) -> WholeRuns:
+        """Errors of whole runs, and whether noise as estimated could have left them."""
+        return judged_runs(self, unasked=self._unasked)
+
+    def runs_on(self, dataset: Dataset) -> WholeRuns:
+        """The same on records that the fit has not seen."""
+        return judged_runs(self, dataset, unasked=self._unasked)
+
+    @property
+    def _unasked(self) -> str:
+        """Why runs under the noise model would not be those of the sea; empty where they would."""
+        waves = [one for one in self.concerns if one.kind == "swing"]
+        if not waves or not self.noise.has_forces:
+            return ""
+        return (
+            f"innovations are narrow-band about {waves[0].size:.2g} s, which the noise model "
+            "does not hold"
+        )
 
     @property
     def caveat(self) -> str:

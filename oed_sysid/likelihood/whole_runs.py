@@ -39,13 +39,19 @@ from oed_sysid.experiments.simulation import simulate_batch
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.estimate import Estimate
 from oed_sysid.likelihood.gauss_newton import Solution, solve
-from oed_sysid.likelihood.noise_levels import given_levels, signal_spread, white_levels
+from oed_sysid.likelihood.noise_levels import (
+    DIFFERENCE_ERROR,
+    given_levels,
+    signal_spread,
+    white_levels,
+)
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.realisation import gauss_markov
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
+from oed_sysid.text.units import shown_unit
 
 # Runs drawn, the widths that z is in are then known to a tenth; and those at once.
 DRAWS, CHUNK = 120, 20
@@ -352,21 +358,85 @@ class WholeRuns:
 
     @property
     def beyond(self) -> tuple[str, ...]:
-        """Outputs whose runs lie beyond what the noise model would have left, declared noise."""
-        told = self.declared | self.process_noise
-        return tuple(
-            name
-            for name, z, sure in zip(self.outputs, self.z, told, strict=True)
-            if sure and abs(z) > BEYOND
-        )
+        """Outputs whose runs the noise model would not have left.
+
+        Runs of sensors alone that are too good tell a level that is declared too large. Where the
+        level of a sensor was not declared, it may be the sensor.
+        """
+        if self.process_noise:
+            outside = np.abs(self.z) > BEYOND
+        else:
+            outside = (self.z > BEYOND) & self.declared
+        return tuple(n for n, out in zip(self.outputs, outside, strict=True) if out)
+
+    @property
+    def objections(self) -> tuple[str, ...]:
+        """Why the noise model could not have left these runs, in words; empty where it could."""
+        if self.diverging:
+            return (f"whole runs diverge in {', '.join(self.diverging)}",)
+        found = []
+        sides = dict(zip(self.outputs, self.z, strict=True))
+        good = [name for name in self.beyond if sides[name] < 0]
+        bad = [name for name in self.beyond if sides[name] > 0]
+        if good:
+            found.append(
+                f"process noise this strong would not have left whole runs as good in "
+                f"{', '.join(good)}"
+            )
+        if bad:
+            what = "process noise" if self.process_noise else "noise of the sensors"
+            found.append(f"{what} would not have left whole runs as bad in {', '.join(bad)}")
+        if self.process_noise and not self.unasked and self.ratio > WORSE:
+            found.append(
+                f"with process noise a whole run is off {self.ratio:.2g} times as much as without"
+            )
+        if not self.process_noise and (away := self._absorbed()):
+            found.append(f"noise of the sensors cannot be most of {', '.join(away)}")
+        return tuple(found)
+
+    def _absorbed(self) -> list[str]:
+        """Outputs of unknown noise that would be more noise than signal."""
+        return [n for n, share in self.shares.items() if share > 0.5 and n not in self.beyond]
+
+    @property
+    def open_questions(self) -> tuple[str, ...]:
+        """What these runs could not tell, in words."""
+        found = [f"whole runs were not asked: {self.unasked}"] if self.unasked else []
+        if not self.process_noise:
+            doubtful = [
+                f"{name} ({error / noise:.2g} times its high-frequency content)"
+                for name, error, noise, z, declared in zip(
+                    self.outputs, self.error, self.noise, self.z, self.declared, strict=True
+                )
+                if z > BEYOND and not declared
+            ]
+            if doubtful:
+                found.append(
+                    f"what is left of {', '.join(doubtful)} may be its sensor or the model: "
+                    "declare its noise (noise_std)"
+                )
+        return tuple(found)
+
+    @property
+    def sizes(self) -> str:
+        """Whole-run errors in units and per cent of the signals, the largest three, in words."""
+        rows = []
+        for name, unit, error, spread in zip(
+            self.outputs, self.units, self.error, self.spread, strict=True
+        ):
+            if np.isfinite(error):
+                factor, shown = shown_unit(unit)
+                words = f"{factor * error:.2g} {shown}".rstrip()
+                rows.append((error / spread, f"{words} ({100 * error / spread:.2g} %) of {name}"))
+        return ", ".join(words for _, words in sorted(rows, reverse=True)[:3])
 
     @property
     def took_the_work(self) -> bool:
         """Whether process noise has taken the work of physics."""
-        return self.process_noise and bool(self.diverging or self.beyond or self.ratio > WORSE)
+        return self.process_noise and bool(self.objections)
 
     to_dict = as_dict(
-        "ratio", "process_noise", "unasked", "took_the_work",
+        "ratio", "process_noise", "unasked", "objections", "open_questions",
         outputs=lambda self: {
             name: {
                 "error": error, "unit": unit, "without_process_noise": without, "noise": noise,
@@ -380,24 +450,35 @@ class WholeRuns:
     )  # fmt: skip
 
 
-def granted_noise(
-    dataset: Dataset, model: Model, noise: NoiseModel
-) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviation that every sensor is granted, and whether it was declared.
+@dataclass(frozen=True, eq=False)
+class _Granted:
+    """Standard deviation that every sensor is granted.
 
-    Returns
-    -------
+    Attributes
+    ----------
     levels : ndarray (n_outputs,)
         Declared, or of the records' high-frequency content where that is larger: no model and no
         option enters. That content where nothing was declared, and what a fit estimated where the
         records do not show it.
-    known : ndarray of bool (n_outputs,)
+    declared : ndarray of bool (n_outputs,)
+    error : ndarray (n_outputs,)
+        Standard error of the logarithm of the variance; zero where it is no estimate.
     """
-    declared = given_levels(model.outputs)
-    fast, seen = white_levels(dataset)
-    known = np.isfinite(declared)
-    own = np.where(seen, fast, noise.sensors)
-    return np.where(known, np.fmax(declared, np.where(seen, fast, 0.0)), own), known
+
+    levels: np.ndarray
+    declared: np.ndarray
+    error: np.ndarray
+
+    @classmethod
+    def of(cls, dataset: Dataset, declared: np.ndarray, fitted: np.ndarray) -> _Granted:
+        """The levels of some records, where some are declared and a fit has its own."""
+        fast, seen = white_levels(dataset)
+        known = np.isfinite(declared)
+        levels = np.where(known, declared, fitted)
+        taken = seen & (~known | (fast > declared))
+        count = sum(np.isfinite(record.outputs).sum(axis=0) for record in dataset)
+        error = 2.0 * DIFFERENCE_ERROR / np.sqrt(np.maximum(count, 1))
+        return cls(np.where(taken, fast, levels), known, np.where(taken, error, 0.0))
 
 
 def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "") -> WholeRuns:
@@ -413,37 +494,38 @@ def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "
         Why draws would say nothing (waves that the noise model does not hold); errors are told
         all the same.
     """
-    model, noise, n_outputs = fit.model, fit.noise, len(fit.model.outputs)
+    model, noise = fit.model, fit.noise
     dataset = fit.dataset if other is None else other
-    levels, known = granted_noise(dataset, model, noise)
-    own = runs = whole_runs(model, dataset, levels, _starts(fit) if other is None else None)
+    declared = given_levels(model.outputs)
+    granted = _Granted.of(dataset, declared, noise.sensors)
+    own = runs = whole_runs(model, dataset, granted.levels, None if other else _starts(fit))
     error = without = rms(own)
     if other is None and not noise.is_white:
-        runs = without_process_noise(fit, levels) or own
+        runs = without_process_noise(fit, granted.levels) or own
         without = rms(runs)
-    z = np.full(n_outputs, np.nan)
+    z = np.full(len(declared), np.nan)
     if dataset.only_tests:
         unasked = unasked or "independent tests have no runs"
     if not unasked:
         root = None if other is None else _scatter(fit)
-        # Sensors are no noisier than they are granted, whatever a fit took for their noise.
-        sensors = noise.at_most(np.where(known | (not noise.has_forces), levels, np.inf))
-        z, unasked = _departure(runs, sensors, root)
-        coarse = known & (z < -BEYOND)
+        # Sensors are no noisier than they are granted, whatever a fit took for their noise; beside
+        # process noise only where that was declared.
+        taken = granted.declared | (not noise.has_forces)
+        sensors = noise.at_most(np.where(taken, granted.levels, np.inf))
+        z, unasked = _departure(runs, sensors, granted.error, root)
+        coarse = granted.declared & (z < -BEYOND)
         if coarse.any() and not noise.has_forces:
-            # Runs better than their declared noise could have left them: it is not their noise.
-            fast, seen = white_levels(dataset)
-            found = np.where(seen, np.minimum(fast, levels), rms(runs))
-            levels, known = np.where(coarse, found, levels), known & ~coarse
-            z, unasked = _departure(runs, noise.at_most(levels), root)
+            # The declared noise would not have left runs as good: it is not the sensor's.
+            granted = _Granted.of(dataset, np.where(coarse, np.nan, declared), without)
+            z, unasked = _departure(runs, noise.at_most(granted.levels), granted.error, root)
     return WholeRuns(
         model.output_names,
         tuple(output.unit for output in model.outputs),
         error,
         without,
         signal_spread(dataset),
-        levels,
-        known,
+        granted.levels,
+        granted.declared,
         z,
         noise.has_forces,
         unasked,
@@ -491,12 +573,12 @@ def without_process_noise(fit: Estimate, sigma: np.ndarray) -> tuple[WholeRun, .
 
 
 def _departure(
-    runs: Sequence[WholeRun], noise: NoiseModel, root: np.ndarray | None
+    runs: Sequence[WholeRun], noise: NoiseModel, error: np.ndarray, root: np.ndarray | None
 ) -> tuple[np.ndarray, str]:
     """``z`` of every output, and why not where it cannot be told.
 
-    With a ``root`` of the covariance of the shared parameters these are not estimated from the runs
-    but scatter.
+    ``error`` is that of the logarithm of the sensors' variance. With a ``root`` of the covariance
+    of the shared parameters these are not estimated from the runs but scatter.
     """
     if any(run.jacobian is None for run in runs):
         return np.full(len(noise.white), np.nan), "the model diverges without process noise"
@@ -515,7 +597,7 @@ def _departure(
     with np.errstate(divide="ignore", invalid="ignore"):
         low, middle, high = np.quantile(np.log(drawn), [0.16, 0.5, 0.84], axis=0)
         distance = np.log(seen) - middle
-        z = distance / np.where(distance > 0, high - middle, middle - low)
+        z = distance / np.hypot(np.where(distance > 0, high - middle, middle - low), error)
     measured = np.any([(run.weights() > 0).any(axis=0) for run in runs], axis=0)
     return np.where(measured, z, np.nan), ""
 
