@@ -276,12 +276,15 @@ class Fit(Estimate):
             warnings=(
                 *([] if log is None else log.warning().splitlines()),
                 *(f"Do not use these values: {concern.text}" for concern in self.grave),
+                *self._taken(),
             ),
             head=(
                 ("records", ", ".join(self._record_words())),
                 ("observations", f"{self.n_observations}"),
                 ("status", f"{self.status} ({self.iterations} iterations, {self.seconds:.2g} s)"),
                 ("misfit", misfit),
+                ("one step", f"{self.one_step_rms:.3f} x its standard deviation"),
+                ("whole runs", self.whole_runs.sizes or "none"),
             ),
             numbers=(
                 ("misfit", f"{self.normalised_rms:.3g} × noise"),
@@ -303,6 +306,16 @@ class Fit(Estimate):
         )
 
     report = as_text
+
+    def _taken(self) -> list[str]:
+        """Words where process noise has taken the work of physics."""
+        if not self.whole_runs.took_the_work:
+            return []
+        return [
+            "Process noise has taken the work of physics: "
+            f"{'; '.join(self.whole_runs.objections)}. Look for what is missing with improve(); "
+            "for runs, simulation and export take the values of replayed(fit)."
+        ]
 
     def _answer(self, comparison: Any) -> str:
         """Whether the fit can be used, how certain it is, and how well it fits and predicts."""
@@ -326,6 +339,8 @@ class Fit(Estimate):
             )
         elif not self.normalised_rms < EXPLAINED:
             words += ", so the model lacks something"
+        if self.whole_runs.sizes:
+            words += f"; whole runs are off {self.whole_runs.sizes}"
         if comparison is not None:
             size = comparison.best.relative
             words += f"; errors on the validation records {size:.3g} × noise"
@@ -585,7 +600,7 @@ class Fit(Estimate):
 
     to_dict = as_dict(
         "estimator", "iterations", "seconds", "cost", "normalised_rms", "covariance", "rms",
-        "noise_std", "concerns", "grave", "status",
+        "noise_std", "concerns", "grave", "status", "one_step_rms", "whole_runs",
         model="model.name", records="dataset.names", coloured_residuals="coloured",
         # Null where nothing tells: three records or fewer, another estimator.
         parameters=lambda self: [
