@@ -77,6 +77,13 @@ class System:
             initial=self.initial, feedback="true",
         )  # fmt: skip
 
+    def trial(self, limits: Limits) -> Trial:
+        """What a design may do."""
+        return Trial(
+            limits=limits, duration=self.duration, sample_time=self.sample_time,
+            constants=self.constants, initial=self.initial,
+        )  # fmt: skip
+
     def limits(self, degrees: float, *, envelope: bool) -> tuple[Limits, dict[str, float]]:
         """The zigzag's own amplitude, rate and largest attitude; or those of the vehicle."""
         record = simulate(self.model, self.zigzag(degrees), noise=False)
@@ -193,13 +200,7 @@ def designed(
     limits, _ = system.limits(degrees, envelope=envelope)
     return design_experiment(
         system.model,
-        Trial(
-            limits=limits,
-            duration=system.duration,
-            sample_time=system.sample_time,
-            constants=system.constants,
-            initial=system.initial,
-        ),
+        system.trial(limits),
         criterion=criterion,
         rng=np.random.default_rng(1),
         search=Search(family=Levels(60), n_workers=2),
@@ -288,13 +289,7 @@ def robustness(
         try:
             design = design_experiment(
                 system.model,
-                Trial(
-                    limits=limits,
-                    duration=system.duration,
-                    sample_time=system.sample_time,
-                    constants=system.constants,
-                    initial=system.initial,
-                ),
+                system.trial(limits),
                 caution=caution,
                 rng=np.random.default_rng(1),
                 search=Search(

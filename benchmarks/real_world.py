@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.harness import between
 from oed_sysid.baselines.benchmark import OURS, WORLDS, Row, benchmark
 from oed_sysid.baselines.contest import (
     BELIEVERS,
@@ -99,15 +100,6 @@ def _pooled(row: Row) -> float:
     return float(np.median(row.by_seed))
 
 
-def written(page: str, lines: Sequence[str]) -> str:
-    """The page with the section between the marks written anew."""
-    body = "\n".join([BEGIN, *lines, END])
-    if BEGIN in page:
-        before, _, rest = page.partition(BEGIN)
-        return before + body + rest.partition(END)[2]
-    return page.rstrip() + "\n\n" + body + "\n"
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the grid and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -131,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     lines = table(result.rows, given.estimators)
     print("\n".join(lines))
     page = given.output.read_text(encoding="utf-8") if given.output.is_file() else ""
-    given.output.write_text(written(page, lines), encoding="utf-8")
+    given.output.write_text(between(page, BEGIN, END, lines), encoding="utf-8")
 
 
 if __name__ == "__main__":

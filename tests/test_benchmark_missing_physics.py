@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.missing_physics.cases import CONDITIONS, Draw, case, draws  # noqa: E402
-from benchmarks.missing_physics.measures import as_markdown, measures  # noqa: E402
-from benchmarks.missing_physics.run import BY_HAND, page  # noqa: E402
-from benchmarks.missing_physics.simulator import (  # noqa: E402
+from benchmarks.missing_physics.cases import CONDITIONS, Draw, case, draws
+from benchmarks.missing_physics.measures import as_markdown, measures
+from benchmarks.missing_physics.run import BY_HAND, page
+from benchmarks.missing_physics.simulator import (
     NOISE_STD,
     PRIORS,
     TEST,

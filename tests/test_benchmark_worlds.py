@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.real_world import BEGIN, END, table, written
+from benchmarks.harness import between
+from benchmarks.real_world import BEGIN, END, table
 from oed_sysid.baselines.benchmark import (
     WORLDS,
     Benchmark,
@@ -134,7 +135,7 @@ def test_spikes_hurt_who_takes_them_for_motion(tmp_path: Path) -> None:
     )
     lines = table(result.rows, ["multiple_shooting", "multiple_shooting_disturbed"])
     assert len(lines) == 4
-    page = written(f"head\n{BEGIN}\nold\n{END}\ntail\n", lines)
+    page = between(f"head\n{BEGIN}\nold\n{END}\ntail\n", BEGIN, END, lines)
     assert page.startswith("head\n")
     assert page.endswith("tail\n")
     assert "old" not in page

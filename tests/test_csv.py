@@ -16,6 +16,7 @@ from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError, ProblemError, UnitWarning
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.text import csv_table
 from oed_sysid.text.csv_table import Table, read_table, write_table
 
 HEADER = "t [s];theta [rad];z [m]"
@@ -96,6 +97,67 @@ def test_written_numbers_read_back_exactly(tmp_path: Path) -> None:
     table = read_table(tmp_path / "a.csv")
     np.testing.assert_array_equal(table.values, values)
     assert table.headers[1] == "b, corrected"
+
+
+CELLS = (
+    "0",
+    "1.5",
+    "-2e-3",
+    "+7",
+    ".5",
+    "5.",
+    "",
+    " ",
+    "nan",
+    "NA",
+    "null",
+    " 1",
+    "2 ",
+    "1e400",
+    "inf",
+)
+ODD = ("x", "1,5", "1 2", "0x1F", "1_0", "--1", "1e", '"3"', "#", "\u0663", "1.2.3", "12:00:01")
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_read_in_blocks_as_cell_by_cell(
+    tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the parser of blocks accepts is what the careful reader makes of the same file."""
+    rng = np.random.default_rng(seed)
+    monkeypatch.setattr(csv_table, "_BLOCK", 64)
+    accepted = 0
+    for _ in range(120):
+        delimiter, end = rng.choice([",", ";", "\t"]), rng.choice(["\n", "\r\n"])
+        n_columns, n_rows = rng.integers(1, 5), int(rng.integers(1, 30))
+        table = [list(rng.choice(CELLS, n_columns)) for _ in range(n_rows)]
+        kinds = rng.choice(4, n_columns, p=[0.7, 0.15, 0.1, 0.05])
+        for number, row in enumerate(table):
+            row[:] = [
+                {1: f"12:00:{number:02d}.5", 2: "AUTO", 3: str(number)}.get(kind, cell)
+                for kind, cell in zip(kinds, row, strict=True)
+            ]
+        if rng.random() < 0.3:
+            table[rng.integers(n_rows)][rng.integers(n_columns)] = str(rng.choice(ODD))
+        close = delimiter if rng.random() < 0.2 else ""
+        lines = [*([str(h) for h in ("# remark", "")] * int(rng.integers(2)))]
+        lines += [delimiter.join(f"c{i} [m]" for i in range(n_columns)) + close]
+        lines += [delimiter.join(row) + close for row in table]
+        path = tmp_path / "log.csv"
+        path.write_bytes((end.join(lines) + end * int(rng.integers(3))).encode())
+        quick = csv_table._quick(path, True)
+        if quick is None:
+            continue
+        accepted += 1
+        slow = csv_table._cell_by_cell(path, True)
+        np.testing.assert_array_equal(quick.values, slow.values)
+        np.testing.assert_array_equal(quick.row_numbers, slow.row_numbers)
+        assert (quick.headers, quick.stamps, quick.faults) == (
+            slow.headers,
+            slow.stamps,
+            slow.faults,
+        )
+    assert accepted > 12
 
 
 SHIP = Channels((Input("delta", "rad"),), (Output("psi", "rad"), Output("r", "rad/s")))

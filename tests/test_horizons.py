@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from turning_ship import CUBIC, GAIN, SHIP, TIME, record
 
 from oed_sysid import Dataset, Model, MultipleShooting, Parameter
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.horizons import Horizons
 from oed_sysid.likelihood.shooting import Shooting
-from tests.turning_ship import CUBIC, GAIN, SHIP, TIME, record
 
 
 @pytest.fixture(scope="module")

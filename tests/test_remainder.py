@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.preparation import coarser, prepared
 from oed_sysid.evidence.remainder import RandomForceFound, Remains, remains
 from oed_sysid.evidence.residual_forces import _Part, _share, _standard_error
-from oed_sysid.evidence.search import confirmed
 from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.information import lagged_products
@@ -340,27 +338,6 @@ def test_lagged_products() -> None:
     series = np.array([1.0, -2.0, 0.5, 3.0])
     expected = [series @ series, series[:-1] @ series[1:], series[:-2] @ series[2:]]
     np.testing.assert_allclose(lagged_products(series, 2), expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("gain", "excess", "distance", "agree"),
-    [
-        (3.0, 1.1, 9.0, True),  # more likely: that is enough
-        (0.3, 3.0, 0.9, True),  # they could not tell, and training leaves no doubt
-        (0.3, 1.5, 0.9, False),  # training does leave some
-        (-0.6, 3.8, 0.7, True),
-        (-2.5, 3.8, 0.7, False),  # less likely than chance
-        (0.3, 3.0, 6.0, False),  # 36 +- 12 were expected
-        (1.9, 2.1, 14.7, False),
-    ],
-)
-def test_silence_is_no_contradiction(
-    gain: float, excess: float, distance: float, agree: bool
-) -> None:
-    """An effect that validation records do not move need not gain there."""
-    study = SimpleNamespace(validation=(), apart=lambda *_: distance)
-    fit = SimpleNamespace()
-    assert confirmed(study, fit, fit, gain, excess) == agree  # type: ignore[arg-type]
 
 
 YAW = Model(

@@ -9,26 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.documents import turns
 from benchmarks.scoreboard import __main__ as board
 from benchmarks.scoreboard import (
-    circles,
     esso_osaka,
-    glider,
     roll_decay,
     silverbox,
     tanks,
-    turns,
 )
 from benchmarks.scoreboard.row import Row, attempted, columns
-from oed_sysid import Dataset, MultipleShooting, Record, load_problem
+from oed_sysid import Record, load_problem
 from oed_sysid.data.third_party import data_folder
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.prediction.structures import Structure
-from problems.esso_osaka.manoeuvring import MMG
-from problems.esso_osaka.missing import WIND
 from problems.esso_osaka.records import HEADER, load
-from problems.kvlcc2.structures import ahead
 
 MEASURED = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 
@@ -345,20 +339,6 @@ def test_columns_are_read_by_name(tmp_path: Path) -> None:
             columns(path, "V1", "V2")
 
 
-def test_errors_of_indices_are_relative() -> None:
-    """The error is that of the prediction over the measured 3.11 lengths."""
-
-    class Average:
-        values = {"advance port": 3.15}  # noqa: RUF012
-
-        def interval(self, name: str) -> tuple[float, float]:
-            return 3.0, 3.3
-
-    row = circles.row_of("advance", "port", Average())  # type: ignore[arg-type]
-    assert row.ours == pytest.approx(100 * (3.15 / 3.11 - 1))
-    assert row.published.startswith("-1.8 %")
-
-
 def test_silverbox_is_read_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """V1 and V2 in volts; a short record and one in millivolts are refused."""
     monkeypatch.setenv("OED_SYSID_DATA", str(tmp_path))
@@ -425,43 +405,3 @@ def test_further_logs_are_scored_each_for_itself(
     assert "its longest piece without gaps in time has 9.9 s" in rows["c_short"].note
     assert "times do not increase" in rows["d_reversed"].note
     assert rows["e_binary"].note.startswith("cannot be scored: e_binary.csv: e_binary.csv has")
-
-
-@MEASURED
-@pytest.mark.slow
-def test_further_turns_are_scored(tmp_path: Path) -> None:
-    """The turn of a further file scores as the registered one that it is a copy of."""
-    data = load_problem("esso_osaka").data()
-    train = Dataset(tuple(record for record in data if record.name.startswith("zigzag")))
-    model = ahead(10.0).fit(MMG + WIND, train).model
-    few = tuple(Structure(f"{own:g} s", model, ahead(own)) for own in (10.0, 20.0))
-    structures = tuple(turns.remembering(one) for one in few)
-    path = tmp_path / "turn_copy.csv"
-    shutil.copy(data_folder() / TURN, path)
-    channels = data[0].channels
-    rows = turns.further_rows(path, {"zigzags": (structures, train)}, channels)
-    again = turns._rows(
-        "zigzags", turns.predicted(few, train, Dataset((data["turn_10_starboard_35"],)))
-    )
-    assert [row.ours for row in rows] == pytest.approx([row.ours for row in again])
-    assert rows[0].what == "Esso Osaka, turn_copy, advance from zigzags, error"
-    fitted = structures[0].estimator.found  # type: ignore[attr-defined]
-    before = len(fitted)
-    write_log(path, load(data_folder() / TURN)[:1200])  # before the turn
-    (row,) = turns.further_rows(path, {"zigzags": (structures, train)}, channels)
-    assert row.instead == "cannot be scored"
-    assert row.note.startswith("cannot be scored: turn_copy.csv: ")
-    assert len(fitted) == before
-
-
-@MEASURED
-def test_a_search_that_did_not_end_is_said() -> None:
-    """The note names the inertia of the steady model and that its fit did not converge."""
-    problem = load_problem("slocum_glider")
-    one = Dataset((problem.data()[0],))
-    fit = MultipleShooting(disturbances="none", start="near", max_iterations=2).fit(
-        problem.model, one
-    )
-    note = glider.note_of(fit)
-    assert "inertia of 14 kg" in note
-    assert f"not converged after {fit.iterations} iterations" in note

@@ -8,24 +8,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.scoreboard import (
-    circles,
     esso_osaka,
-    glider,
     roll_decay,
     silverbox,
     tanks,
-    turns,
 )
 from benchmarks.scoreboard.row import Row, attempted
 
 BOARDS: dict[str, Callable[[], list[Row]]] = {
     "silverbox": silverbox.score,
     "tanks": tanks.score,
-    "circles": circles.score,
     "esso_osaka": esso_osaka.score,
-    "turns": turns.score,
     "roll_decay": roll_decay.score,
-    "glider": glider.score,
 }
 TARGET = Path(__file__).resolve().parent.parent.parent / "docs" / "scoreboard.md"
 HEAD = """# Scoreboard

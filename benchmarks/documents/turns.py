@@ -10,19 +10,14 @@ is used. Indices are of the track that u, v and heading integrate to, measured a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from benchmarks.scoreboard.esso_osaka import further, pieces
-from benchmarks.scoreboard.row import Row, attempted
-from oed_sysid import Channels, Dataset, Fit, Model, MultipleShooting, Record, load_problem
-from oed_sysid.errors import DataError, OedSysidError, SimulationError
+from oed_sysid import Dataset, Fit, MultipleShooting, Record, load_problem
+from oed_sysid.errors import DataError, SimulationError
 from oed_sysid.experiments.indices import turning_indices
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.prediction.jackknife import Estimator
 from oed_sysid.prediction.structures import (
     Structure,
     StructureAverage,
@@ -33,7 +28,6 @@ from problems.esso_osaka.manoeuvring import MMG
 from problems.esso_osaka.mavmm import MAVMM
 from problems.esso_osaka.missing import WIND
 from problems.esso_osaka.particulars import LENGTH
-from problems.esso_osaka.records import VALIDATION
 from problems.kvlcc2.structures import HORIZON, HORIZONS, REGRESSION, SCORED, ahead, variants
 
 QUANTITIES = ("advance", "transfer", "tactical_diameter")
@@ -111,43 +105,11 @@ def turns(dataset: Dataset) -> tuple[Callable[[Fit], Mapping[str, float]], dict[
     return purpose, measured
 
 
-@dataclass(frozen=True)
-class Remembered:
-    """An estimator that fits the same records once: several turns are asked of the same fits."""
-
-    estimator: Estimator
-    found: dict[tuple[str, ...], Fit | OedSysidError] = field(default_factory=dict)
-
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """The fit of these records, made before or now; one model only."""
-        if dataset.names not in self.found:
-            try:
-                self.found[dataset.names] = self.estimator.fit(model, dataset)
-            except OedSysidError as error:
-                self.found[dataset.names] = error
-        known = self.found[dataset.names]
-        if isinstance(known, OedSysidError):
-            raise known
-        return known
-
-
-def remembering(structure: Structure) -> Structure:
-    """The structure, never fitted twice to the same records."""
-    return replace(structure, estimator=Remembered(structure.estimator))
-
-
-def prepared(train: Dataset) -> tuple[Structure, ...]:
-    """The candidates for these records, to be asked for several turns."""
-    return tuple(map(remembering, candidates(train)))
-
-
-def predicted(
-    structures: Sequence[Structure], train: Dataset, test: Dataset
-) -> tuple[StructureAverage, dict[str, float]]:
+def predicted(train: Dataset, test: Dataset) -> tuple[StructureAverage, dict[str, float]]:
     """The rule applied: turns of ``test`` from the records of ``train``, and what was measured."""
     purpose, measured = turns(test)
     average = average_structures(
-        structures,
+        candidates(train),
         train,
         purpose=purpose,
         strength=peak_input("delta"),
@@ -155,74 +117,6 @@ def predicted(
         scored=[name for name in measured if name.split()[0] in SCORED],
     )
     return average, measured
-
-
-def score() -> list[Row]:
-    """Errors of turns that nothing was fitted to, from zigzags alone and with other turns.
-
-    Turns of further files, whose names begin with ``turn``, are predicted one by one from the
-    zigzags, and from these and all registered turns.
-    """
-    data = load_problem("esso_osaka").data()
-    held = [r.name for r in data if r.name in VALIDATION and r.name.startswith("turn")]
-    test = Dataset(tuple(data[name] for name in held))
-    manoeuvres = [r for r in data if not r.name.startswith("random")]
-    zigzags = Dataset(tuple(r for r in manoeuvres if r.name.startswith("zigzag")))
-    others = Dataset(tuple(r for r in manoeuvres if r.name not in held))
-    from_zigzags = prepared(zigzags)
-    rows = [
-        *_rows("zigzags", predicted(from_zigzags, zigzags, test)),
-        *_rows("zigzags and two other turns", predicted(prepared(others), others, test)),
-    ]
-    paths = [path for path in further() if path.stem.startswith("turn")]
-    if not paths:
-        return rows
-    every = Dataset(tuple(manoeuvres))
-    sources = {
-        "zigzags": (from_zigzags, zigzags),
-        "zigzags and the four turns": (prepared(every), every),
-    }
-    for path in paths:
-        rows += further_rows(path, sources, data[0].channels)
-    return rows
-
-
-def further_rows(
-    path: Path, sources: Mapping[str, tuple[Sequence[Structure], Dataset]], channels: Channels
-) -> list[Row]:
-    """Rows of one further file, or why its turn cannot be scored."""
-
-    def longest() -> Dataset:
-        """The turn, refused before anything is fitted if it is none to 180 degrees."""
-        test = Dataset((max(pieces(path, channels), key=lambda piece: piece.duration),))
-        turns(test)
-        return test
-
-    return attempted(
-        f"Esso Osaka, {path.stem}, turn", "-", path.name,
-        lambda: [
-            row
-            for test in [longest()]
-            for what, (structures, train) in sources.items()
-            for row in _rows(what, predicted(structures, train, test))
-        ],
-    )  # fmt: skip
-
-
-def _rows(what: str, found: tuple[StructureAverage, Mapping[str, float]]) -> Sequence[Row]:
-    average, measured = found
-    rows = []
-    for name, value in measured.items():
-        low, high = average.interval(name)
-        quantity, run = name.split(maxsplit=1)
-        note = (
-            f"95 % interval {100 * (low / value - 1):+.0f} to {100 * (high / value - 1):+.0f} %; "
-            f"measured {value:.2f} L"
-        )
-        error = 100 * (average.values[name] / value - 1)
-        title = f"Esso Osaka, {run}, {quantity.replace('_', ' ')} from {what}, error"
-        rows.append(Row(title, error, "-", "%", note))
-    return rows
 
 
 def reach() -> dict[str, dict[str, dict[str, float]]]:
