@@ -222,6 +222,12 @@ class Filtered:
         other.limits = replace(self.limits, lower=lower, upper=upper)
         return other
 
+    def open_unknowns(self, first: int) -> np.ndarray:
+        """Positions from ``first`` on of what is estimated; levels count as such."""
+        held = self.limits.held.copy()
+        held[self.layout.levels] = False
+        return first + np.flatnonzero(~held[first:])
+
     @property
     def state_scale(self) -> np.ndarray:
         """Typical magnitudes of the own states."""

@@ -53,10 +53,10 @@ from oed_sysid.likelihood.starts import (
     misfit,
     warm_model,
     warm_point,
-    wide_start,
 )
-from oed_sysid.likelihood.summary import summarise, summarise_filtered, with_step_advice
+from oed_sysid.likelihood.summary import summarise, summarise_filtered
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
+from oed_sysid.likelihood.windows import wide_start
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.unknown import random_effects
@@ -282,13 +282,13 @@ class MultipleShooting:
         if wanted and not interrupted:
             fit, disturbed = self._disturbed(fit, task)
         if disturbed is not None:
-            disturbed = _judged(replace(disturbed, excluded=fit.excluded), end, model)
+            disturbed = _judged(replace(disturbed, excluded=fit.excluded), model)
             if not self._tests(model) or disturbed.status.code not in FAILED:
                 return disturbed
             fit = _failed(fit, disturbed.status.code)
         if wanted:
             fit, end = self._weighed(fit, white, task, end)
-        fit = _judged(fit, end, model)
+        fit = _judged(fit, model)
         if disturbed is None or fit.status.code not in FAILED:
             return fit
         # No better without process noise.
@@ -641,9 +641,8 @@ def _first_point(shooting: Shooting, warm: Fit | None, *, guessed: bool) -> Poin
     return warm_point(shooting, warm)
 
 
-def _judged(fit: Fit, end: _End, begun: Model) -> Fit:
+def _judged(fit: Fit, begun: Model) -> Fit:
     """The fit with the values that it began from, and a status that holds for its own."""
-    fit = with_step_advice(fit, end.shooting, end.solution)
     return with_verdict(replace(fit, nominal={p.name: p.value for p in begun.free_parameters}))
 
 
@@ -710,12 +709,8 @@ def _carried(shooting: Shooting, point: Point, warm: Fit | None) -> Start | None
     if warm is None or warm.noise is None or warm.noise.is_white:
         return None
     whole, layout = point.unknowns, shooting.layout
-    states, local = [], []
-    for index in range(len(shooting.records)):
-        own = layout.parameters(whole, index)
-        states.append(shooting.initial_state(whole, index))
-        local.append({layout.free_names[i]: float(own[i]) for i in layout.local})
-    return Start(shooting.model.values, states, local, warm.noise)
+    states = [shooting.initial_state(whole, index) for index in range(len(shooting.records))]
+    return Start(shooting.model.values, states, layout.local_values(whole), warm.noise)
 
 
 def _times(carried: Start | None) -> list[float]:
