@@ -165,9 +165,7 @@ class WholeRun:
     @property
     def local(self) -> dict[str, float]:
         """Values of the parameters of the record."""
-        layout = self.shooting.layout
-        own = layout.parameters(self.unknowns, 0)
-        return {layout.free_names[i]: float(own[i]) for i in layout.local}
+        return self.shooting.layout.local_values(self.unknowns)[0]
 
     def weights(self) -> np.ndarray:
         """Inverse standard deviations ``(n_times, n_outputs)``, zero where nothing was measured."""
