@@ -49,9 +49,8 @@ from oed_sysid.runtime.display import (
 from oed_sysid.text.callables import Function
 from oed_sysid.text.units import shown_unit
 
-# Multiple of the noise up to which residuals say no more than noise would, and from which they
-# are no measure: filtered logs have next to no noise.
-EXPLAINED, SMOOTHED = 1.2, 100.0
+# Multiple of the noise from which residuals are no measure: filtered logs have next to no noise.
+SMOOTHED = 100.0
 # Prior standard deviations beyond which an estimate contradicts the prior.
 SURPRISING = 3.0
 # Records that a page draws.
@@ -267,7 +266,7 @@ class Fit(Estimate):
         way = self.estimator.replace(", ", " with ", 1)
         effective = sum(count for count, _ in self.effective_samples().values())
         tested = "samples" if self.innovations is None else "innovations"
-        misfit = f"{self.normalised_rms:.3f} x noise over all outputs"
+        misfit = f"{self._misfit:.3f} x noise over all outputs"
         return Report(
             title=self.model.name,
             subtitle=f"Fitted by {way} to {', '.join(self._record_words())}",
@@ -287,7 +286,7 @@ class Fit(Estimate):
                 ("whole runs", self.whole_runs.sizes or "none"),
             ),
             numbers=(
-                ("misfit", f"{self.normalised_rms:.3g} × noise"),
+                ("misfit", f"{self._misfit:.3g} × noise"),
                 ("parameters", str(len(self.names))),
                 ("samples", f"{self.n_observations:,}".replace(",", " ")),
                 (f"independent {tested}", f"{effective:,.0f}".replace(",", " ")),
@@ -306,6 +305,11 @@ class Fit(Estimate):
         )
 
     report = as_text
+
+    @property
+    def _misfit(self) -> float:
+        """Error of whole runs over all outputs, in units of the noise."""
+        return self.normalised_rms if self.innovations is None else self.whole_runs.relative
 
     def _taken(self) -> list[str]:
         """Words where process noise has taken the work of physics."""
@@ -331,13 +335,13 @@ class Fit(Estimate):
         if errors:
             worst = max(errors, key=lambda name: errors[name])
             words += f", the least certain {worst} ± {share(errors[worst])} (95 %)"
-        words += f"; residuals are {self.normalised_rms:.3g} × noise"
-        if self.normalised_rms > SMOOTHED:
+        words += f"; residuals are {self._misfit:.3g} × noise"
+        if self._misfit > SMOOTHED:
             words += (
                 ": the model is far off, or the log was smoothed and shows no noise; read errors "
                 "in units"
             )
-        elif not self.normalised_rms < EXPLAINED:
+        elif self.whole_runs.objections:
             words += ", so the model lacks something"
         if self.whole_runs.sizes:
             words += f"; whole runs are off {self.whole_runs.sizes}"

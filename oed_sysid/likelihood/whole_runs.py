@@ -336,8 +336,17 @@ class WholeRuns:
     @property
     def ratio(self) -> float:
         """Whole-run error of the fit over that of one without process noise, in noise units."""
-        own, other = (np.nanmean((error / self.noise) ** 2) for error in (self.error, self.without))
-        return float(np.sqrt(own / other)) if other > 0 and np.isfinite(other) else np.nan
+        other = self._over_noise(self.without)
+        return self.relative / other if 0 < other < np.inf else np.nan
+
+    @property
+    def relative(self) -> float:
+        """Whole-run error over all outputs, in noise units."""
+        return self._over_noise(self.error)
+
+    def _over_noise(self, error: np.ndarray) -> float:
+        seen = ~np.isnan(error)
+        return float(np.sqrt(np.mean((error / self.noise)[seen] ** 2))) if seen.any() else np.nan
 
     @property
     def shares(self) -> dict[str, float]:
@@ -587,10 +596,11 @@ def _departure(
         moved = None if root is None else rng.standard_normal((CHUNK, len(root))) @ root.T
         away = [_drawn(run, noise, moved, rng) for run in runs]
         finite = np.all([np.isfinite(part).all(axis=(1, 2)) for part in away], axis=0)
-        left.append(estimator.leaves([part[finite] for part in away]))
-    drawn = np.concatenate(left)
-    if len(drawn) < 0.5 * DRAWS:
+        if finite.any():
+            left.append(estimator.leaves([part[finite] for part in away]))
+    if sum(map(len, left)) < 0.5 * DRAWS:
         return np.full(len(noise.white), np.nan), "most runs under this process noise diverge"
+    drawn = np.concatenate(left)
     seen = sum((run.whitened() ** 2).sum(axis=0) for run in runs)
     with np.errstate(divide="ignore", invalid="ignore"):
         low, middle, high = np.quantile(np.log(drawn), [0.16, 0.5, 0.84], axis=0)
