@@ -74,17 +74,14 @@ class DesignWish:
 
 def rank(study: Study, experiments: tuple[str, ...], tell: Tell) -> Outcome:
     """Rank parameters by what experiments, or without any the training records, tell."""
-    from oed_sysid.information import identifiable_subset, information_of, rank_parameters
+    from oed_sysid.information import rank_parameters
 
     problem = study.problem
     runs = [problem.experiment(name) for name in experiments] or study.training()
     tell("computing sensitivities")
     ranking = rank_parameters(problem.model, runs)
-    subset = identifiable_subset(
-        information_of(problem.model, runs, priors=None), problem.model.values
-    )
     tell(DRAWING)
-    return Outcome((ranking, subset), ranking.document(subset, title=problem.title).drawn())
+    return Outcome((ranking, ranking.together), ranking.document(title=problem.title).drawn())
 
 
 def design(study: Study, wish: DesignWish, tell: Tell) -> Outcome:

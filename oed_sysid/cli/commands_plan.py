@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from oed_sysid.design.search import Progress as SearchProgress
     from oed_sysid.experiments.experiment import Experiment, Limits
     from oed_sysid.experiments.problem import Problem
+    from oed_sysid.physics.model import Model
     from oed_sysid.runtime.journal import Journal
 
 # Starts that are finished.
@@ -35,6 +37,9 @@ def rank(
     problem: str,
     files: list[str] | None = None,
     experiment: list[str] | None = None,
+    noise: list[str] | None = None,
+    sea: str | None = None,
+    priors: str | None = None,
     model: str | None = None,
     json_file: Path | None = None,
     html_file: Path | None = None,
@@ -45,18 +50,17 @@ def rank(
     [bold]Example[/bold]: oed-sysid rank remus_diving_plane --experiment zigzag_5_5 steps
     """
     from oed_sysid.experiments.problem import load_problem
-    from oed_sysid.information import identifiable_subset, information_of, rank_parameters
+    from oed_sysid.information import rank_parameters
 
     chosen = load_problem(problem, variant=model)
     runs = _runs(chosen, experiment or [], files or [])
     with progress("Ranking"):
-        ranking = rank_parameters(chosen.model, runs)
-        subset = identifiable_subset(
-            information_of(chosen.model, runs, priors=None), chosen.model.values
-        )
+        measured = _measured(chosen.model, noise or [])
+        known, forces = _priors(measured, priors), _noise(chosen, measured, sea)
+        ranking = rank_parameters(measured, runs, noise=forces, priors=known)
     deliver(
-        ranking.document(subset, title=chosen.title),
-        {"ranking": ranking.to_dict(), "subset": subset.to_dict()},
+        ranking.document(title=chosen.title),
+        {"ranking": ranking.to_dict(), "subset": ranking.together.to_dict()},
         picture=partial(drawn, "plot_sensitivity", ranking),
     )
 
@@ -254,6 +258,36 @@ def _pattern(problem: Problem, name: str | None) -> Experiment:
     if not problem.experiments:
         raise ProblemError(f"Problem {problem.name!r} has no experiment to take settings from.")
     return next(iter(problem.experiments.values()))
+
+
+def _measured(model: Model, noise: list[str]) -> Model:
+    """The model with other standard deviations of its outputs."""
+    levels = {}
+    for text in noise:
+        name, _, number = text.partition("=")
+        try:
+            levels[name] = float(number)
+        except ValueError:
+            raise DesignError(f"--noise {text!r} is no OUTPUT=STD. Write r=0.001, say.") from None
+    if unknown := [name for name in levels if name not in model.output_names]:
+        raise DesignError(
+            f"--noise names {unknown[0]!r}; outputs are {', '.join(model.output_names)}."
+        )
+    outputs = tuple(replace(o, noise_std=levels.get(o.name, o.noise_std)) for o in model.outputs)
+    return replace(model, outputs=outputs)
+
+
+def _priors(model: Model, words: str | None) -> Any:
+    """What is known besides the runs: nothing, the problem's priors, or values to a share."""
+    if words in (None, "none", "model"):
+        return "model" if words == "model" else None
+    try:
+        share = float(words or "")
+    except ValueError:
+        share = 0.0
+    if not share > 0:
+        raise DesignError(f"--priors is {words!r}. Give none, model, or a share such as 0.3.")
+    return {p.name: share * p.reference for p in model.free_parameters}
 
 
 def _noise(problem: Problem, nominal: Any, sea: str | None) -> Any:
