@@ -220,6 +220,13 @@ def between(page: str, begin: str, end: str, lines: Iterable[str]) -> str:
     return before + body + rest.partition(end)[2]
 
 
+def write_page(path: Path, text: str, name: str = "measured") -> None:
+    """Write a page's tables between its marks; all else on it is left."""
+    old = path.read_text(encoding="utf-8") if path.exists() else ""
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    write_text(path, between(old, begin, end, [text]))
+
+
 # -- the command line -------------------------------------------------------------------
 
 

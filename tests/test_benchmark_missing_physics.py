@@ -11,7 +11,6 @@ import pytest
 
 from benchmarks.missing_physics.cases import CONDITIONS, Draw, case, draws
 from benchmarks.missing_physics.measures import as_markdown, measures
-from benchmarks.missing_physics.run import BY_HAND, page
 from benchmarks.missing_physics.simulator import (
     NOISE_STD,
     PRIORS,
@@ -128,17 +127,3 @@ def test_measures_count_what_they_say() -> None:
     assert [failure["case"] for failure in found["failures"]] == ["single/white/1", "none/white/1"]
     assert found["broken"] == [{"case": "single/white/3", "error": "broken"}]
     assert "single/white/1" in as_markdown(found)
-
-
-def test_analysis_stays_below_new_tables(tmp_path: Path) -> None:
-    """Tables are replaced, what was written by hand is not."""
-    path = tmp_path / "page.md"
-    path.write_text(page("old table", path), encoding="utf-8")
-    path.write_text(
-        path.read_text(encoding="utf-8") + f"\n{BY_HAND}An analysis.\n", encoding="utf-8"
-    )
-    path.write_text(page("new table", path), encoding="utf-8")
-    text = page("new table", path)
-    assert "new table" in text
-    assert "old table" not in text
-    assert text.endswith(f"{BY_HAND}An analysis.\n")

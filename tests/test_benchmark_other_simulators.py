@@ -193,8 +193,7 @@ def test_candidates_are_the_hidden_effects(name: str) -> None:
             vehicle, {k: np.array([v]) if kind.per_record else v for k, v in sizes.items()}, rng=RNG
         )
         model = bare + own.effect(effect)
-        names = own.amplitudes[effect]
-        model = model.with_values({names[k]: v for k, v in sizes.items() if k in names})
+        model = model.with_values(own.values(effect, sizes))
         start = dict(zip(vehicle.states, found.states[0, 0], strict=False))
         left, whole = (
             np.linalg.norm(

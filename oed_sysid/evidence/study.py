@@ -39,6 +39,7 @@ from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.likelihood.random_forces import (
     Start,
     fit_disturbed,
@@ -48,7 +49,7 @@ from oed_sysid.likelihood.random_forces import (
 )
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Point, Shooting
-from oed_sysid.likelihood.summary import eliminate, summarise_filtered
+from oed_sysid.likelihood.summary import summarise_filtered
 from oed_sysid.likelihood.whole_runs import rms, whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model

@@ -14,6 +14,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.noise_model import Sea
 from oed_sysid.physics.model import Model
 
 
@@ -74,10 +75,13 @@ def check_levels(value: Any) -> None:
 
 
 def check_disturbances(value: Any) -> None:
-    """Raise :class:`ModelError` where disturbances are no word and no sequence of words."""
-    listed = isinstance(value, Sequence) and all(isinstance(one, str) for one in value)
+    """Raise :class:`ModelError` where disturbances are no word, no sea and no sequence of these."""
+    given = [value] if isinstance(value, Sea) else value
+    listed = isinstance(given, Sequence) and all(isinstance(one, str | Sea) for one in given)
     if not listed:
         raise ModelError(
             f"disturbances is {value!r}. Choose auto, none, all or the equations that are "
-            "disturbed, such as ('Z', 'M')."
+            "disturbed, such as ('Z', 'M') or Sea(period=8.0)."
         )
+    if sum(isinstance(one, Sea) for one in given) > 1:
+        raise ModelError("One sea can be declared for an estimation. Name the one that dominates.")

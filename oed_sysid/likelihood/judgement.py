@@ -136,7 +136,7 @@ class Concern:
 
 def with_verdict(fit: Found) -> Found:
     """The same fit; its status is not ``converged`` where its values must not be used."""
-    if fit.status.code in ("stalled", "iterations") and "integration step" not in fit.status.advice:
+    if fit.status.code in ("stalled", "iterations"):
         steps = " ".join(concern.text for concern in _integration(fit))
         advice = f"{fit.status.advice} {steps}".rstrip()
         return replace(fit, status=replace(fit.status, advice=advice))
@@ -336,8 +336,8 @@ def swing_concerns(fit: Estimate) -> tuple[Concern, ...]:
             "",
             peak.period,
             f"Innovations of {peak.output} swing with a period of about {peak.period:.2g} s "
-            f"({peak.ratio:.1f} times the power of white ones), as waves and swell leave them; "
-            "random forces are modelled without a period. Standard errors are from the sandwich "
+            f"({peak.ratio:.1f} times the power of white ones): waves that one sea does not "
+            "describe, or motion that the model lacks. Standard errors are from the sandwich "
             "covariance, which holds the swing; estimates are not as precise as they could be.",
         )
         for peak in peaks
@@ -622,7 +622,9 @@ def _integration(fit: Estimate) -> tuple[Concern, ...]:
     size, output, record = step_change(fit)
     if size < STEP_CHANGE:
         return ()
-    step = fit.model.step
+    step, stiff = fit.model.step, ""
+    if fit.model.integrator != "implicit":
+        stiff = ", or take Model(integrator='implicit') if some motions die out within a step"
     return (
         Concern(
             "integration",
@@ -631,8 +633,8 @@ def _integration(fit: Estimate) -> tuple[Concern, ...]:
             size,
             f"The trajectories hang on the integration step: with {step / FINER:g} s instead of "
             f"{step:g} s, {output} of record {record!r} changes by {size:.3g} noise levels "
-            f"(expected below {STEP_CHANGE:g}). Reduce model.step and fit again; if that does not "
-            "help, a force of the model jumps where the state passes some value: make it "
+            f"(expected below {STEP_CHANGE:g}). Reduce model.step and fit again{stiff}; if that "
+            "does not help, a force of the model jumps where the state passes some value: make it "
             "continuous.",
         ),
     )

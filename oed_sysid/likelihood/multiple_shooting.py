@@ -35,7 +35,7 @@ from oed_sysid.likelihood.noise_levels import (
     start_levels,
     without_spikes,
 )
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.likelihood.nonlinear_program import NonlinearProgram
 from oed_sysid.likelihood.random_forces import (
     Start,
@@ -53,10 +53,10 @@ from oed_sysid.likelihood.starts import (
     misfit,
     warm_model,
     warm_point,
-    wide_start,
 )
-from oed_sysid.likelihood.summary import summarise, summarise_filtered, with_step_advice
+from oed_sysid.likelihood.summary import summarise, summarise_filtered
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
+from oed_sysid.likelihood.windows import wide_start
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.unknown import random_effects
@@ -122,12 +122,15 @@ class MultipleShooting:
         every node as an unknown and takes constraints.
     hessian : str
         For IPOPT: ``"gauss-newton"`` or ``"exact"``.
-    disturbances : str or sequence of str
+    disturbances : str, Sea or sequence of these
         Disturbance forces. ``"auto"`` tests at the white fit whether any act (a score test
         at variance zero) and, if so, estimates their levels and times with everything
         else; ``"none"`` takes residuals for sensor noise; ``"all"`` lets a force into
         every equation; or the equations, states or places that are disturbed, such as
-        ``("Z", "M")`` or ``("actuator fin",)``. See :mod:`oed_sysid.likelihood.noise_model`.
+        ``("Z", "M")`` or ``("actuator fin",)``. Where forces act, narrow-band ones are tested
+        for and taken in their place (:mod:`oed_sysid.likelihood.sea`); ``Sea(period=8.0)``
+        declares one, of which what is left out is estimated. See
+        :mod:`oed_sysid.likelihood.noise_model`.
     horizon : float or None
         How far ahead the fit has to be right, s: records are predicted in windows of this
         length, each from a start state of its own (:mod:`oed_sysid.likelihood.horizons`). ``None``
@@ -149,7 +152,7 @@ class MultipleShooting:
     solver: str = "gauss-newton"
     hessian: str = "gauss-newton"
     constraints: Sequence[str] = ()
-    disturbances: str | Sequence[str] = "auto"
+    disturbances: str | Sea | Sequence[str | Sea] = "auto"
     horizon: float | None = None
 
     def __post_init__(self) -> None:
@@ -201,6 +204,20 @@ class MultipleShooting:
     def _white_only(self) -> bool:
         """Whether the settings leave no room for disturbance forces."""
         return self.solver == "ipopt" or self.loss not in ("auto", "square")
+
+    @property
+    def _seas(self) -> tuple[Sea, ...]:
+        """Seas that are declared."""
+        given = (self.disturbances,) if isinstance(self.disturbances, Sea) else self.disturbances
+        return tuple(one for one in given if isinstance(one, Sea))
+
+    @property
+    def _named(self) -> str | tuple[str, ...]:
+        """What is asked for besides; forces everywhere where there is nothing but a sea."""
+        if isinstance(self.disturbances, str):
+            return self.disturbances
+        given = () if isinstance(self.disturbances, Sea) else self.disturbances
+        return tuple(one for one in given if isinstance(one, str)) or "all"
 
     @property
     def name(self) -> str:
@@ -282,13 +299,13 @@ class MultipleShooting:
         if wanted and not interrupted:
             fit, disturbed = self._disturbed(fit, task)
         if disturbed is not None:
-            disturbed = _judged(replace(disturbed, excluded=fit.excluded), end, model)
+            disturbed = _judged(replace(disturbed, excluded=fit.excluded), model)
             if not self._tests(model) or disturbed.status.code not in FAILED:
                 return disturbed
             fit = _failed(fit, disturbed.status.code)
         if wanted:
             fit, end = self._weighed(fit, white, task, end)
-        fit = _judged(fit, end, model)
+        fit = _judged(fit, model)
         if disturbed is None or fit.status.code not in FAILED:
             return fit
         # No better without process noise.
@@ -469,7 +486,7 @@ class MultipleShooting:
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
         """Where process noise may act; None where there is no such place."""
-        asked = "all" if self.disturbances == "auto" else self.disturbances
+        asked = "all" if self.disturbances == "auto" else self._named
         try:
             places = () if asked == "none" else chosen_places(model, asked)
         except ModelError:
@@ -496,6 +513,8 @@ class MultipleShooting:
             inputs=() if chosen else inputs,
             known=[process.place for process in declared if process.known],
             known_starts=task.known_starts,
+            seas=self._seas,
+            any_sea=not self._seas,
         )
 
     def _estimated(
@@ -641,9 +660,8 @@ def _first_point(shooting: Shooting, warm: Fit | None, *, guessed: bool) -> Poin
     return warm_point(shooting, warm)
 
 
-def _judged(fit: Fit, end: _End, begun: Model) -> Fit:
+def _judged(fit: Fit, begun: Model) -> Fit:
     """The fit with the values that it began from, and a status that holds for its own."""
-    fit = with_step_advice(fit, end.shooting, end.solution)
     return with_verdict(replace(fit, nominal={p.name: p.value for p in begun.free_parameters}))
 
 
@@ -710,12 +728,8 @@ def _carried(shooting: Shooting, point: Point, warm: Fit | None) -> Start | None
     if warm is None or warm.noise is None or warm.noise.is_white:
         return None
     whole, layout = point.unknowns, shooting.layout
-    states, local = [], []
-    for index in range(len(shooting.records)):
-        own = layout.parameters(whole, index)
-        states.append(shooting.initial_state(whole, index))
-        local.append({layout.free_names[i]: float(own[i]) for i in layout.local})
-    return Start(shooting.model.values, states, local, warm.noise)
+    states = [shooting.initial_state(whole, index) for index in range(len(shooting.records))]
+    return Start(shooting.model.values, states, layout.local_values(whole), warm.noise)
 
 
 def _times(carried: Start | None) -> list[float]:
