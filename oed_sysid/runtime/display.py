@@ -232,8 +232,8 @@ class Figure:
         What is to be seen and how to read it.
     arguments : tuple
     options : mapping
-    size : (float, float)
-        Of a ``plot_x``, inches.
+    size : (float, float), optional
+        Of a ``plot_x``, inches; None leaves it to the plot.
     """
 
     name: str
@@ -241,7 +241,7 @@ class Figure:
     caption: str
     arguments: tuple[Any, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
-    size: tuple[float, float] = (7.6, 3.8)
+    size: tuple[float, float] | None = (7.6, 3.8)
 
 
 @dataclass(frozen=True)
