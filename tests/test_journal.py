@@ -255,7 +255,7 @@ def test_interrupted_command_says_what_is_kept(
 ) -> None:
     """Ctrl-C in the ranking leaves the nominal fit to the next call, which says so."""
     from oed_sysid.cli import main
-    from oed_sysid.evidence import improve as module
+    from oed_sysid.evidence import search as module
 
     records = Path(__file__).parents[1] / "problems" / "remus_diving_plane" / "data"
     command = ["improve", "remus_diving_plane", "--train", str(records / "train_zigzag_5_5.csv")]
