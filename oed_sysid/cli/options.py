@@ -165,6 +165,12 @@ ROWS = {
         "By default all that do not search by whole populations; 'all' takes these too.",
         "NAME...", flag="--estimators"),
     "noise": Row("Per cent of each output's peak.", "LEVEL...", shown="0 0.5 1 3"),
+    "rank.noise": Row(
+        "Standard deviations of outputs in SI units, in place of the problem's.", "OUTPUT=STD...",
+        shown="those of the problem"),
+    "priors": Row(
+        "What is known besides: none, the problem's own (model), or every value to a share such as "
+        "0.3.", "none|model|SHARE", shown="none"),
     "declared": Row("Noise in multiples of what the problem declares instead."),
     "sampling": Row("Multiples of the problem's sample time.", "FACTOR...", shown="1"),
     "seeds": Row("Repetitions.", "N", least=1),

@@ -363,14 +363,60 @@ def improve(study: Study, show: Shown, *, max_effects: int = 4) -> Outcome:
     )
 
 
-def rank(study: Study, show: Shown, *, experiment: tuple[str, ...] = ()) -> Outcome:
+@dataclass(frozen=True)
+class Assumed:
+    """What a ranking takes as given: noise of the sensors, a sea, and what is known besides."""
+
+    noise: tuple[str, ...] = ()
+    sea: str | None = None
+    priors: str | None = None
+
+    def levels(self, model: Model) -> dict[str, float | None]:
+        """Standard deviations of outputs that replace the model's."""
+        found: dict[str, float | None] = {}
+        for text in self.noise:
+            name, _, number = text.partition("=")
+            try:
+                found[name] = float(number)
+            except ValueError:
+                raise DesignError(
+                    f"--noise {text!r} is no OUTPUT=STD. Write r=0.001, say."
+                ) from None
+            if name not in model.output_names:
+                raise DesignError(
+                    f"--noise names {name!r}; outputs are {', '.join(model.output_names)}."
+                )
+        return found
+
+    def measured(self, model: Model) -> Model:
+        """The model with these standard deviations."""
+        levels = self.levels(model)
+        outputs = (replace(o, noise_std=levels.get(o.name, o.noise_std)) for o in model.outputs)
+        return replace(model, outputs=tuple(outputs)) if levels else model
+
+    def known(self, model: Model) -> Any:
+        """Nothing, the problem's priors, or every value to a share."""
+        if self.priors in (None, "none", "model"):
+            return "model" if self.priors == "model" else None
+        try:
+            share = float(self.priors or "")
+        except ValueError:
+            share = 0.0
+        if not share > 0:
+            raise DesignError(f"--priors is {self.priors!r}. Give none, model, or a share as 0.3.")
+        return {p.name: share * p.reference for p in model.free_parameters}
+
+
+def rank(
+    study: Study, show: Shown, *, experiment: tuple[str, ...] = (), assumed: Assumed = Assumed()
+) -> Outcome:
     """Rank parameters by what experiments tell about them, before fitting anything.
 
     [bold]Example[/bold]: oed-sysid rank remus_diving_plane --experiment zigzag_5_5 steps
     """
-    from oed_sysid.information import identifiable_subset, information_of, rank_parameters
+    from oed_sysid.information import rank_parameters
 
-    problem, model = study.problem, study.problem.model
+    problem, model = study.problem, assumed.measured(study.problem.model)
     if study.train is not None and experiment:
         raise ProblemError("Give either --experiment or records, not both.")
     runs: Any = study.train
@@ -382,12 +428,12 @@ def rank(study: Study, show: Shown, *, experiment: tuple[str, ...] = ()) -> Outc
             "records."
         )
     show.say("computing sensitivities")
-    ranking = rank_parameters(model, runs)
-    subset = identifiable_subset(information_of(model, runs, priors=None), model.values)
+    forces = Weather(sea=assumed.sea).noise(problem, model, show)
+    ranking = rank_parameters(model, runs, noise=forces, priors=assumed.known(model))
     return Outcome(
-        (ranking, subset),
-        ranking.document(subset, title=problem.title),
-        {"ranking": ranking.to_dict(), "subset": subset.to_dict()},
+        ranking,
+        ranking.document(title=problem.title),
+        {"ranking": ranking.to_dict(), "subset": ranking.together.to_dict()},
         figure=Figure("plot_sensitivity", ranking, "", size=None),
     )
 

@@ -29,6 +29,7 @@ from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.judgement import Concern, grave, judge
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.likelihood.prediction import Initial, Prediction, predict
+from oed_sysid.likelihood.whole_runs import WholeRuns, judged_runs
 from oed_sysid.physics import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.channels import Channels, Input, Output, State
@@ -49,9 +50,8 @@ from oed_sysid.runtime.display import (
 from oed_sysid.text.callables import Function
 from oed_sysid.text.units import shown_unit
 
-# Multiple of the noise up to which residuals say no more than noise would, and from which they
-# are no measure: filtered logs have next to no noise.
-EXPLAINED, SMOOTHED = 1.2, 100.0
+# Multiple of the noise from which residuals are no measure: filtered logs have next to no noise.
+SMOOTHED = 100.0
 # Prior standard deviations beyond which an estimate contradicts the prior.
 SURPRISING = 3.0
 # Records that a page draws.
@@ -157,6 +157,26 @@ class Fit(Estimate):
         """Why the values must not be used although the fit converged; see :mod:`.explained`."""
         return grave(self, self.concerns)
 
+    @cached_property
+    def whole_runs(self) -> WholeRuns:
+        """Errors of whole runs, and whether noise as estimated could have left them."""
+        return judged_runs(self, unasked=self._unasked)
+
+    def runs_on(self, dataset: Dataset) -> WholeRuns:
+        """The same on records that the fit has not seen."""
+        return judged_runs(self, dataset, unasked=self._unasked)
+
+    @property
+    def _unasked(self) -> str:
+        """Why runs under the noise model would not be those of the sea; empty where they would."""
+        waves = [one for one in self.concerns if one.kind == "swing"]
+        if not waves or not self.noise.has_forces:
+            return ""
+        return (
+            f"innovations are narrow-band about {waves[0].size:.2g} s, which the noise model "
+            "does not hold"
+        )
+
     @property
     def caveat(self) -> str:
         """What to add to every interval that follows from the standard errors; often empty."""
@@ -247,7 +267,7 @@ class Fit(Estimate):
         way = self.estimator.replace(", ", " with ", 1)
         effective = sum(count for count, _ in self.effective_samples().values())
         tested = "samples" if self.innovations is None else "innovations"
-        misfit = f"{self.normalised_rms:.3f} x noise over all outputs"
+        misfit = f"{self._misfit:.3f} x noise over all outputs"
         return Report(
             title=self.model.name,
             subtitle=f"Fitted by {way} to {', '.join(self._record_words())}",
@@ -256,15 +276,18 @@ class Fit(Estimate):
             warnings=(
                 *([] if log is None else log.warning().splitlines()),
                 *(f"Do not use these values: {concern.text}" for concern in self.grave),
+                *self._taken(),
             ),
             head=(
                 ("records", ", ".join(self._record_words())),
                 ("observations", f"{self.n_observations}"),
                 ("status", f"{self.status} ({self.iterations} iterations, {self.seconds:.2g} s)"),
                 ("misfit", misfit),
+                ("one step", f"{self.one_step_rms:.3f} x its standard deviation"),
+                ("whole runs", self.whole_runs.sizes or "none"),
             ),
             numbers=(
-                ("misfit", f"{self.normalised_rms:.3g} × noise"),
+                ("misfit", f"{self._misfit:.3g} × noise"),
                 ("parameters", str(len(self.names))),
                 ("samples", f"{self.n_observations:,}".replace(",", " ")),
                 (f"independent {tested}", f"{effective:,.0f}".replace(",", " ")),
@@ -284,6 +307,21 @@ class Fit(Estimate):
 
     report = as_text
 
+    @property
+    def _misfit(self) -> float:
+        """Error of whole runs over all outputs, in units of the noise."""
+        return self.normalised_rms if self.innovations is None else self.whole_runs.relative
+
+    def _taken(self) -> list[str]:
+        """Words where process noise has taken the work of physics."""
+        if not self.whole_runs.took_the_work:
+            return []
+        return [
+            "Process noise has taken the work of physics: "
+            f"{'; '.join(self.whole_runs.objections)}. Look for what is missing with improve(); "
+            "for runs, simulation and export take the values of replayed(fit)."
+        ]
+
     def _answer(self, comparison: Any) -> str:
         """Whether the fit can be used, how certain it is, and how well it fits and predicts."""
         if not self.status.ok:
@@ -298,14 +336,16 @@ class Fit(Estimate):
         if errors:
             worst = max(errors, key=lambda name: errors[name])
             words += f", the least certain {worst} ± {share(errors[worst])} (95 %)"
-        words += f"; residuals are {self.normalised_rms:.3g} × noise"
-        if self.normalised_rms > SMOOTHED:
+        words += f"; residuals are {self._misfit:.3g} × noise"
+        if self._misfit > SMOOTHED:
             words += (
                 ": the model is far off, or the log was smoothed and shows no noise; read errors "
                 "in units"
             )
-        elif not self.normalised_rms < EXPLAINED:
+        elif self.whole_runs.objections:
             words += ", so the model lacks something"
+        if self.whole_runs.sizes:
+            words += f"; whole runs are off {self.whole_runs.sizes}"
         if comparison is not None:
             size = comparison.best.relative
             words += f"; errors on the validation records {size:.3g} × noise"
@@ -594,7 +634,7 @@ class Fit(Estimate):
 
     to_dict = as_dict(
         "estimator", "iterations", "seconds", "cost", "normalised_rms", "covariance", "rms",
-        "noise_std", "concerns", "grave", "status",
+        "noise_std", "concerns", "grave", "status", "one_step_rms", "whole_runs",
         model="model.name", records="dataset.names", coloured_residuals="coloured",
         # Null where nothing tells: three records or fewer, another estimator.
         parameters=lambda self: [

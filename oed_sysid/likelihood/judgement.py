@@ -62,7 +62,13 @@ from oed_sysid.likelihood.departures import (
     values_of,
 )
 from oed_sysid.likelihood.estimate import Estimate
-from oed_sysid.likelihood.noise_levels import signal_spread, spike_masks, spike_sizes, white_levels
+from oed_sysid.likelihood.noise_levels import (
+    DIFFERENCE_ERROR,
+    signal_spread,
+    spike_masks,
+    spike_sizes,
+    white_levels,
+)
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.text.units import shown_unit
 
@@ -72,8 +78,6 @@ Found = TypeVar("Found", bound=Estimate)
 LEVEL_FACTOR = 1.15
 # Chance of the statistic from which on residuals are coloured.
 COLOUR_CHANCE = 1e-5
-# Standard error of the logarithm of a level from third differences, times the root of n.
-DIFFERENCE_ERROR = 1.5
 # Change by a quarter of the step, in noise levels, that a trajectory must not show.
 STEP_CHANGE = 0.5
 FINER = 4
