@@ -34,6 +34,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -51,6 +52,16 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import (
+    TWO_SIDED_95,
+    Report,
+    Section,
+    Table,
+    as_text,
+    counted,
+    digits,
+    share,
+)
 
 # Widest band: above this share of the sampling frequency a difference is no rate any more.
 SMOOTH = 0.2
@@ -167,8 +178,8 @@ def _is_constant(form: RegressionForm) -> bool:
     n = len(form.graph.state_names)
     rng = np.random.default_rng(0)
     signals = rng.uniform(0.5, 1.5, (2, form.graph.actuate.size1_out(0)))
-    draws = (rng.uniform(0.5, 1.5, (2, n)) for _ in range(2))
-    _, regressors = form.evaluate(*draws, signals, np.array([0.3, 1.7]))
+    states, rates = rng.uniform(0.5, 1.5, (2, 2, n))
+    _, regressors = form.evaluate(states, rates, signals, np.array([0.3, 1.7]))
     constant = (regressors[0] == regressors[1]) & (regressors[0] != 0)
     return bool(constant.any())
 
@@ -183,9 +194,9 @@ def _fastest(form: RegressionForm, highest: float) -> float:
     scales = np.array([state.scale for state in model.states])
     size = len(graph.state_names)
     poles = [0.0]
-    for share in (0.0, 1.0):
+    for size_of_motion in (0.0, 1.0):
         x = np.zeros(size)
-        x[: len(scales)] = share * scales
+        x[: len(scales)] = size_of_motion * scales
         jacobian = np.array(
             graph.rates.jacobian()(
                 x, np.zeros(graph.actuate.size1_out(0)), model.value_vector, 0.0, np.zeros(size)
@@ -448,6 +459,52 @@ class FourierStream:
                 weight = power[:, j] / max(power[:, j].sum(), 1e-300)
                 found[command, response] = float(part @ weight) if total > 0 else 0.0
         return found
+
+    def document(self, *, title: str = "", goal: float = 0.1) -> Report:
+        """Return where the run stands: advice, estimates with errors, coherence.
+
+        Parameters
+        ----------
+        title : str
+            By default the name of the model.
+        goal : float
+            Relative standard error that is enough.
+        """
+        estimates, errors = self.values, self.relative_errors
+        rows = [
+            (
+                name, digits(value, 3), self.model.parameter(name).unit,
+                "unknown" if errors[name] > 10 else f"± {share(TWO_SIDED_95 * errors[name])}",
+            )
+            for name, value in estimates.items()
+        ]  # fmt: skip
+        answers = [(c, r, f"{value:.2f}") for (c, r), value in self.coherence().items()]
+        return Report(
+            title=title or self.model.name,
+            subtitle="While it sails",
+            answer=f"{self._spectra.length:.0f} s: {self.advice(goal)}",
+            sections=(
+                Section(
+                    "Estimates", (f"{len(self.frequencies)} frequencies up to "
+                    f"{self.frequencies[-1]:.3g} Hz, {counted(self.n_samples, 'sample')}.",),
+                    (Table(("parameter", "estimate", "unit", "95 %"), rows, words=(2,)),),
+                ),
+                Section(
+                    "Which response answers which command", (),
+                    (Table(("command", "response", "coherence"), answers, words=(1,)),),
+                ),
+            ),
+        )  # fmt: skip
+
+    report = as_text
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "seconds": self._spectra.length, "samples": self.n_samples, "values": self.values,
+            "relative_errors": self.relative_errors,
+            "coherence": [[*pair, value] for pair, value in self.coherence().items()],
+        }  # fmt: skip
 
     def advice(self, goal: float = 0.1) -> str:
         """What to do with the run: whether every parameter is known to within a relative error.
