@@ -165,6 +165,12 @@ ROWS = {
         "By default all that do not search by whole populations; 'all' takes these too.",
         "NAME...", flag="--estimators"),
     "noise": Row("Per cent of each output's peak.", "LEVEL...", shown="0 0.5 1 3"),
+    "rank.noise": Row(
+        "Standard deviations of outputs in SI units, in place of the problem's.", "OUTPUT=STD...",
+        shown="those of the problem"),
+    "priors": Row(
+        "What is known besides: none, the problem's own (model), or every value to a share such as "
+        "0.3.", "none|model|SHARE", shown="none"),
     "declared": Row("Noise in multiples of what the problem declares instead."),
     "sampling": Row("Multiples of the problem's sample time.", "FACTOR...", shown="1"),
     "seeds": Row("Repetitions.", "N", least=1),
@@ -310,12 +316,16 @@ ROWS = {
         "room that it needs).", "FILE", check=card_place),
     "length": Row("Of the vehicle, for the sea room.", "M"),
     "servo": Row(
-        "RC channels of the inputs for --overrides; their ends are those of the limits.",
+        "RC channels of the inputs for --overrides and --controller ardupilot; their ends are "
+        "those of the limits.",
         "INPUT=CHANNEL..."),
     "overrides": Row(
         "Commands as servo pulses, to send as MAVLink RC_CHANNELS_OVERRIDE.",
         "CSV", check=file_place),
     "bag": Row("Commands as a ROS 2 bag to play.", "FOLDER", check=folder_place),
+"controller": Row(
+        "What flies the run, feedback and abort rules included: ardupilot, ros2, moos or words.",
+        "KIND=FILE..."),
     "runs": Row("Largest number of runs.", "N", least=1, label="Most runs"),
     "hours": Row("Time for everything, h.", "H", label="Hours for everything"),
     "campaign.hours": Row("Time for the whole trial.", "H"),

@@ -32,6 +32,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
+from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
@@ -58,7 +59,7 @@ from oed_sysid.physics.model import Model
 VAGUE = 1e-8
 
 # A fit to white noise, on the way to one with disturbance forces.
-PLAIN = MultipleShooting(max_iterations=15, coloured="never", disturbances="none")
+PLAIN = MultipleShooting(solver=Solver(max_iterations=15), coloured="never", disturbances="none")
 # Fits of start states on records: a validation, its error and the table of errors ask for the same.
 _VALIDATED: WeakKeyDictionary[FilteredSolution, list[tuple[Study, float]]] = WeakKeyDictionary()
 _ALONE: WeakKeyDictionary[

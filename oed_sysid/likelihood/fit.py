@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +27,7 @@ from oed_sysid.likelihood.estimate import (
 )
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.judgement import Concern, grave, judge
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.likelihood.prediction import Initial, Prediction, predict
 from oed_sysid.physics import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.physics.base import RandomProcess
@@ -507,7 +508,36 @@ class Fit(Estimate):
         ):
             if level > 0:
                 rows.append(self._noise_row(f"colour of {output.name}", level, time, output.unit))
-        return [Section("Random", tables=(Table(headers, rows),), indent=2)]
+        sections = [Section("Random", tables=(Table(headers, rows),), indent=2)] if rows else []
+        return sections + [self._sea(number, units) for number in range(len(noise.seas))]
+
+    def _sea(self, number: int, units: Mapping[str, str]) -> Section:
+        """Period, width and significant level of a sea."""
+        sea = self.noise.seas[number]
+        label = f"sea {number + 1}" if len(self.noise.seas) > 1 else "sea"
+
+        def told(name: str, size: float, digits: str) -> str:
+            known = self.noise_std.get(name)
+            value = f"{size:{digits}}"
+            return value if known is None else f"{value} +/- {TWO_SIDED_95 * known * size:.2g}"
+
+        period, width = float(sea.period or 0.0), 100.0 * float(sea.bandwidth or 0.0)
+        words = (
+            "Disturbance forces have a period, as waves give them (or motion that the model "
+            f"lacks): {told(f'{label} period', period, '.3g')} s, "
+            f"{told(f'{label} bandwidth', width, '.2g')} % wide (95 %)"
+        )
+        words += "." if sea.shape == "velocity" else ", with a tail at low frequencies."
+        rows = [
+            (
+                place,
+                told(f"sea {place} level", level, ".3g") if level > 0 else "absent",
+                units.get(place, ""),
+            )
+            for place, level in sea.significant.items()
+        ]
+        headers = ("waves", "significant amplitude", "unit")
+        return Section("Sea", (words,), (Table(headers, rows),), indent=2)
 
     def _noise_row(self, name: str, level: float, time: float, unit: str) -> tuple[str, ...]:
         if level <= 0:
@@ -622,6 +652,7 @@ ARCHIVED: tuple[type, ...] = (
         Posterior,
         Information,
         NoiseModel,
+        Sea,
         RecordScatter,
         Sources,
         Model,

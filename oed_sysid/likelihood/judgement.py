@@ -336,8 +336,8 @@ def swing_concerns(fit: Estimate) -> tuple[Concern, ...]:
             "",
             peak.period,
             f"Innovations of {peak.output} swing with a period of about {peak.period:.2g} s "
-            f"({peak.ratio:.1f} times the power of white ones), as waves and swell leave them; "
-            "random forces are modelled without a period. Standard errors are from the sandwich "
+            f"({peak.ratio:.1f} times the power of white ones): waves that one sea does not "
+            "describe, or motion that the model lacks. Standard errors are from the sandwich "
             "covariance, which holds the swing; estimates are not as precise as they could be.",
         )
         for peak in peaks

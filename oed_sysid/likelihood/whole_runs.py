@@ -26,7 +26,7 @@ from oed_sysid.experiments.simulation import simulate_batch
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.gauss_newton import solve
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.realisation import gauss_markov
+from oed_sysid.likelihood.realisation import drawn_disturbances, gauss_markov
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
@@ -175,16 +175,12 @@ class WholeRun:
         """
         shooting, record = self.shooting, self.record
         model = shooting.model
-        acting = np.flatnonzero(noise.force > 0)
-        places = chosen_places(model, [noise.places[i] for i in acting])
-        vehicle = with_disturbance_inputs(model, places)
-        forces = [
-            [gauss_markov(noise.force[i], noise.force_time[i], record.times, rng) for i in acting]
-            for _ in unknowns
-        ]
+        forces = [drawn_disturbances(noise, record.times, rng) for _ in unknowns]
+        vehicle = with_disturbance_inputs(model, chosen_places(model, list(forces[0])))
         calm = np.broadcast_to(record.inputs, (len(unknowns), *record.inputs.shape))
-        shape = (len(unknowns), len(acting), len(record.times))
-        inputs = np.concatenate([calm, np.reshape(forces, shape).swapaxes(1, 2)], axis=2)
+        shape = (len(unknowns), len(forces[0]), len(record.times))
+        drawn = np.reshape([list(one.values()) for one in forces], shape).swapaxes(1, 2)
+        inputs = np.concatenate([calm, drawn], axis=2)
         return simulate_batch(
             vehicle,
             record.times,
