@@ -2,15 +2,13 @@
 
     OMP_NUM_THREADS=1 python -m benchmarks.design [remus nps mariner] [--confirm 60]
     OMP_NUM_THREADS=1 python -m benchmarks.design nps --angles 10 --robust
-    OMP_NUM_THREADS=1 python -m benchmarks.design nps --angles 10 --everywhere
 
 Two comparisons: within the *envelope* of the zigzag N/N the design gets the
 zigzag's own actuator amplitude, rate and largest attitude as limits; within
 the limits of the *vehicle* both may use what is allowed at sea (the zigzag
 does not use all of it). Priors are ignored, start states are unknown.
 ``--confirm`` repeats both experiments with noise and fits each; ``--robust``
-replays designs with and without caution on vehicles with other coefficients;
-``--everywhere`` looks for better optima inside the envelope.
+replays designs with and without caution on vehicles with other coefficients.
 """
 
 from __future__ import annotations
@@ -41,7 +39,6 @@ from oed_sysid.design import (
     EOptimal,
     Knowledge,
     Levels,
-    Multisines,
     Search,
     Trial,
     assess_limits,
@@ -78,6 +75,13 @@ class System:
                    rate=self.rate, sign=self.sign),
             duration=self.duration, sample_time=self.sample_time, constants=self.constants,
             initial=self.initial, feedback="true",
+        )  # fmt: skip
+
+    def trial(self, limits: Limits) -> Trial:
+        """What a design may do."""
+        return Trial(
+            limits=limits, duration=self.duration, sample_time=self.sample_time,
+            constants=self.constants, initial=self.initial,
         )  # fmt: skip
 
     def limits(self, degrees: float, *, envelope: bool) -> tuple[Limits, dict[str, float]]:
@@ -196,13 +200,7 @@ def designed(
     limits, _ = system.limits(degrees, envelope=envelope)
     return design_experiment(
         system.model,
-        Trial(
-            limits=limits,
-            duration=system.duration,
-            sample_time=system.sample_time,
-            constants=system.constants,
-            initial=system.initial,
-        ),
+        system.trial(limits),
         criterion=criterion,
         rng=np.random.default_rng(1),
         search=Search(family=Levels(60), n_workers=2),
@@ -291,13 +289,7 @@ def robustness(
         try:
             design = design_experiment(
                 system.model,
-                Trial(
-                    limits=limits,
-                    duration=system.duration,
-                    sample_time=system.sample_time,
-                    constants=system.constants,
-                    initial=system.initial,
-                ),
+                system.trial(limits),
                 caution=caution,
                 rng=np.random.default_rng(1),
                 search=Search(
@@ -338,41 +330,12 @@ def robustness(
         )
 
 
-def globally(name: str, system: System, degrees: float) -> None:
-    """Several families from many starts, inside the zigzag's envelope: is there anything better?"""
-    limits, _ = system.limits(degrees, envelope=True)
-    zigzag = system.zigzag(degrees)
-    families = (Levels(60), Levels(30), Levels(40, "linear"), Multisines(20))
-    for family in families:
-        design = design_experiment(
-            system.model,
-            Trial(
-                limits=limits,
-                duration=system.duration,
-                sample_time=system.sample_time,
-                constants=system.constants,
-                initial=system.initial,
-            ),
-            rng=np.random.default_rng(11),
-            search=Search(family=family, n_starts=6, n_candidates=200, n_steps=15, n_workers=2),
-            knowledge=Knowledge(prior=None),
-        )
-        mean, worst = gains(system.model, zigzag, design.experiment)
-        ends = ", ".join(f"{value:.2f}" for value in sorted(design.start_values))
-        print(
-            f"{name} {degrees:g}/{degrees:g} envelope, {family.name}: starts end at {ends}, "
-            f"best {design.value:.2f}, gain {mean:.2f}, worst {worst:.2f}, {design.seconds:.0f} s",
-            flush=True,
-        )
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("systems", nargs="*", default=list(SYSTEMS))
     parser.add_argument("--angles", nargs="+", type=float, default=[5.0, 10.0])
     parser.add_argument("--confirm", type=int, default=0)
     parser.add_argument("--robust", action="store_true")
-    parser.add_argument("--everywhere", action="store_true", help="many starts, many families")
     parser.add_argument("--vehicle", action="store_true", help="only within the vehicle's limits")
     parser.add_argument("--criterion", choices=list("DAE"), default="D")
     options = parser.parse_args()
@@ -385,13 +348,11 @@ def main() -> None:
             for envelope in (True, False):
                 if envelope and options.vehicle:
                     continue
-                if not (options.robust or options.everywhere):
+                if not options.robust:
                     compare(name, system, degrees, options.confirm, criterion, envelope=envelope)
             if options.robust:
                 for informed in (False, True):
                     robustness(name, system, degrees, informed=informed)
-            if options.everywhere:
-                globally(name, system, degrees)
 
 
 if __name__ == "__main__":

@@ -200,7 +200,7 @@ def compare(name: str, case: Case, asked: str, options: argparse.Namespace) -> N
             thrust=THRUST, free=np.array(free), scale=options.scale, step=options.step,
             options=np.array(options.ipopt),
         )  # fmt: skip
-        found = run_peer("pyomo_doe", path, options.python, LONGEST)
+        found = run_peer(("benchmarks.peers.pyomo_doe",), path, options.python, LONGEST)
     if isinstance(found, str):
         print(f"  Pyomo.DoE                  {found}", flush=True)
         return

@@ -23,46 +23,31 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import machine, verdict
-from benchmarks.peers.task import NAMES, NOISE, STEP
+from benchmarks.harness import ONE_THREAD, dive, ignorant, machine, scaled, verdict
+from benchmarks.peers.task import NAMES, STEP
 from oed_sysid import Dataset, Fit, MultipleShooting, load_problem
-from oed_sysid.data.record import Record
-from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.physics.model import Model
 
 N_SAMPLES, LONGEST = 2400, 240.0
-# Module, and how many times faster than it we want to be.
+# Of `benchmarks.peers.fits`, and how many times faster than it we want to be.
 PEERS = {
     "casadi_shooting": 10.0,
     "scipy_numba": 2.0,
-    "pypesto_kernel": 1.0,
     "parmest_collocation": 50.0,
-    "do_mpc_horizon": 50.0,
     "pints_cma": 50.0,
-    "pybop_cma": 50.0,
-    "pysindy_sparse": 0.0,
 }
 
 
 def task(share: float, n_samples: int = N_SAMPLES) -> tuple[Model, Dataset]:
     """Our model at the start values, priors dropped, and the record."""
     model = load_problem("remus_diving_plane").model
-    times = STEP * np.arange(n_samples)
-    fin = 0.1 * np.sign(np.sin(2 * np.pi * times / 14.0)) + 0.05 * np.sin(0.9 * times)
-    inputs = {"fin_command": fin, "thrust": 9.0}
-    run = simulate_inputs(model, times, inputs=inputs, initial={"u": 1.5, "z": 10.0})
-    noisy = run.outputs + NOISE * np.random.default_rng(0).standard_normal(run.outputs.shape)
-    record = Record("dive", times, run.inputs, noisy, model.channels)
-    for p in model.free_parameters:
-        model = model.with_parameter(
-            replace(p, value=share * p.value, prior_mean=None, prior_std=None)
-        )
-    return model, Dataset((record,))
+    record = dive(model, STEP * np.arange(n_samples))
+    return ignorant(scaled(model, share)), Dataset((record,))
 
 
 def ours(model: Model, data: Dataset, repeats: int = 12) -> tuple[float, Fit]:
@@ -75,13 +60,12 @@ def ours(model: Model, data: Dataset, repeats: int = 12) -> tuple[float, Fit]:
     return min(taken), fit
 
 
-def run_peer(name: str, data: Path, python: str, longest: float = LONGEST) -> dict | str:
+def run_peer(words: Sequence[str], data: Path, python: str, longest: float = LONGEST) -> dict | str:
     """What a peer found, or why it is left out; after so many seconds it is ended."""
     environment = {
-        **os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
-        "PYTHONPATH": str(Path(__file__).resolve().parent.parent),
+        **os.environ, **ONE_THREAD, "PYTHONPATH": str(Path(__file__).resolve().parent.parent),
     }  # fmt: skip
-    command = [python, "-m", f"benchmarks.peers.{name}", str(data)]
+    command = [python, "-m", *words, str(data)]
     # In a group of its own, so that programs which the peer has called end with it.
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment,
@@ -127,7 +111,7 @@ def main() -> None:
             share=options.share,
         )
         for name in options.peers:
-            found = run_peer(name, path, options.python)
+            found = run_peer(("benchmarks.peers.fits", name), path, options.python)
             # Again beside each peer: other loads on the machine come and go.
             seconds = min(seconds, ours(model, data, 6)[0]) if isinstance(found, dict) else seconds
             if isinstance(found, str):
@@ -140,7 +124,7 @@ def main() -> None:
                 f"{ratio:.1f}",
                 flush=True,
             )
-            if PEERS[name] and off < 1.0:
+            if off < 1.0:
                 lines.append(verdict(f"{name} / ours", ratio, PEERS[name], at_most=False))
     print("\n".join(lines))
 

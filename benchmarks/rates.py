@@ -70,23 +70,106 @@ def claims(entry: Entry) -> bool:
     return bool(entry.get("steps"))
 
 
+def names_of(entry: Entry, name: str) -> set[str]:
+    """Names under which a hidden effect may be claimed."""
+    return {name, *entry.get("same_as", {}).get(name, ())}
+
+
+def _right(entry: Entry) -> set[str]:
+    """All names that are right."""
+    return set().union(*(names_of(entry, name) for name in entry["effects"]))
+
+
+def right_first(entry: Entry) -> bool:
+    """Whether the first effect claimed is one of the hidden ones."""
+    return claims(entry) and entry["steps"][0]["added"] in _right(entry)
+
+
+def right_group(entry: Entry) -> bool:
+    """Whether a hidden effect is the first claimed, or in its group of at most three."""
+    if not claims(entry):
+        return False
+    group = set(entry["steps"][0]["group"])
+    return right_first(entry) or (len(group) <= LARGEST_GROUP and bool(group & _right(entry)))
+
+
 def of_kind(entries: Iterable[Entry], hidden: str, *conditions: str) -> list[Entry]:
     """Cases that hide so much under conditions that begin so; under any without conditions."""
     starts = conditions or ("",)
     return [e for e in entries if e["hidden"] == hidden and e["condition"].startswith(starts)]
 
 
-def rate_table(found: Mapping[str, Any]) -> list[str]:
-    """The rates of some measures as Markdown, below the number of cases."""
+def first_claim(entry: Entry) -> str:
+    """What a case ended in."""
+    if "error" in entry:
+        return "an abort"
+    return str(entry["steps"][0]["added"]) if claims(entry) else "nothing"
+
+
+def summary(entry: Entry) -> str:
+    """One case in one line."""
+    hidden = " + ".join(entry["effects"]) or "nothing"
+    sight = "" if entry.get("detectable") else " (invisible)"
+    if "error" in entry:
+        return f"{entry['key']} {hidden}{sight} -> FAILED {entry['error'][:120]}"
+    added = " + ".join(step["added"] for step in entry["steps"]) or "nothing"
+    return f"{entry['key']} {hidden}{sight} -> {added} ({entry['processor_seconds']:.1f} s)"
+
+
+def by_effect(entries: Iterable[Entry]) -> list[dict[str, Any]]:
+    """Per vehicle and single hidden effect: cases, detectable ones, right ones, and rivals."""
+    table = []
+    single = [(e.get("vehicle", ""), name, e) for e in entries for name in e["effects"]]
+    for vehicle, name in sorted({(vehicle, name) for vehicle, name, _ in single}):
+        own = [e for of, effect, e in single if (of, effect) == (vehicle, name)]
+        shown = [e for e in own if e["detectable"]]
+        wrong = {first_claim(e) for e in shown if not right_first(e)}
+        table.append(
+            {
+                "vehicle": vehicle,
+                "effect": name,
+                "cases": len(own),
+                "detectable": len(shown),
+                "right_first": sum(map(right_first, shown)),
+                "right_group": sum(map(right_group, shown)),
+                "mistaken_for": sorted(wrong),
+            }
+        )
+    return table
+
+
+def as_markdown(
+    found: Mapping[str, Any],
+    effects: tuple[str, Mapping[str, str]],
+    failures: tuple[str, Mapping[str, str]],
+) -> str:
+    """Measures as Markdown: rates, then what became of every effect, then what went wrong.
+
+    Parameters
+    ----------
+    found : mapping
+        ``n_cases``, ``rates``, ``by_effect``, ``failures`` and, where cases broke, ``broken``.
+    effects, failures : tuple of str and mapping
+        The sentence above either table, and the keys of its rows by their heads.
+    """
     rows = []
     for rate in found["rates"]:
         interval = "" if np.isnan(rate["low"]) else f"{rate['low']:.3f} to {rate['high']:.3f}"
         value = f"{rate['value']:.3f}"
         rows.append((rate["name"], value, interval, rate["count"], rate["target"]))
     head = ("measure", "value", "95 % interval", "cases", "target")
-    return [f"{found['n_cases']} cases.", "", *markdown(head, rows)]
+    lines = [f"{found['n_cases']} cases.", "", *markdown(head, rows)]
+    for (words, columns), table in ((effects, found["by_effect"]), (failures, found["failures"])):
+        cells = [[_cell(row[key]) for key in columns.values()] for row in table]
+        lines += ["", words, "", *markdown(list(columns), cells)] if cells else []
+    if found.get("broken"):
+        lines += ["", "Cases that broke:", ""]
+        lines += [f"- {row['case']}: {row['error']}" for row in found["broken"]]
+    return "\n".join(lines)
 
 
-def section(words: str, head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
-    """A table below its sentence; nothing without rows."""
-    return ["", words, "", *markdown(head, rows)] if rows else []
+def _cell(value: Any) -> str:
+    """A list by commas, a fraction to three digits."""
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    return ", ".join(value) if isinstance(value, list) else str(value)

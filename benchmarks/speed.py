@@ -31,6 +31,9 @@ startup
     Import, first fit and first compilation in fresh processes.
 long_search
     `improve` on one dive of half an hour at 50 Hz, 90,000 samples, with a hidden heave drag.
+decision
+    The decision to stop or to go on (`decide`) over the library that `campaign` makes, in a
+    moderate sea: known is one run, the goal is half of the errors that it leaves.
 six_degrees
     Fit and search in six degrees of freedom: 12 states, 25 parameters, 36,030 samples at 20 Hz of
     the AUV of :mod:`benchmarks.other_vehicles`, simulated by that benchmark's own code.
@@ -568,6 +571,39 @@ def six_degrees(*, search: bool = True) -> None:
     print("  found", ", ".join(step.added for step in found.steps) or "nothing")
 
 
+DECISIONS = (
+    ("remus_diving_plane", None), ("online_ship", None), ("kvlcc2", "mmg"),
+    ("nomoto_sparse_heading", None), ("torpedo", None), ("remus_6dof", None), ("esso_osaka", None),
+)  # fmt: skip
+
+
+def decision() -> None:
+    """First call, which compiles, and the least of three others, by problem and variant."""
+    from oed_sysid.design import ParameterGoal, candidate_runs, decide
+    from oed_sysid.design.vehicles import draw_models
+    from oed_sysid.information import information_of, sea_noise
+
+    for name, variant in DECISIONS:
+        problem, rng = load_problem(name, variant=variant), np.random.default_rng(0)
+        model, patterns = problem.model, list(problem.experiments.values())
+        vehicles = draw_models(model, 0.1, 4, None, rng)
+        runs = candidate_runs(model, patterns, limits=problem.limits, rng=rng, vehicles=vehicles)
+        sea = sea_noise(model, "moderate", patterns)
+        known = information_of(model, runs[0].experiment, noise=sea)
+        goals = [
+            ParameterGoal(n, float(np.clip(0.5 * e / model.parameter(n).reference, 1e-6, 5.0)))
+            for n, e in zip(known.names, known.std_errors, strict=True)
+        ]
+        taken = []
+        for _ in range(4):
+            began = time.process_time()
+            decide(model, runs, goals, rng=np.random.default_rng(0), noise=sea, prior=known)
+            taken.append(time.process_time() - began)
+        samples = max(len(run.experiment.times) for run in runs)
+        words = f"{name}: {len(goals)} parameters, {len(runs)} runs of {samples} samples"
+        print(verdict(f"{words}, first {taken[0]:.2f} s, again", min(taken[1:]), 1.0, "s"))
+
+
 # -- fresh processes --------------------------------------------------------------------
 
 IMPORT = "import oed_sysid"
@@ -638,7 +674,7 @@ PARTS: dict[str, Callable[..., None]] = {
     part.__name__: part
     for part in (
         kernel, information, startup, score, growth, swarm, fit_speed, likelihood, long_search,
-        six_degrees,
+        six_degrees, decision,
     )
 }  # fmt: skip
 

@@ -248,7 +248,7 @@ def faults_of(craft: Craft) -> list[Spoil]:
     n, v2 = craft.noise, ("w" if dive else "v")
     rate, angle = ("q", "theta") if dive else ("r", "psi")
     pos, place = (("z",), "z") if dive else (("x", "y"), "x")
-    one = np.ones_like
+    one, arm = np.ones_like, 1.0 if dive else 8.0
     ramp = lambda s, t: (t - t[0]) / (t[-1] - t[0])  # noqa: E731
     some = lambda name, *k: tuple(n[name] * x for x in k)  # noqa: E731
     moving = [
@@ -273,7 +273,7 @@ def faults_of(craft: Craft) -> list[Spoil]:
         Spoil("delay", (rate,), (2.0, 4.0, 8.0), _lag(rate), also=(angle,)),
         Spoil("clock", pos, (0.003, 0.01, 0.03), _late(*pos, clock=True)),
         Spoil("clock", (angle,), (0.003, 0.01, 0.03), _late(angle, clock=True), also=(rate,)),
-        Spoil("lever", (v2,), (0.3, 0.6, 1.5), _add(v2, lambda s, t: (1.0 if dive else 8.0) * s[rate])),
+        Spoil("lever", (v2,), (0.3, 0.6, 1.5), _add(v2, lambda s, t: arm * s[rate])),
         Spoil("misalignment", ("u", v2), (0.02, 0.05, 0.1), _tilt("u", v2)),
         Spoil("drift", (rate,), some(rate, 1.0, 3.0, 8.0), _add(rate, ramp)),
         Spoil("drift", (v2,), some(v2, 2.0, 4.0, 10.0), _add(v2, ramp)),
@@ -385,7 +385,7 @@ def faults(seeds: range, only: str) -> None:
                         result = judged(craft, written(craft, seed, spoil, size), spoil)
                     except OedSysidError as error:  # refused with the line to write
                         result = (True, True, True, type(error).__name__)
-                    rows[key] = rows.get(key, np.zeros(4, dtype=int)) + (1, *result[:3])
+                    rows[key] = rows.get(key, np.zeros(4, dtype=int)) + np.array([1, *result[:3]])
                     if not result[0]:
                         misses[key] = result[3]
         for (kind, names, index, i), counts in rows.items():

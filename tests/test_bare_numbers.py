@@ -15,7 +15,7 @@ from oed_sysid import load_problem
 from oed_sysid.errors import ModelError, ProblemError
 from oed_sysid.testing import check_problem
 from oed_sysid.text.dimensions import Deduction, Form, dimension_of
-from oed_sysid.text.units import dimension
+from oed_sysid.text.units import Dimension, dimension
 
 HEAD = "from oed_sysid import Force, Input, Model, Output, Parameter, Problem, Sensor, State\n"
 SHIP = """
@@ -274,3 +274,70 @@ def test_number_in_a_signal_is_read_where_the_signal_is_used(tmp_path: Path) -> 
     )
     problem = load_problem(write(tmp_path, text.replace('"Y_v", -0.01', '"Y_v", -0.01, "m^2"')))
     assert "signal 'Q': 512.5" in "\n".join(problem.notes())
+
+
+UNITS = {"w": "m/s", "h": "m", "q": "rad/s", "m": "kg", "F": "N", "a": "1"}
+
+
+def draw(rng: np.random.Generator, unit: Dimension, depth: int) -> str:
+    """An expression in a unit, written by somebody who knows what their numbers stand for."""
+    name = str(rng.choice(list(UNITS)))
+    if depth == 0:
+        # A number in whatever unit is needed, or one that brings a name into it.
+        power = int(rng.choice([-2, -1, 1, 2]))
+        return str(
+            rng.choice([f"{rng.uniform(3, 99):.3g}", f"{rng.uniform(3, 99):.3g}*{name}**{power}"])
+        )
+    match rng.integers(7):
+        case 0:
+            parts = [draw(rng, unit, depth - 1) for _ in range(2)]
+            return f"({parts[0]} + {parts[1]})"
+        case 1:
+            other = dimension(UNITS[name])
+            return f"{name}*({draw(rng, unit / other, depth - 1)})"
+        case 2:
+            other = dimension(UNITS[name])
+            return f"({draw(rng, unit * other, depth - 1)})/{name}"
+        case 3:
+            inner = draw(rng, Dimension(), depth - 1)
+            return f"({draw(rng, unit, depth - 1)})*{rng.choice(['tanh', 'atan'])}({inner})"
+        case 4:
+            return f"max({draw(rng, unit, depth - 1)}, {draw(rng, unit, depth - 1)})"
+        case 5:
+            return f"sqrt({draw(rng, unit**2, depth - 1)})"
+    condition = f"{draw(rng, unit, depth - 1)} > {draw(rng, unit, depth - 1)}"
+    return f"where({condition}, {draw(rng, unit, depth - 1)}, 0)"
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_whatever_can_be_right_loads(seed: int) -> None:
+    """Expressions drawn with a unit in mind have a solution, whichever of their units is stated."""
+    rng = np.random.default_rng(seed)
+    known = {name: Form(dimension(unit)) for name, unit in UNITS.items()}
+    for _ in range(60):
+        unit = dimension(str(rng.choice(list(UNITS.values()))))
+        text = draw(rng, unit, int(rng.integers(1, 5)))
+        stated = {n: form if rng.random() < 0.8 else None for n, form in known.items()}
+        units = Deduction()
+        form = units.form(text, stated)
+        assert form is None or units.equal(form, Form(unit)), text
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_clash_of_declared_units_is_found_at_any_depth(seed: int) -> None:
+    """One clash between names alone makes an expression wrong, whatever surrounds it."""
+    rng = np.random.default_rng(seed)
+    known = {name: dimension(unit) for name, unit in UNITS.items()}
+    for _ in range(40):
+        one, other = rng.choice(["w", "h", "m", "F"], 2, replace=False)
+        text = draw(rng, dimension("N"), 2)
+        clash = str(rng.choice([f"({one} + {other})", f"sin({one})", f"max({one}, {other}*a)"]))
+        with pytest.raises(ModelError, match="meets"):
+            dimension_of(f"({text})*{clash}", known)
+
+
+def test_unknown_name_says_how_to_declare_it(tmp_path: Path) -> None:
+    """A name that nobody declared is refused with the line that would declare it."""
+    text = SHIP.replace("0.5*1025*2500*U*v*Y_v", "0.5*rho*2500*U*v*Y_v")
+    with pytest.raises(ProblemError, match=r'Parameter\("rho", value, "unit"\)'):
+        load_problem(write(tmp_path, text))

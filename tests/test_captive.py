@@ -133,7 +133,7 @@ def test_captive_tests_and_a_zigzag_share_one_likelihood() -> None:
     assert both.dataset is data
     assert both.normalised_rms == pytest.approx(1.0, abs=0.1)
     assert both.predict(data).rms["r"] == pytest.approx(0.005, rel=0.2)
-    assert set(both.extras["captive"]) == {"Y", "N"}
+    assert set(both.captive.relative) == {"Y", "N"}
 
 
 def test_one_bollard_pull_is_enough_for_a_record() -> None:

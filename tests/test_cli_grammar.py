@@ -304,9 +304,40 @@ def test_progress_in_a_pipe_is_plain_lines(monkeypatch, capsys) -> None:
 
 def test_rounds_bound_the_time_of_a_search() -> None:
     """After a round of 7 s a search of at most four has at most three such rounds left."""
-    from oed_sysid.cli.commands_improve import _Rounds
+    from oed_sysid.cli.tasks import Rounds
 
-    rounds = _Rounds(4)
+    rounds = Rounds(4)
     assert rounds.left(1, 10.0) is None
     assert rounds.left(2, 17.0) == pytest.approx(21.0)
     assert np.isclose(rounds.left(3, 20.0), 14.0)
+
+
+def test_closed_pipe_is_no_failure(tmp_path: Path) -> None:
+    """A reader that stops, as `head` does, changes neither the exit code nor what is written."""
+    told = tmp_path / "told.json"
+    for given in (["problems", "--json", str(told)], ["fit", "--help"]):
+        ours, theirs = os.pipe()
+        os.close(ours)
+        done = subprocess.run(
+            [sys.executable, "-m", "oed_sysid.cli", *given], stdout=theirs, stderr=subprocess.PIPE
+        )
+        os.close(theirs)
+        assert (done.returncode, done.stderr) in [(0, b""), (0, f"Written: {told}\n".encode())]
+    assert json.loads(told.read_text())["problems"]
+
+
+def test_json_on_standard_output_stands_there_alone(capsys) -> None:
+    """`--json -` leaves standard output to the numbers; the words go to standard error."""
+    assert main(["problems", "online_ship", "--json", "-"]) == DONE
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["name"] == "online_ship"
+    assert "Equations of motion" in printed.err
+
+
+def test_tables_as_latex(dives: Path, capsys) -> None:
+    """`--as latex` prints the tables of a report, one row of LaTeX per row."""
+    line = ["rank", "nomoto_sparse_heading", "--quiet", "--as", "latex"]
+    assert main(line) == DONE
+    said = capsys.readouterr().out
+    assert said.count(r"\begin{tabular}") == said.count(r"\end{tabular}") > 0
+    assert main([*line[:-1], "word"]) == BAD_INPUT

@@ -16,6 +16,7 @@ from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError, ProblemError, UnitWarning
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.text import csv_table
 from oed_sysid.text.csv_table import Table, read_table, write_table
 
 HEADER = "t [s];theta [rad];z [m]"
@@ -47,45 +48,10 @@ def test_decimal_comma(tmp_path: Path, delimiter: str) -> None:
     np.testing.assert_array_equal(table.values, [[0, 1.5, 2], [1, -25.0, np.nan]])
 
 
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-8", "latin-1"])
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\n\n"])
-def test_encodings_and_line_ends(tmp_path: Path, encoding: str, end: str) -> None:
-    """Byte order marks, Latin-1 degrees, DOS line ends and blank lines are read."""
-    table = read(tmp_path, "t [s],phi [°]", "0,1", "1,2", encoding=encoding, end=end)
-    assert table.headers == ("t [s]", "phi [°]")
-    np.testing.assert_array_equal(table.values, [[0, 1], [1, 2]])
-
-
 def test_row_numbers(tmp_path: Path) -> None:
     """Rows are counted as an editor counts them, with comments and blank lines."""
     table = read(tmp_path, "# from the logger", HEADER, "", "0;1;2", "# dropout", "1;1;2")
     np.testing.assert_array_equal(table.row_numbers, [4, 6])
-
-
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        ((HEADER, "0;1;2", "1;x;2"), r"Row 3 of dive.csv, column 'theta \[rad\]': 'x' is not"),
-        ((HEADER, "0;1;2", "1;2"), "Row 3 of dive.csv has 2 cells, but the header has 3"),
-        ((HEADER, "0;1;2;3"), "Row 2 of dive.csv has 4 cells, but the header has 3"),
-        ((HEADER,), "holds no rows of numbers"),
-        (("",), "is empty"),
-        (("0;1;2", "1;1;2"), "holds numbers, not headers"),
-        (("0;0;0", "1;0;0"), "holds numbers, not headers"),
-        (("t [s];z [m];z [m]", "0;1;2"), r"two columns 'z \[m\]'"),
-        (("t [s];;z [m]", "0;1;2"), "Column 2 of dive.csv has no header"),
-    ],
-)
-def test_faults(tmp_path: Path, lines: tuple[str, ...], message: str) -> None:
-    """Each fault of a file is reported with its place."""
-    with pytest.raises(DataError, match=message):
-        read(tmp_path, *lines)
-
-
-def test_missing_file(tmp_path: Path) -> None:
-    """A path that leads nowhere is reported as such."""
-    with pytest.raises(DataError, match="There is no file"):
-        read_table(tmp_path / "absent.csv")
 
 
 def test_written_numbers_read_back_exactly(tmp_path: Path) -> None:
@@ -96,6 +62,67 @@ def test_written_numbers_read_back_exactly(tmp_path: Path) -> None:
     table = read_table(tmp_path / "a.csv")
     np.testing.assert_array_equal(table.values, values)
     assert table.headers[1] == "b, corrected"
+
+
+CELLS = (
+    "0",
+    "1.5",
+    "-2e-3",
+    "+7",
+    ".5",
+    "5.",
+    "",
+    " ",
+    "nan",
+    "NA",
+    "null",
+    " 1",
+    "2 ",
+    "1e400",
+    "inf",
+)
+ODD = ("x", "1,5", "1 2", "0x1F", "1_0", "--1", "1e", '"3"', "#", "\u0663", "1.2.3", "12:00:01")
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_read_in_blocks_as_cell_by_cell(
+    tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the parser of blocks accepts is what the careful reader makes of the same file."""
+    rng = np.random.default_rng(seed)
+    monkeypatch.setattr(csv_table, "_BLOCK", 64)
+    accepted = 0
+    for _ in range(120):
+        delimiter, end = rng.choice([",", ";", "\t"]), rng.choice(["\n", "\r\n"])
+        n_columns, n_rows = rng.integers(1, 5), int(rng.integers(1, 30))
+        table = [list(rng.choice(CELLS, n_columns)) for _ in range(n_rows)]
+        kinds = rng.choice(4, n_columns, p=[0.7, 0.15, 0.1, 0.05])
+        for number, row in enumerate(table):
+            row[:] = [
+                {1: f"12:00:{number:02d}.5", 2: "AUTO", 3: str(number)}.get(kind, cell)
+                for kind, cell in zip(kinds, row, strict=True)
+            ]
+        if rng.random() < 0.3:
+            table[rng.integers(n_rows)][rng.integers(n_columns)] = str(rng.choice(ODD))
+        close = delimiter if rng.random() < 0.2 else ""
+        lines = [*([str(h) for h in ("# remark", "")] * int(rng.integers(2)))]
+        lines += [delimiter.join(f"c{i} [m]" for i in range(n_columns)) + close]
+        lines += [delimiter.join(row) + close for row in table]
+        path = tmp_path / "log.csv"
+        path.write_bytes((end.join(lines) + end * int(rng.integers(3))).encode())
+        quick = csv_table._quick(path, True)
+        if quick is None:
+            continue
+        accepted += 1
+        slow = csv_table._cell_by_cell(path, True)
+        np.testing.assert_array_equal(quick.values, slow.values)
+        np.testing.assert_array_equal(quick.row_numbers, slow.row_numbers)
+        assert (quick.headers, quick.stamps, quick.faults) == (
+            slow.headers,
+            slow.stamps,
+            slow.faults,
+        )
+    assert accepted > 12
 
 
 SHIP = Channels((Input("delta", "rad"),), (Output("psi", "rad"), Output("r", "rad/s")))
@@ -119,23 +146,15 @@ def with_row(index: int, text: str) -> list[str]:
     return [*rows()[:index], text, *rows()[index + 1 :]]
 
 
-@pytest.mark.parametrize(
-    ("lines", "words"),
-    [
-        (with_row(4, ",0.1,0.2"), "Row 6 of log.csv: the time is empty or no number (1 such row)"),
+def test_a_row_that_is_there_twice_is_told_from_a_time_that_repeats(tmp_path: Path) -> None:
+    """A logger that wrote a row twice is another fault than two rows of one time."""
+    for lines, words in (
         ([*rows()[:5], rows()[4], *rows()[5:]], "Row 7 of log.csv repeats the row before (time 2)"),
         (with_row(5, "2,0.1,0.2"), "Row 7 of log.csv: time 2 repeats that of the row before"),
-        (rows()[::-1], "log.csv runs backwards: its rows stand in reverse"),
-        (with_row(5, "1,0.1,0.2"), "Row 7 of log.csv: time 1 after 2 runs backwards"),
-        (with_row(5, "2.5"), "Row 7 of log.csv has 1 cell, but the header has 3"),
-        (with_row(5, "2.5,1"), "Row 7 of log.csv has 2 cells, but the header has 3"),
-    ],
-)
-def test_times_and_cells(lines: list[str], words: str, tmp_path: Path) -> None:
-    """Each fault has its own words: the row, what is wrong and what to do."""
-    with pytest.raises(DataError) as caught:
-        read_csv(written(tmp_path, lines), SHIP)
-    assert words in str(caught.value)
+    ):
+        with pytest.raises(DataError) as caught:
+            read_csv(written(tmp_path, lines), SHIP)
+        assert words in str(caught.value)
 
 
 def test_midnight_is_recognised(tmp_path: Path) -> None:

@@ -21,8 +21,6 @@ from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.rank import rank, threshold
 from oed_sysid.evidence.score import scores
 from oed_sysid.evidence.study import Study
-from oed_sysid.likelihood.departures import sigma_filter
-from oed_sysid.physics import backlash
 
 
 def test_score_is_chi_squared_where_nothing_is_missing() -> None:
@@ -201,8 +199,14 @@ def test_improvement_as_plain_data(auv: Improvement) -> None:
         "noise",
         "notes",
         "parameters",
+        "decisions",
     }
-    assert set(plain["steps"][0]) == {"added", "group", "gain", "train_error", "test_error"}
+    step = plain["steps"][0]
+    assert {"added", "group", "gain", "test_gain", "statistic", "needed"} <= set(step)
+    assert step["statistic"] == pytest.approx(step["gain"] + step["test_gain"])
+    assert {"name", "training", "validation", "needed", "before", "after"} <= set(
+        plain["decisions"][0]
+    )
     assert set(plain["ranking"][0]) == {"effect", "statistic"}
     assert plain["ranking"][0]["effect"] == "heave_crossflow_drag"
     assert len(plain["ranking"]) == len(load_problem("remus_diving_plane").effects)
@@ -218,32 +222,6 @@ def test_improvement_tells_its_story(auv: Improvement) -> None:
     assert "noise" in text.splitlines()[-1] or "Verdict" in text
 
 
-def test_what_smooths_the_noise_of_a_logged_command_is_not_claimed() -> None:
-    """A play or a power of a noisy command that is held fits better, and is not there."""
-    for seed in (3, 4):
-        rng = np.random.default_rng(seed)
-        noisy = []
-        for number in (0, 1):
-            records = []
-            for record in dataset(10 * seed + number):
-                logged = record.inputs + 0.01 * rng.standard_normal(record.inputs.shape)
-                records.append(replace(record, inputs=logged))
-            noisy.append(Dataset(tuple(records)))
-        found = improve(SHIP, *noisy, candidates=[CUBIC, backlash("rudder_backlash", "delta")])
-        assert not found.steps
-
-
-def test_a_sigma_filter_keeps_jumps_and_takes_noise() -> None:
-    """Held commands come back within a few hundredths of the noise away from their level."""
-    rng = np.random.default_rng(0)
-    held = np.repeat([0.0, 0.5, -0.5, 0.5], 60)
-    left = sigma_filter(held + 0.01 * rng.standard_normal(len(held)), 0.01) - held
-    assert np.std(left) < 0.003
-    assert np.abs(left).max() < 0.01
-    slope = np.linspace(0.0, 1.0, 400)
-    assert np.abs(sigma_filter(slope, 0.01) - slope)[100:-100].max() < 1e-3
-
-
 def test_what_was_found_stays_where_a_later_stage_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     """The second ranking breaks off: the effect of the first is kept, and the reason is told."""
     calls = []
@@ -254,7 +232,7 @@ def test_what_was_found_stays_where_a_later_stage_fails(monkeypatch: pytest.Monk
             raise OedSysidError("a stage that fails")
         return rank(*args, **settings)
 
-    monkeypatch.setattr("oed_sysid.evidence.improve.rank", ranked)
+    monkeypatch.setattr("oed_sysid.evidence.search.rank", ranked)
     found = improve(SHIP, dataset(11, -15.0), dataset(12, -15.0), candidates=CANDIDATES)
     assert [step.added for step in found.steps] == ["cubic_damping"]
     assert any("a stage that fails" in note for note in found.notes)

@@ -7,7 +7,7 @@ import pytest
 
 from oed_sysid import Dataset, Model, Output, Parameter, Record, State
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.prediction import N_PROBE, Spread, misleads, predict
+from oed_sysid.likelihood.prediction import Spread, misleads, predict
 
 # What stands upright falls to one side or the other, and is caught at one.
 FORCE, TIME, STEP = 0.05, 1.0, 0.1
@@ -80,13 +80,13 @@ def test_an_unknown_start_alone_has_a_band_of_both_sides() -> None:
     assert std[-1] > 0.9
 
 
-def test_what_is_damped_keeps_its_first_order_band() -> None:
-    """No draws where they would say the same: variances follow the closed form."""
+def test_what_is_damped_has_the_band_of_the_closed_form() -> None:
+    """Two hundred draws tell a standard deviation to five per cent."""
     path, std = predicted(-1.0, 0.1)
     expected = np.sqrt(np.mean((simulated(-1.0, 0.1) - path) ** 2, axis=0))
-    np.testing.assert_allclose(std[5:], expected[5:], rtol=0.08)
+    np.testing.assert_allclose(std[5:], expected[5:], rtol=0.12)
     # dx/dt = -x + w with w of time one: the variance tends to FORCE^2/2, nearly.
-    assert std[-1] == pytest.approx(FORCE / np.sqrt(2.0), rel=0.02)
+    assert std[-1] == pytest.approx(FORCE / np.sqrt(2.0), rel=0.1)
 
 
 @pytest.mark.parametrize("force", [0.0, FORCE])
@@ -115,12 +115,9 @@ def test_draws_have_the_covariance_that_is_stated() -> None:
     np.testing.assert_allclose(np.cov(drawn.T), expected, atol=0.12)
 
 
-def test_chance_of_few_draws_does_not_mislead() -> None:
-    """Twenty draws from the stated variance agree with it in nine cases of ten, at worst."""
-    rng = np.random.default_rng(1)
+def test_what_misleads_is_a_clear_difference() -> None:
+    """First-order variances within a fifth of those of the same draws stand."""
     variance = np.full((50, 2), 0.3)
-    sides = rng.standard_normal((400, N_PROBE, 1, 2)) * np.sqrt(0.3)  # one number for a whole run
-    wrong = [misleads(variance, np.repeat(np.mean(s**2, axis=0), 50, axis=0)) for s in sides]
-    assert np.mean(wrong) < 0.1
+    assert not misleads(variance, 1.1 * variance)
     assert misleads(variance, 4.0 * variance)
     assert misleads(variance, 0.1 * variance)

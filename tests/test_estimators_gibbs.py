@@ -131,9 +131,9 @@ def test_estimator_agrees_with_least_squares_and_states_its_chains() -> None:
     }
     least = EquationError(rule="exact", rates=rates, coloured="never").fit(problem.model, data)
     gibbs = GibbsRegression(rule="exact", rates=rates).fit(problem.model, data)
-    assert max(gibbs.extras["r_hat"].values()) < 1.01
-    assert min(gibbs.extras["effective_draws"].values()) > 4000
+    assert max(gibbs.posterior.r_hat.values()) < 1.01
+    assert min(gibbs.posterior.effective_draws.values()) > 4000
     for name in least.names:
         assert abs(gibbs.values[name] - least.values[name]) < 0.1 * least.std_errors[name]
         assert gibbs.std_errors[name] == pytest.approx(least.std_errors[name], rel=0.1)
-    assert gibbs.extras["draws"]["Z_uq_prime"].shape == (4, 2000)
+    assert gibbs.posterior.draws["Z_uq_prime"].shape == (4, 2000)

@@ -17,6 +17,9 @@ from oed_sysid.compiled.filtering import (
     COLOUR_VARIANCE,
     FORCE_TIME,
     FORCE_VARIANCE,
+    SEA_DAMPING,
+    SEA_PERIOD,
+    SEA_VARIANCE,
     WHITE_VARIANCE,
     Disturbed,
     FilterKernel,
@@ -90,15 +93,45 @@ EVERY_LEVEL = (
     (COLOUR_VARIANCE, 1),
     (COLOUR_TIME, 1),
 )
+# Two seas besides, of one axis both and of another one alone, one of each shape.
+AUV_SEA = replace(
+    AUV_NOISE,
+    disturbances=(*AUV_FORCES, *AUV_FORCES[:2], AUV_FORCES[0]),
+    variance=np.array([4.0, 0.3, 0.01, 2.0, 0.5, 1.0]) ** 2,
+    time=np.array([1.5, 0.0, 3.0, 2.5, 2.5, 0.9]),
+    damping=np.array([0.0, 0.0, 0.0, 0.15, 0.15, 0.4]),
+    turn=np.array([0, 0, 0, -1, -1, 1]),
+    sea=np.array([-1, -1, -1, 0, 0, 1]),
+)
+SEA_LEVELS = (
+    *EVERY_LEVEL,
+    (FORCE_TIME, -1),
+    (SEA_VARIANCE, 0),
+    (SEA_VARIANCE, 2),
+    (SEA_PERIOD, 0),
+    (SEA_DAMPING, 0),
+    (SEA_PERIOD, 1),
+    (SEA_DAMPING, 1),
+)
 SHARED_TIMES = ((FORCE_VARIANCE, 1), (FORCE_TIME, -1), (COLOUR_VARIANCE, 1), (COLOUR_TIME, -1))
 
 
-@pytest.mark.parametrize("levels", [(), EVERY_LEVEL, SHARED_TIMES], ids=["none", "own", "shared"])
+@pytest.mark.parametrize(
+    ("noise", "levels"),
+    [
+        (AUV_NOISE, ()),
+        (AUV_NOISE, EVERY_LEVEL),
+        (AUV_NOISE, SHARED_TIMES),
+        (AUV_SEA, ()),
+        (AUV_SEA, SEA_LEVELS),
+    ],
+    ids=["none", "own", "shared", "seas", "levels of seas"],
+)
 @pytest.mark.parametrize("longest_step", [None, 0.06], ids=["samples", "sub-steps"])
 def test_compiled_filter_is_the_interpreted_one(
-    levels: tuple[tuple[int, int], ...], longest_step: float | None
+    noise: Disturbed, levels: tuple[tuple[int, int], ...], longest_step: float | None
 ) -> None:
-    """Actuator and sensor memory, gaps, colours and sub-steps: C and NumPy agree to 1e-9."""
+    """Actuator and sensor memory, gaps, colours, seas and sub-steps: C and NumPy agree to 1e-9."""
     kernel = filter_kernel(disturbed_model(AUV, AUV_FORCES))
     if _compiler() is None:
         pytest.skip("no compiler")
@@ -109,16 +142,17 @@ def test_compiled_filter_is_the_interpreted_one(
 
     def run(filter_: FilterKernel) -> FilterPass:
         return filter_.filter(
-            times, inputs, values, own, measured, AUV_NOISE, names=("X_uu",), levels=levels,
+            times, inputs, values, own, measured, noise, names=("X_uu",), levels=levels,
             rows=True, gains=True, moves=True, longest_step=longest_step,
         )  # fmt: skip
 
     assert_same(run(kernel), run(interpreted(kernel)))
 
 
+@pytest.mark.parametrize("noise", [AUV_NOISE, AUV_SEA], ids=["first order", "seas"])
 @pytest.mark.parametrize("longest_step", [None, 0.06], ids=["samples", "sub-steps"])
 def test_replay_repeats_the_filter_and_shows_what_a_value_changes(
-    longest_step: float | None,
+    longest_step: float | None, noise: Disturbed
 ) -> None:
     """At the values of the pass the same innovations; at others the columns at frozen gain."""
     kernel = filter_kernel(disturbed_model(AUV, AUV_FORCES))
@@ -131,14 +165,14 @@ def test_replay_repeats_the_filter_and_shows_what_a_value_changes(
     slopes = []
     for filter_ in (kernel, interpreted(kernel)):
         found = filter_.filter(
-            times, inputs, values, own, measured, AUV_NOISE, names=("X_uu",), own_columns=False,
+            times, inputs, values, own, measured, noise, names=("X_uu",), own_columns=False,
             rows=True, gains=True, longest_step=longest_step,
         )  # fmt: skip
         assert found.gains is not None
         assert found.rows is not None
         same, other = (
             filter_.replay(
-                times, inputs, at, own, measured, AUV_NOISE, found.gains, longest_step=longest_step
+                times, inputs, at, own, measured, noise, found.gains, longest_step=longest_step
             )
             for at in (values, moved)
         )
@@ -227,6 +261,16 @@ def linear_pass(noise: Disturbed, own: np.ndarray = START, **options: object) ->
     )  # fmt: skip
 
 
+def remembered(noise: Disturbed, j: int, age: np.ndarray) -> np.ndarray:
+    """Autocorrelation of a disturbance, of second order as textbooks of vibration have it."""
+    if noise.turn[j] == 0:
+        return np.exp(-age / max(noise.time[j], 1e-9))
+    z, angle = noise.damping[j], 2 * np.pi / noise.time[j] * age
+    root = np.sqrt(1 - z**2)
+    wave = np.cos(angle * root) + noise.turn[j] * z / root * np.sin(angle * root)
+    return np.exp(-z * angle) * wave
+
+
 def dense(noise: Disturbed) -> tuple[float, float]:
     """Log determinant and weighted square of all measurements, from their joint covariance.
 
@@ -258,9 +302,9 @@ def dense(noise: Disturbed) -> tuple[float, float]:
     full = np.array([responses[i] for i in ends]).reshape(len(times) * 2, len(starts), 2)
     age = np.abs(np.subtract.outer(starts, starts))
     covariance = np.zeros((len(full), len(full)))
-    for j in range(2):
-        force = noise.variance[j] * np.exp(-age / max(noise.time[j], 1e-9))
-        covariance += full[:, :, j] @ force @ full[:, :, j].T
+    for j, name in enumerate(noise.disturbances):
+        column = full[:, :, SHIP_FORCES.index(name)]
+        covariance += column @ (noise.variance[j] * remembered(noise, j, age)) @ column.T
     between = np.abs(np.subtract.outer(times, times))
     for i, output in enumerate(noise.coloured):
         coloured = noise.colour_variance[i] * np.exp(-between / noise.colour_time[i])
@@ -285,6 +329,65 @@ def test_likelihood_is_that_of_the_joint_normal_distribution(time: float, colour
     assert found.objective == pytest.approx(determinant + square, rel=1e-8)
 
 
+def ship_sea(turn: int = -1) -> Disturbed:
+    """Two seas beside the forces: one in both places, one of the other shape on top of it."""
+    return ship_noise(
+        disturbances=(*SHIP_FORCES, *SHIP_FORCES, SHIP_FORCES[0]),
+        variance=np.array([0.02, 0.1, 0.03, 0.05, 0.02]) ** 2,
+        time=np.array([1.0, 3.0, 2.5, 2.5, 6.0]),
+        damping=np.array([0.0, 0.0, 0.12, 0.12, 0.3]),
+        turn=np.array([0, 0, turn, turn, -turn]),
+        sea=np.array([-1, -1, 0, 0, 1]),
+    )
+
+
+@pytest.mark.parametrize("turn", [-1, 1], ids=["velocity", "displacement"])
+def test_likelihood_of_seas_is_that_of_the_joint_normal_distribution(turn: int) -> None:
+    """Narrow-band forces of both shapes, several in one place: equal to a dense covariance."""
+    found = linear_pass(ship_sea(turn))
+    determinant, square = dense(ship_sea(turn))
+    assert found.log_variance == pytest.approx(determinant, rel=1e-8)
+    assert found.square == pytest.approx(square, rel=1e-8)
+
+
+def test_filter_with_a_sea_is_a_textbook_kalman_filter() -> None:
+    """Innovations and variances equal those of a plain NumPy filter with matrix exponentials."""
+    noise = ship_noise(
+        disturbances=(SHIP_FORCES[0],), variance=np.array([4e-4]), time=np.array([2.5]),
+        damping=np.array([0.12]), turn=np.array([-1]), sea=np.array([0]),
+        coloured=np.zeros(0, dtype=int), colour_variance=np.zeros(0), colour_time=np.zeros(0),
+    )  # fmt: skip
+    times, _, measured = linear_record()
+    w, z = 2 * np.pi / 2.5, 0.12
+    mean, p = np.array([*START, 0.0, 0.0]), np.diag([0.0, 0.0, 4e-4, 4e-4])
+    innovations, variances = np.full(measured.shape, np.nan), np.full(measured.shape, np.nan)
+    for k, row in enumerate(measured):
+        for i in np.flatnonzero(np.isfinite(row)):
+            s = p[i, i] + noise.white[i]
+            innovations[k, i], variances[k, i] = row[i] - mean[i], s
+            gain = p[:, i] / s
+            mean = mean + gain * innovations[k, i]
+            p = p - np.outer(gain, gain) * s
+        if k + 1 == len(times):
+            break
+        count = int(np.ceil((times[k + 1] - times[k]) / 0.2 - 1e-6))
+        h = (times[k + 1] - times[k]) / count
+        # Heading, rate, held force, held rudder; then displacement and velocity of the sea.
+        held = np.zeros((4, 4))
+        held[0, 1], held[1, 1], held[1, 2], held[1, 3] = 1.0, -1 / TIME, 1.0, GAIN / TIME * 0.2
+        held, sea = expm(held * h), expm(np.array([[0.0, w], [-w, -2 * z * w]]) * h)
+        move = np.zeros((4, 4))
+        move[:2, :2], move[:2, 3], move[2:, 2:] = held[:2, :2], held[:2, 2], sea
+        for _ in range(count):
+            mean = move @ mean + np.array([*held[:2, 3], 0.0, 0.0])
+            p = move @ p @ move.T
+            p[2:, 2:] += 4e-4 * (np.eye(2) - sea @ sea.T)
+    found = linear_pass(noise)
+    seen = np.isfinite(measured)
+    np.testing.assert_allclose(found.innovations[seen], innovations[seen], rtol=1e-7, atol=1e-10)
+    np.testing.assert_allclose(found.variances[seen], variances[seen], rtol=1e-7)
+
+
 LEVELS = (
     (FORCE_VARIANCE, 0),
     (FORCE_VARIANCE, 1),
@@ -293,29 +396,54 @@ LEVELS = (
     (WHITE_VARIANCE, 0),
     (COLOUR_VARIANCE, 0),
     (COLOUR_TIME, 0),
+    (SEA_VARIANCE, 0),
+    (SEA_VARIANCE, 2),
+    (SEA_PERIOD, 0),
+    (SEA_PERIOD, 1),
+    (SEA_DAMPING, 0),
+    (SEA_DAMPING, 1),
 )
+NAMES = {
+    FORCE_VARIANCE: "variance",
+    FORCE_TIME: "time",
+    WHITE_VARIANCE: "white",
+    COLOUR_VARIANCE: "colour_variance",
+    COLOUR_TIME: "colour_time",
+    SEA_VARIANCE: "variance",
+    SEA_PERIOD: "time",
+    SEA_DAMPING: "damping",
+}
+VARIANCES = (FORCE_VARIANCE, WHITE_VARIANCE, COLOUR_VARIANCE, SEA_VARIANCE)
+
+
+def positions(noise: Disturbed, level: tuple[int, int]) -> np.ndarray:
+    """Entries of an array of the noise that a level moves."""
+    kind, index = level
+    if kind == SEA_VARIANCE:
+        return np.array([2 + index])
+    if kind in (SEA_PERIOD, SEA_DAMPING):
+        return np.flatnonzero(noise.sea == index)
+    if kind == FORCE_TIME and index < 0:
+        return np.flatnonzero(noise.sea < 0)
+    return np.array([index])
 
 
 def shifted(noise: Disturbed, level: tuple[int, int], by: float) -> Disturbed:
     """Noise with one variance moved by a share of itself, or one time by a factor."""
-    kind, index = level
-    names = ("variance", "time", "white", "colour_variance", "colour_time")
-    array = getattr(noise, names[kind]).copy()
-    where = slice(None) if index < 0 else index
-    array[where] = array[where] * (np.exp(by) if kind in (FORCE_TIME, COLOUR_TIME) else 1 + by)
-    return replace(noise, **{names[kind]: array})
+    array, where = getattr(noise, NAMES[level[0]]).copy(), positions(noise, level)
+    array[where] = array[where] * (1 + by if level[0] in VARIANCES else np.exp(by))
+    return replace(noise, **{NAMES[level[0]]: array})
 
 
 @pytest.mark.parametrize("position", range(len(LEVELS)))
 def test_tangents_of_levels_are_exact_on_a_linear_model(position: int) -> None:
     """Slope of the likelihood, of every innovation and of its variance equal differences."""
-    noise, level, size = ship_noise(), LEVELS[position], 1e-4
+    noise, level, size = ship_sea(), LEVELS[position], 1e-4
     found = linear_pass(noise, levels=LEVELS, rows=True)
     up, down = (linear_pass(shifted(noise, level, sign * size)) for sign in (1, -1))
     # Tangents are by the variance itself, differences by a share of it.
-    kind, index = level
-    names = ("variance", None, "white", "colour_variance", None)
-    unit = getattr(noise, str(names[kind]))[index] if names[kind] else 1.0
+    own = getattr(noise, NAMES[level[0]])[positions(noise, level)]
+    unit = own[0] if level[0] in VARIANCES else 1.0
     n_columns = found.gram.shape[0] - 1 - len(LEVELS)
     slope = found.level_slope[position] + found.gram[n_columns + position, -1]
     expected = 0.5 * (up.objective - down.objective) / (2 * size * unit)

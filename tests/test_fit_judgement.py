@@ -97,7 +97,7 @@ def test_spikes_are_found_and_left_out(size: float, one_sided: bool) -> None:
     n_spikes = sum(int(mask.sum()) for mask in hit)
     assert right >= 0.8 * n_spikes
     assert sum(int(mask.sum()) for mask in gone) - right <= 1
-    counts = robust.extras["excluded"]
+    counts = robust.excluded
     assert sum(count for count, _ in counts.values()) == sum(int(mask.sum()) for mask in gone)
     assert any("excluded as spikes" in c.text for c in robust.concerns)
     true = WHITE.fit(yaw_model(), clean)
@@ -112,7 +112,7 @@ def test_without_spikes_nothing_changes() -> None:
         plain = WHITE.fit(yaw_model(), data)
         robust = replace(WHITE, loss="auto").fit(yaw_model(), data)
         assert np.array_equal(plain.estimates, robust.estimates)
-        assert "excluded" not in robust.extras
+        assert not robust.excluded
 
 
 def test_a_slow_bump_is_no_spike() -> None:
@@ -287,7 +287,7 @@ def test_concerns_are_reported_and_stored() -> None:
 def test_what_no_record_shows_and_has_left_its_scale_ran_away() -> None:
     """A value far beyond its start whose own error is infinite is no estimate."""
     fit = WHITE.fit(yaw_model(), yaw_data(10))
-    start = fit.extras["magnitudes"][fit.names[0]]
+    start = fit.nominal[fit.names[0]]
     seen = replace(fit, estimates=np.array([1e5 * start, *fit.estimates[1:]]))
     assert "runaway" not in [c.kind for c in judge(seen)]
     covariance = fit.covariance.copy()

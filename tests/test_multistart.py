@@ -50,9 +50,9 @@ def test_many_starts_find_the_deepest_valley(data: Dataset) -> None:
     best = Multistart(OutputError(), n_starts=16, n_jobs=1).fit(wrong, data)
     assert best.status.ok
     assert best.values["omega"] == pytest.approx(TRUTH, abs=4 * best.std_errors["omega"])
-    assert 1 <= best.extras["arrived"] < 16
-    assert best.log_likelihood == pytest.approx(max(best.extras["log_likelihoods"]))
-    assert best.extras["start_values"][0] == {"omega": 0.8}
+    assert 1 <= best.attempts.arrived < 16
+    assert best.log_likelihood == pytest.approx(max(best.attempts.log_likelihoods))
+    assert best.attempts.start_values[0] == {"omega": 0.8}
 
 
 def test_processes_and_a_store_change_nothing(data: Dataset, tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_processes_and_a_store_change_nothing(data: Dataset, tmp_path: Path) -> 
     assert len(told) == 4
     assert first.values == again.values
     assert first.values["omega"] == pytest.approx(here.values["omega"], rel=1e-9)
-    assert first.extras["arrived"] == here.extras["arrived"] == 4
+    assert first.attempts.arrived == here.attempts.arrived == 4
 
 
 def test_starts_fill_the_bounds_or_the_span() -> None:

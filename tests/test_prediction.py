@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from turning_ship import record as turning_record
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_record
 
 from oed_sysid import Experiment, Force, Input, Model, Output, Parameter, Record, State
@@ -24,7 +25,6 @@ from oed_sysid.prediction.speed_polar import SailingNames, speed_polar
 from oed_sysid.prediction.structures import Structure, average_structures, ladder, peak_input
 from oed_sysid.prediction.turning_circle import QUANTITIES, turning_circle
 from oed_sysid.results import plot_polar
-from tests.turning_ship import record as turning_record
 
 
 @pytest.fixture(scope="module")

@@ -55,7 +55,7 @@ def test_white_data_stay_a_white_fit() -> None:
     assert auto.noise is not None
     assert auto.noise.is_white
     assert auto.innovations is None
-    assert auto.extras["disturbance_test"] < CLEAR
+    assert auto.process_noise.statistic < CLEAR
     np.testing.assert_array_equal(auto.estimates, plain.estimates)
 
 

@@ -43,23 +43,23 @@ def test_every_start_is_drawn_and_the_plateau_is_marked(best: Fit) -> None:
     """Points are the sorted objectives; those of the best optimum are as many as arrived."""
     ax = plot_waterfall(best)
     drawn = {line.get_label(): line.get_ydata() for line in ax.lines}
-    assert 1 <= len(drawn["the best optimum"]) == best.extras["arrived"] < 12
-    above = np.sort(best.extras["objectives"]) - np.min(best.extras["objectives"])
+    assert 1 <= len(drawn["the best optimum"]) == best.attempts.arrived < 12
+    above = np.sort(best.attempts.objectives) - np.min(best.attempts.objectives)
     marked = [drawn[k] for k in ("the best optimum", "other optima", "did not converge")
               if k in drawn]  # fmt: skip
     assert np.sort(np.concatenate(marked)) == pytest.approx(above)
     assert float(drawn["the model's own values"][0]) == pytest.approx(
-        best.extras["objectives"][0] - np.min(best.extras["objectives"])
+        best.attempts.objectives[0] - np.min(best.attempts.objectives)
     )
-    assert f"{best.extras['arrived']} of 12 starts" in ax.get_title(loc="left")
+    assert f"{best.attempts.arrived} of 12 starts" in ax.get_title(loc="left")
     plt.close(ax.figure)
 
 
 def test_starts_that_diverged_are_counted(best: Fit) -> None:
     """An infinite objective is in the title, not in the picture."""
-    objectives = best.extras["objectives"].copy()
+    objectives = best.attempts.objectives.copy()
     objectives[np.argmax(objectives)] = np.inf
-    ax = plot_waterfall(replace(best, extras={**best.extras, "objectives": objectives}))
+    ax = plot_waterfall(replace(best, attempts=replace(best.attempts, objectives=objectives)))
     assert "1 diverged" in ax.get_title(loc="left")
     assert np.isfinite(ax.get_ylim()).all()
     plt.close(ax.figure)
@@ -74,4 +74,4 @@ def test_a_slope_is_no_plateau() -> None:
 def test_one_start_has_no_waterfall(best: Fit) -> None:
     """A plain fit says how to make one with starts."""
     with pytest.raises(DataError, match="Multistart"):
-        plot_waterfall(replace(best, extras={}))
+        plot_waterfall(replace(best, attempts=None))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import oed_sysid
 from oed_sysid import Fit
 from oed_sysid.errors import DataError
 
@@ -72,6 +73,56 @@ def test_what_is_new_has_a_meaning_for_it(old: Fit, tmp_path: Path) -> None:
         assert np.abs((found - stored) / old.sigma).max() < 0.5
     old.save(tmp_path / "again.json")
     assert Fit.load(tmp_path / "again.json").report() == old.report()
+
+
+def test_what_was_told_in_extras_is_typed_now(tmp_path: Path) -> None:
+    """Entries of ``extras`` that decided something in version 0.1 are fields; others stay."""
+    content = json.loads(OLD.read_text(encoding="utf-8"))
+    pair = {"tuple": [3, 900]}
+    told = {
+        "magnitudes": {"mapping": [["K", 1.0]]},
+        "nominal": {"mapping": [["K", 0.05]]},
+        "excluded": {"mapping": [["psi", pair]]},
+        "disturbance_test": 31.0,
+        "process_noise_failed": "stalled",
+        "white_delay": {"tuple": ["psi", "output", 0.4, 0.1]},
+        "white_starts": {"tuple": [{"tuple": ["rudder", "delta", "a", 0.1, 0.02, 0.5]}]},
+        "captive": {"mapping": [["Y", 0.02]]},
+        "captive_misfit": {"mapping": [["Y", 1.1]]},
+        "tests_scatter": True,
+        "horizon": 10.0,
+        "windows": 12,
+        "history": {"tuple": [1.0, 2.0]},
+    }
+    content["fit"]["fields"]["extras"] = {"mapping": [[k, v] for k, v in told.items()]}
+    path = tmp_path / "fit.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    fit = Fit.load(path)
+    assert (fit.nominal, fit.excluded) == ({"K": 0.05}, {"psi": (3, 900)})
+    test = fit.process_noise
+    assert test is not None
+    assert (test.statistic, test.failed) == (31.0, "stalled")
+    assert (test.delay.signal, test.delay.seconds) == ("psi", 0.4)
+    assert [one.effect for one in test.actuator_starts] == ["rudder"]
+    assert (fit.captive.relative, fit.captive.in_noise) == ({"Y": 0.02}, {"Y": 1.1})
+    assert (fit.tests_scatter, fit.horizon, fit.n_windows) == (True, 10.0, 12)
+    assert fit.extras == {"history": (1.0, 2.0)}
+    assert "3 of 900 samples of psi excluded" in fit.report()
+    fit.save(tmp_path / "again.json")
+    again = Fit.load(tmp_path / "again.json")
+    assert again.process_noise.actuator_starts == test.actuator_starts
+    assert again.report() == fit.report()
+
+
+def test_nothing_is_decided_by_extras() -> None:
+    """Only estimators write ``extras``; no other module of the package reads them."""
+    package = Path(oed_sysid.__file__).parent
+    readers = [
+        str(path.relative_to(package))
+        for path in package.rglob("*.py")
+        if ".extras" in path.read_text(encoding="utf-8")
+    ]
+    assert readers == []
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from benchmarks.documents import turns
 from benchmarks.documents.measured_data import ran
 from benchmarks.documents.page import Numbers, Page
-from benchmarks.scoreboard import turns
 from oed_sysid import Dataset, Fit, MultipleShooting, load_problem
 from oed_sysid.prediction.structures import StructureAverage
 from problems.kvlcc2.captive import captive_tests
@@ -126,7 +126,7 @@ def esso_osaka() -> Numbers:
         Dataset(tuple(run for run in data if run.name.startswith(kind)))
         for kind in ("zigzag", "turn")
     )
-    average, measured = turns.predicted(turns.prepared(train), train, test)
+    average, measured = turns.predicted(train, test)
     rows: dict[str, dict[str, Numbers]] = {}
     for name, value in measured.items():
         quantity, run = name.split(maxsplit=1)

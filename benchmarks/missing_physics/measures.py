@@ -7,17 +7,18 @@ from typing import Any
 
 from benchmarks.missing_physics.judge import UNKNOWN_TERMS
 from benchmarks.rates import (
-    LARGEST_GROUP,
     Entry,
     Rate,
+    by_effect,
     claims,
     number,
     of_kind,
     plain,
-    rate_table,
-    section,
+    right_first,
+    right_group,
     share,
 )
+from benchmarks.rates import as_markdown as tables
 
 # Error of a model over that of the true structure, up to which it is as good.
 AS_GOOD = 1.05
@@ -34,23 +35,10 @@ def measures(entries: Sequence[Entry]) -> dict[str, Any]:
     return {
         "n_cases": len(entries),
         "rates": plain(_rates(sound)),
-        "by_effect": _by_effect(of_kind(sound, "single", "white")),
+        "by_effect": by_effect(of_kind(sound, "single", "white")),
         "failures": [_failure(entry) for entry in sound if _is_failure(entry)],
         "broken": [{"case": entry["key"], "error": entry["error"]} for entry in broken],
     }
-
-
-def right_first(entry: Entry) -> bool:
-    """Whether the first effect added is one of the hidden ones."""
-    return bool(entry["steps"]) and entry["steps"][0]["added"] in entry["effects"]
-
-
-def right_group(entry: Entry) -> bool:
-    """Whether a hidden effect is in the first step's group of at most three."""
-    if not entry["steps"]:
-        return False
-    group = entry["steps"][0]["group"]
-    return len(group) <= LARGEST_GROUP and bool(set(group) & set(entry["effects"]))
 
 
 def first_three(entry: Entry) -> bool:
@@ -118,27 +106,6 @@ def _rates(entries: Sequence[Entry]) -> list[Rate]:
     ]
 
 
-def _by_effect(entries: Sequence[Entry]) -> list[dict[str, Any]]:
-    """Per hidden effect: cases, detectable ones, right first, in the group."""
-    table = []
-    for name in sorted({name for entry in entries for name in entry["effects"]}):
-        own = [e for e in entries if name in e["effects"]]
-        shown = [e for e in own if e["detectable"]]
-        table.append(
-            {
-                "effect": name,
-                "cases": len(own),
-                "detectable": len(shown),
-                "right_first": sum(right_first(e) for e in shown),
-                "right_group": sum(right_group(e) for e in shown),
-                "mistaken_for": sorted(
-                    {e["steps"][0]["added"] if e["steps"] else "nothing" for e in shown} - {name}
-                ),
-            }
-        )
-    return table
-
-
 def _is_failure(entry: Entry) -> bool:
     if entry["hidden"] == "none":
         return claims(entry)
@@ -154,8 +121,8 @@ def _failure(entry: Entry) -> dict[str, Any]:
     truth = [f"{n} ({entry['true_gains'][n]:.1f})" for n in entry["effects"]]
     return {
         "case": entry["key"],
-        "hidden": truth,
-        "added": steps,
+        "hidden": truth or ["nothing"],
+        "added": steps or ["nothing"],
         "first_group": list(entry["steps"][0]["group"]) if entry["steps"] else [],
         "refused": list(entry["rejected"]),
         "test_error": entry["final_error"]["test"],
@@ -165,35 +132,22 @@ def _failure(entry: Entry) -> dict[str, Any]:
 
 def as_markdown(found: Mapping[str, Any]) -> str:
     """The measures as Markdown tables."""
-    columns = ("cases", "detectable", "right_first", "right_group")
-    effects = [
-        (row["effect"], *(row[one] for one in columns), ", ".join(row["mistaken_for"]))
-        for row in found["by_effect"]
-    ]
-    failures = [
+    return tables(
+        found,
         (
-            row["case"],
-            ", ".join(row["hidden"]) or "nothing",
-            ", ".join(row["added"]) or "nothing",
-            ", ".join(row["first_group"]),
-            ", ".join(row["refused"]),
-            f"{row['test_error']:.3f}",
-            f"{row['true_test_error']:.3f}",
-        )
-        for row in found["failures"]
-    ]
-    lines = rate_table(found)
-    lines += section(
-        "One hidden effect, white noise; of the detectable cases:",
-        ("hidden effect", "cases", "detectable", "first", "in the group", "mistaken for"),
-        effects,
-    )
-    lines += section(
-        "Cases that went wrong (gains in twice the log-likelihood):",
-        ("case", "hidden (gain)", "added (gain)", "first group", "refused", "test error", "best"),
-        failures,
-    )
-    if found["broken"]:
-        lines += ["", "Cases that broke:", ""]
-        lines += [f"- {row['case']}: {row['error']}" for row in found["broken"]]
-    return "\n".join(lines)
+            "One hidden effect, white noise; of the detectable cases:",
+            {
+                "hidden effect": "effect", "cases": "cases", "detectable": "detectable",
+                "first": "right_first", "in the group": "right_group",
+                "mistaken for": "mistaken_for",
+            },
+        ),
+        (
+            "Cases that went wrong (gains in twice the log-likelihood):",
+            {
+                "case": "case", "hidden (gain)": "hidden", "added (gain)": "added",
+                "first group": "first_group", "refused": "refused", "test error": "test_error",
+                "best": "true_test_error",
+            },
+        ),
+    )  # fmt: skip

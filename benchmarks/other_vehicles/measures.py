@@ -11,14 +11,17 @@ from benchmarks.rates import (
     LARGEST_GROUP,
     Entry,
     Rate,
+    by_effect,
     claims,
+    names_of,
     number,
     of_kind,
     plain,
-    rate_table,
-    section,
+    right_first,
+    right_group,
     share,
 )
+from benchmarks.rates import as_markdown as tables
 
 PERCENT = (50, 90)
 RISE = 1.02  # validation error after a claim over that before, from which the two contradict
@@ -33,7 +36,7 @@ def measures(entries: Sequence[Entry]) -> dict[str, Any]:
     return {
         "n_cases": len(entries),
         "rates": plain(_rates(entries)),
-        "by_effect": _by_effect(entries),
+        "by_effect": by_effect(e for e in entries if e["hidden"] == "single"),
         "failures": [_failure(entry) for entry in entries if faults(entry)],
     }
 
@@ -41,26 +44,6 @@ def measures(entries: Sequence[Entry]) -> dict[str, Any]:
 def aborted(entry: Entry) -> bool:
     """Whether the improvement ended without a result."""
     return "error" in entry
-
-
-def names_of(entry: Entry, name: str) -> set[str]:
-    """Names under which a hidden effect may be claimed."""
-    return {name, *entry.get("same_as", {}).get(name, ())}
-
-
-def right_first(entry: Entry) -> bool:
-    """Whether the first effect claimed is one of the hidden ones."""
-    right = set().union(*(names_of(entry, name) for name in entry["effects"]))
-    return claims(entry) and entry["steps"][0]["added"] in right
-
-
-def right_group(entry: Entry) -> bool:
-    """Whether a hidden effect is the first claimed, or in its group of at most three."""
-    if not claims(entry):
-        return False
-    group = set(entry["steps"][0]["group"])
-    right = set().union(*(names_of(entry, name) for name in entry["effects"]))
-    return right_first(entry) or (len(group) <= LARGEST_GROUP and bool(group & right))
 
 
 def accepted(entry: Entry) -> bool:
@@ -143,34 +126,6 @@ def _rates(entries: Sequence[Entry]) -> list[Rate]:
     ]
 
 
-def _by_effect(entries: Sequence[Entry]) -> list[dict[str, Any]]:
-    """Per vehicle and single hidden effect: detectable cases, right ones, and rivals."""
-    table = []
-    single = [e for e in entries if e["hidden"] == "single"]
-    for vehicle, name in sorted({(e["vehicle"], e["effects"][0]) for e in single}):
-        own = [e for e in single if (e["vehicle"], e["effects"][0]) == (vehicle, name)]
-        shown = [e for e in own if e["detectable"]]
-        wrong = [e for e in shown if not right_group(e)]
-        table.append(
-            {
-                "vehicle": vehicle,
-                "effect": name,
-                "cases": len(own),
-                "detectable": len(shown),
-                "right_first": sum(map(right_first, shown)),
-                "right_group": sum(map(right_group, shown)),
-                "mistaken_for": sorted({_first(e) for e in wrong}),
-            }
-        )
-    return table
-
-
-def _first(entry: Entry) -> str:
-    if aborted(entry):
-        return "an abort"
-    return str(entry["steps"][0]["added"]) if claims(entry) else "nothing"
-
-
 def faults(entry: Entry) -> list[str]:
     """What went wrong in a case, in words; empty where nothing did."""
     found = []
@@ -196,8 +151,8 @@ def faults(entry: Entry) -> list[str]:
 def _failure(entry: Entry) -> dict[str, Any]:
     return {
         "case": entry["key"],
-        "hidden": [f"{n} ({entry['true_gains'][n]:.0f})" for n in entry["effects"]],
-        "added": [s["added"] for s in entry.get("steps", ())],
+        "hidden": [f"{n} ({entry['true_gains'][n]:.0f})" for n in entry["effects"]] or ["nothing"],
+        "added": [s["added"] for s in entry.get("steps", ())] or ["nothing"],
         "group": entry["steps"][0]["group"] if claims(entry) else [],
         "refused": entry.get("rejected", []),
         "order": entry.get("order", [])[:3],
@@ -208,29 +163,22 @@ def _failure(entry: Entry) -> dict[str, Any]:
 
 def as_markdown(found: Mapping[str, Any]) -> str:
     """The measures as Markdown tables."""
-    columns = ("vehicle", "effect", "cases", "detectable", "right_first", "right_group")
-    effects = [
-        (*(row[one] for one in columns), ", ".join(row["mistaken_for"]))
-        for row in found["by_effect"]
-    ]
-    failures = [
+    return tables(
+        found,
         (
-            row["case"],
-            ", ".join(row["hidden"]) or "nothing",
-            ", ".join(row["added"]) or "nothing",
-            *(", ".join(row[one]) for one in ("group", "refused", "order")),
-            f"{row['ratio']:.3f}",
-            "; ".join(row["faults"]),
-        )
-        for row in found["failures"]
-    ]
-    heads = (
-        ("vehicle", "hidden effect", "cases", "detectable", "first", "or in its group",
-         "otherwise"),
-        ("case", "hidden (gain)", "claimed", "first group", "refused", "ranked first",
-         "error over true", "fault"),
+            "One hidden effect; of the detectable cases:",
+            {
+                "vehicle": "vehicle", "hidden effect": "effect", "cases": "cases",
+                "detectable": "detectable", "first": "right_first",
+                "or in its group": "right_group", "otherwise": "mistaken_for",
+            },
+        ),
+        (
+            "What went wrong (expected gains in twice the log-likelihood):",
+            {
+                "case": "case", "hidden (gain)": "hidden", "claimed": "added",
+                "first group": "group", "refused": "refused", "ranked first": "order",
+                "error over true": "ratio", "fault": "faults",
+            },
+        ),
     )  # fmt: skip
-    lines = rate_table(found)
-    lines += section("One hidden effect; of the detectable cases:", heads[0], effects)
-    words = "What went wrong (expected gains in twice the log-likelihood):"
-    return "\n".join([*lines, *section(words, heads[1], failures)])

@@ -46,13 +46,13 @@ def rates(x: Any, command: Any, p: Any, sin: Any, cos: Any) -> list[Any]:
 
 def load() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times ``(n,)``, commands ``(n, 2)`` and measured outputs ``(n, 5)``."""
-    with np.load(sys.argv[1]) as file:
+    with np.load(sys.argv[-1]) as file:
         return file["times"], file["inputs"], file["outputs"]
 
 
 def share() -> float:
     """Start values as a share of the true ones."""
-    with np.load(sys.argv[1]) as file:
+    with np.load(sys.argv[-1]) as file:
         return float(file["share"])
 
 

@@ -18,52 +18,33 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import find_peaks
 
-from benchmarks.scoreboard.row import Row, attempted, missing, place, read_table
+from benchmarks.scoreboard.row import Row, attempted, columns, missing, place
 from oed_sysid import Channels, Dataset, Fit, Model, MultipleShooting, Record, load_problem
 from oed_sysid.errors import DataError
 from problems.roll_decay.problem import END, RELEASE, SCALE, decay
 
 FOLDER = "kvlcc2_roll_decay"
-
-
-KNOWN = ("model_test_21337", "model_test_parameters", "model_test_units")
-
-
-# Speeds of the tests by their publisher, knots of the ship; used where the log itself does not
-# show that the model was towed.
-STATED = {"model_test_21338": 0.0, "model_test_21340": 15.5}
-
-
+REGISTERED = "model_test_21337"
+KNOWN = (REGISTERED, "model_test_parameters", "model_test_units")
+AWAITED = {"21338": "0 kn", "21340": "15.5 kn"}  # further tests of the source
 KNOT = 0.514444  # m/s
-
-
 SAMPLING = 0.05  # s kept, as in the problem's own records
-
-
 LEAST_SHARE, LEAST_ANGLE = 0.2, np.radians(1.0)  # of the first amplitude; rad
-
-
-GROWTH = 1.1
-
-
+GROWTH, LARGEST = 1.1, 1.0  # rad
 SLOWED, TOWED = 0.9, 0.1  # share of the speed at the beginning; m/s of the model
-
-
 SWINGS = 5  # turning points of the least decay that tells something
-
-
-LARGEST = 1.0  # rad
-
-
-TOLD_HEEL = 0.05  # deg; above it the note says that the models have none
-
-
-COLUMNS = {
-    "t_s": ("t", "time", "time_s", ""),
-    "x_m": ("x",),
-    "y_m": ("y",),
-    "phi_rad": ("phi",),
+STRUCTURES = {
+    "linear": (),
+    "quadratic damping": ("roll_quadratic_damping",),
+    "cubic restoring and quadratic damping": ("roll_cubic_restoring", "roll_quadratic_damping"),
 }
+FULL = "cubic restoring and quadratic damping"
+LINEAR, QUADRATIC, INERTIA = "K_p", "E_roll_quadratic_damping", "I_xx"
+SYMBOLS = {LINEAR: "K_p", QUADRATIC: "K_abspp"}
+ESTIMATOR = MultipleShooting(disturbances="none")
+# Two terms are separated if each is outside its 95 % interval about zero, and the estimates
+# correlate by less than this.
+TWO_SIDED_95, MOST_CORRELATED = 1.96, 0.97
 
 
 @dataclass(frozen=True)
@@ -78,35 +59,32 @@ class Decay:
         Where this is in the log, s.
     speed : float
         Mean speed of the model in it, m/s.
-    knots : float
-        The ship's speed, as measured; as stated if the log shows none.
-    first, last : float
-        Amplitudes at its ends, rad.
-    remark : str
-        What must be said about it; empty if nothing.
+    amplitudes : ndarray
+        Half the differences of its successive turning points, rad.
     """
 
     record: Record
     begin: float
     speed: float
-    knots: float
-    first: float
-    last: float
-    remark: str = ""
+    amplitudes: np.ndarray
 
     @property
     def towed(self) -> bool:
         """Whether the model had a speed."""
-        return self.knots > TOWED * np.sqrt(SCALE) / KNOT
+        return self.speed > TOWED
+
+    @property
+    def title(self) -> str:
+        """Run and speed of the ship."""
+        knots = self.speed * np.sqrt(SCALE) / KNOT if self.towed else 0.0
+        return f"roll decay {self.record.name.removeprefix('model_test_')} ({knots:.3g} kn)"
 
     @property
     def text(self) -> str:
-        """Speed, duration and amplitudes."""
-        first, last = np.degrees([self.first, self.last])
-        return (
-            f"{self.knots:.1f} kn; {self.record.duration:.0f} s from {self.begin:.1f} s on, "
-            f"{first:.1f} to {last:.1f} deg" + (f"; {self.remark}" if self.remark else "")
-        )
+        """Duration and amplitudes."""
+        first, last = np.degrees(self.amplitudes[[0, -1]])
+        span = f"{self.record.duration:.0f} s from {self.begin:.1f} s on"
+        return f"{span}, {first:.1f} to {last:.1f} deg"
 
 
 def further() -> list[Path]:
@@ -118,165 +96,67 @@ def further() -> list[Path]:
 def read_decay(path: Path, channels: Channels) -> Decay:
     """The free decay of a log in the form of ``model_test_21337.csv``.
 
+    It begins at the first turning point after the largest angle, and ends before the first
+    amplitude below :data:`LEAST_SHARE` of the first or :data:`LEAST_ANGLE`, or above
+    :data:`GROWTH` times the smallest so far, or where the tow slows down.
+
     Raises
     ------
     DataError
         If the log has no such decay, or cannot be read.
     """
-    table = read_table(path, COLUMNS)
-    times, phi = table.numbers("t_s"), table.numbers("phi_rad")
-    places = np.column_stack([table.numbers("x_m"), table.numbers("y_m")])
-    step = _step(path.name, times)
-    if np.abs(phi).max() > LARGEST:
-        raise DataError(
-            f"{path.name}: the roll angle reaches {np.abs(phi).max():.3g}; expected less than "
-            f"{LARGEST:g} rad. Is it in degrees? Give radians."
-        )
-    speeds = _speeds(times, places, step)
-    points = _turning_points(path.name, phi, step)
-    amplitudes = np.abs(np.diff(phi[points])) / 2
-    begin = points[0]
-    swings = _ends(amplitudes)
-    whole = swings == len(amplitudes)
-    end = len(phi) - 1 if whole else points[swings]
-    early = speeds[begin : begin + round(10.0 / step)]
-    own = float(np.median(early))
-    remark = ""
-    if own > TOWED:
-        slow = np.flatnonzero(speeds[begin:end] < SLOWED * own)
-        if len(slow):
-            end = begin + int(slow[0])
-            remark = f"cut where the tow slows down, {times[end]:.1f} s"
-    inside = np.flatnonzero(points <= end)
-    if len(inside) < SWINGS:
-        raise DataError(
-            f"{path.name} has {len(inside)} turning points of the roll angle in its free decay; "
-            f"expected {SWINGS} or more. Put a longer test there."
-        )
-    knots = own * np.sqrt(SCALE) / KNOT
-    stated = STATED.get(path.stem)
-    if own <= TOWED:
-        knots = stated or 0.0
-        if stated:
-            remark = f"speed as stated, positions show {own:.2f} m/s"
-    used = phi[points[inside]]
-    heel = float(np.degrees(np.mean(0.5 * (used[1:] + used[:-1]))))
-    if abs(heel) > TOLD_HEEL:
-        remark = "; ".join(filter(None, (remark, f"about a heel of {heel:.2f} deg, not modelled")))
-    thin = max(1, round(SAMPLING / step))
-    rows = slice(begin, end + 1, thin)
-    record = Record(
-        path.stem,
-        times[rows] - times[begin],
-        np.empty((len(times[rows]), 0)),
-        phi[rows, np.newaxis],
-        channels,
-        path.name,
-    )
-    last = amplitudes[min(inside[-1], len(amplitudes)) - 1]
-    return Decay(
-        record, float(times[begin]), own, float(knots), float(amplitudes[0]), float(last), remark
-    )
-
-
-def _step(file: str, times: np.ndarray) -> float:
-    """Time between samples, s, which must not have gaps."""
-    if len(times) < 100:
-        raise DataError(f"{file} has {len(times)} samples; expected a test of some minutes.")
+    times, phi, north, east = columns(path, "t_s", "phi_rad", "x_m", "y_m")
     steps = np.diff(times)
-    step = float(np.median(steps))
-    if steps.min() <= 0 or steps.max() > 5 * step:
-        k = int(np.argmin(steps) if steps.min() <= 0 else np.argmax(steps))
+    step = float(np.median(steps)) if len(steps) else 0.0
+    if not 0 < step <= 2 * SAMPLING or steps.min() <= 0 or steps.max() > 5 * step:
         raise DataError(
-            f"{file}: after {times[k]:.2f} s the next sample is at {times[k + 1]:.2f} s; expected "
-            f"steps near {step:.3g} s. Sort the rows, and cut the log at its gaps."
+            f"{path.name}: expected steps in time of {2 * SAMPLING:g} s at most, without gaps. "
+            "Sort the rows, and cut the log at its gaps."
         )
-    if step > 2 * SAMPLING:
-        raise DataError(
-            f"{file} has {step:.3g} s between samples; expected {2 * SAMPLING:g} s at most, with "
-            "the time in s."
-        )
-    return step
-
-
-def _speeds(times: np.ndarray, places: np.ndarray, step: float) -> np.ndarray:
-    """Speed over a second about each sample, m/s, ``(n,)``."""
+    if np.abs(phi).max() > LARGEST:
+        raise DataError(f"{path.name}: phi_rad exceeds {LARGEST:g} rad. Give radians.")
+    points = _turning_points(phi, step)
+    amplitudes = np.abs(np.diff(phi[points])) / 2
+    smallest = np.minimum.accumulate(amplitudes)
+    least = np.maximum(LEAST_SHARE * amplitudes[:1], LEAST_ANGLE)
+    over = np.flatnonzero((amplitudes < least) | (amplitudes > GROWTH * smallest))
+    end = points[over[0]] if len(over) else len(phi) - 1
     half = max(1, round(0.5 / step))
-    index = np.arange(len(times))
-    low, high = np.maximum(index - half, 0), np.minimum(index + half, len(times) - 1)
-    return np.hypot(*(places[high] - places[low]).T) / (times[high] - times[low])
+    low = np.maximum(np.arange(len(phi)) - half, 0)
+    high = np.minimum(np.arange(len(phi)) + half, len(phi) - 1)
+    speeds = np.hypot(north[high] - north[low], east[high] - east[low]) / (times[high] - times[low])
+    begin = points[0] if len(points) else end
+    speed = float(np.median(speeds[begin : begin + round(10.0 / step)]))
+    slow = np.flatnonzero(speeds[begin:end] < SLOWED * speed) if speed > TOWED else []
+    end = begin + slow[0] if len(slow) else end
+    inside = int(np.sum(points <= end))
+    if inside < SWINGS:
+        raise DataError(
+            f"{path.name} has {inside} turning points of the roll angle in its free decay; "
+            f"expected {SWINGS} or more. Put a longer test there, with the angle in radians."
+        )
+    rows = slice(begin, end + 1, max(1, round(SAMPLING / step)))
+    own = times[rows] - times[begin]
+    record = Record(path.stem, own, np.empty((len(own), 0)), phi[rows, None], channels, path.name)
+    return Decay(record, float(times[begin]), speed, amplitudes[: inside - 1])
 
 
-def _turning_points(file: str, phi: np.ndarray, step: float) -> np.ndarray:
-    """Samples of the turning points from the first after the largest angle on."""
-    span = float(phi.max() - phi.min())
+def _turning_points(phi: np.ndarray, step: float) -> np.ndarray:
+    """Samples of crests and troughs in turn, from the first after the largest angle on."""
     width = max(1, round(0.1 / step))
     smooth = np.convolve(np.pad(phi, width, mode="edge"), np.ones(width) / width, mode="same")
     smooth = smooth[width:-width]
-    prominence = max(0.05 * span, np.radians(0.3))
-    found = [find_peaks(sign * smooth, prominence=prominence)[0] for sign in (1, -1)]
-    points = _alternating(*found)
-    if span / 2 < 1.5 * LEAST_ANGLE or len(points) < SWINGS:
-        raise DataError(
-            f"{file}: the roll angle spans {np.degrees(span):.2f} degrees with {len(points)} "
-            f"turning points; expected a decay from {1.5 * np.degrees(LEAST_ANGLE):g} degrees or "
-            "more. Is phi_rad the roll angle in radians?"
-        )
-    rest = float(np.median(phi[: points[0]])) if points[0] > round(5.0 / step) else 0.0
-    release = int(np.argmax(np.abs(smooth[points] - rest)))
-    return points[release + 1 :]
-
-
-def _alternating(crests: np.ndarray, troughs: np.ndarray) -> np.ndarray:
-    """Crests and troughs in turn; of neighbours of one kind (a flat top has two) the first."""
-    signs = np.concatenate([np.ones(len(crests)), -np.ones(len(troughs))])
+    prominence = max(0.05 * float(np.ptp(phi)), np.radians(0.3))
+    crests, troughs = (find_peaks(sign * smooth, prominence=prominence)[0] for sign in (1, -1))
     points = np.concatenate([crests, troughs])
+    signs = np.concatenate([np.ones(len(crests)), -np.ones(len(troughs))])
     order = np.argsort(points)
-    points, signs = points[order], signs[order]
-    return points[np.diff(signs, prepend=0.0) != 0]
-
-
-def _ends(amplitudes: np.ndarray) -> int:
-    """How many amplitudes belong to the free decay."""
-    if not len(amplitudes):
-        return 0
-    least = max(LEAST_SHARE * amplitudes[0], LEAST_ANGLE)
-    smallest = np.minimum.accumulate(amplitudes)
-    over = np.flatnonzero((amplitudes < least) | (amplitudes > GROWTH * smallest))
-    return int(over[0]) if len(over) else len(amplitudes)
-
-
-STRUCTURES = {
-    "linear": (),
-    "quadratic damping": ("roll_quadratic_damping",),
-    "cubic restoring and quadratic damping": ("roll_cubic_restoring", "roll_quadratic_damping"),
-}
-
-
-FULL = "cubic restoring and quadratic damping"
-
-
-LINEAR, QUADRATIC, INERTIA = "K_p", "E_roll_quadratic_damping", "I_xx"
-
-
-SYMBOLS = {LINEAR: "K_p", QUADRATIC: "K_abspp"}
-
-
-PUBLISHED = "-"
-
-
-NOTE = "fitted to the large angles; the small ones confirmed the effects"
-
-
-AWAITED = {"21338": "0 kn", "21340": "15.5 kn"}
-
-
-ESTIMATOR = MultipleShooting(disturbances="none")
-
-
-# Two terms are separated if each is outside its 95 % interval about zero, and the estimates
-# correlate by less than this.
-TWO_SIDED_95, MOST_CORRELATED = 1.96, 0.97
+    # Of neighbours of one kind (a flat top has two) the first.
+    points = points[order][np.diff(signs[order], prepend=0.0) != 0]
+    if not len(points):
+        return points
+    rest = float(np.median(phi[: points[0]])) if points[0] > round(5.0 / step) else 0.0
+    return points[int(np.argmax(np.abs(smooth[points] - rest))) + 1 :]
 
 
 def models() -> dict[str, Model]:
@@ -325,7 +205,7 @@ def at_rest(test: Decay, fits: Mapping[str, Fit]) -> list[Row]:
     note = f"{test.text}; fitted to 21337, here its start state only"
     data = Dataset((test.record,))
     return [
-        Row(f"{title(test)}, {name}", error_of(fit, data), PUBLISHED, "deg", note)
+        Row(f"{test.title}, {name}", error_of(fit, data), "-", "deg", note)
         for name, fit in fits.items()
     ]
 
@@ -353,19 +233,14 @@ def at_speed(test: Decay, fits: Mapping[str, Fit]) -> list[Row]:
             f"{test.text}; {what} fitted to the first half, the rest held as in 21337; "
             f"{damping(fit)}"
         )
-        title_ = f"{title(test)}, second half, {what} of this speed"
-        rows.append(Row(title_, error_of(fit, second), PUBLISHED, "deg", note))
+        title = f"{test.title}, second half, {what} of this speed"
+        rows.append(Row(title, error_of(fit, second), "-", "deg", note))
     return rows
-
-
-def title(test: Decay) -> str:
-    """Run and speed."""
-    return f"roll decay {test.record.name.removeprefix('model_test_')} ({test.knots:.3g} kn)"
 
 
 def pooled(tests: list[Decay], model: Model) -> Row:
     """Linear and quadratic damping from all tests at zero speed."""
-    own = decay(RELEASE, END, "model_test_21337")
+    own = decay(RELEASE, END, REGISTERED)
     data = Dataset((own, *(test.record for test in tests)))
     if tests:
         # A period that is off by a few parts in a thousand must not look like damping.
@@ -376,7 +251,7 @@ def pooled(tests: list[Decay], model: Model) -> Row:
     runs = ", ".join(name.removeprefix("model_test_") for name in data.names)
     what = f"roll decay, tests at zero speed fitted together ({runs}), residual"
     note = f"no test{', inertia by run' if tests else ''}; {damping(fit)}"
-    return Row(what, float(np.degrees(error)), PUBLISHED, "deg", note)
+    return Row(what, float(np.degrees(error)), "-", "deg", note)
 
 
 def score() -> list[Row]:
@@ -388,16 +263,17 @@ def score() -> list[Row]:
     for name, model in candidates.items():
         error = error_of(ESTIMATOR.fit(model, train), test)
         what = f"roll decay 21337 (0 kn), small angles, {name}"
-        rows.append(Row(what, error, PUBLISHED, "deg", NOTE))
+        note = "fitted to the large angles; the small ones confirmed the effects"
+        rows.append(Row(what, error, "-", "deg", note))
     paths = further()
     for run, speed in AWAITED.items():
         if f"model_test_{run}" not in [path.stem for path in paths]:
             path = f"{FOLDER}/model_test_{run}.csv"
             what = f"roll decay {run} ({speed})"
-            rows.append(missing(what, PUBLISHED, path, "the test in the same form"))
+            rows.append(missing(what, "-", path, "the test in the same form"))
     tests: list[Decay] = []
     if paths:
-        registered = Dataset((decay(RELEASE, END, "model_test_21337"),))
+        registered = Dataset((decay(RELEASE, END, REGISTERED),))
         fits = {name: ESTIMATOR.fit(model, registered) for name, model in candidates.items()}
     for path in paths:
 
@@ -407,10 +283,10 @@ def score() -> list[Row]:
                 tests.append(one)
             return at_speed(one, fits) if one.towed else at_rest(one, fits)
 
-        rows += attempted(f"roll decay {path.stem}", PUBLISHED, path.name, score_one)
+        rows += attempted(f"roll decay {path.stem}", "-", path.name, score_one)
     rows += attempted(
         "roll decay, tests at zero speed fitted together",
-        PUBLISHED,
+        "-",
         ", ".join([f"{FOLDER}/model_test_21337.csv", *(one.record.source for one in tests)]),
         lambda: [pooled(tests, candidates[FULL])],
     )

@@ -8,27 +8,16 @@ to 32,100; the first 50 samples of a test may set the initial state and are not 
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-from scipy.io import loadmat
 
-from benchmarks.scoreboard.row import (
-    Row,
-    attempted,
-    first_readable,
-    missing,
-    place,
-    read_table,
-    refused,
-)
+from benchmarks.scoreboard.row import Row, attempted, columns, missing, place
 from oed_sysid import Dataset, Model, MultipleShooting, Record, improve, load_problem
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.fit import Fit
 from problems.silverbox.problem import FINER, PADDING, SAMPLING, band_limited
 
-WHOLE, ORIGINAL = "silverbox/SNLS80mV.csv", "silverbox/SNLS80mV.mat"
+WHOLE = "silverbox/SNLS80mV.csv"
 LENGTH = 131_072
 LARGEST = 2.0  # V; the record stays below 0.4 V
 FIRST = 50  # samples that may set the initial state
@@ -53,59 +42,22 @@ def learn() -> tuple[Model, Fit, tuple[str, ...]]:
     return model, fit, tuple(step.added for step in found.steps)
 
 
-def whole() -> tuple[np.ndarray, np.ndarray, str]:
-    """Input and response of SNLS80mV, V, and a remark on a file that could not be read.
+def whole() -> tuple[np.ndarray, np.ndarray]:
+    """Input V1 and response V2 of SNLS80mV, V.
 
     Raises
     ------
     DataError
-        If neither file can be read.
+        If the file does not hold them.
     """
-    paths = (place(WHOLE), place(ORIGINAL))
-    (voltage, response), fault = first_readable(paths, (read_text, read_original))
-    return voltage, response, f"; {paths[1].name} read, because {fault}" if fault else ""
-
-
-def read_text(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Columns V1 and V2 of a text file, V."""
-    table = read_table(path, {"V1": (), "V2": ()})
-    return checked(table.numbers("V1"), table.numbers("V2"), path)
-
-
-def read_original(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Variables V1 and V2 of a MATLAB file, V."""
-    try:
-        found = {name.upper(): value for name, value in loadmat(path).items()}
-    except Exception as error:  # of several types, by what is wrong with the file
+    voltage, response = columns(place(WHOLE), "V1", "V2")
+    if len(voltage) != LENGTH:
         raise DataError(
-            f"{path.name} cannot be read as a MATLAB file up to version 7 ({str(error)[:80]}). "
-            f"Save it in this form, or put {Path(WHOLE).name} beside it."
-        ) from None
-    if lacking := [name for name in ("V1", "V2") if name not in found]:
-        known = ", ".join(name for name in found if not name.startswith("__"))
-        raise DataError(
-            f"{path.name} has no variable {lacking[0]}; it has {known or 'none'}. Expected V1, V2."
+            f"{len(voltage):,} rows; expected the {LENGTH:,} of SNLS80mV, because the official "
+            "parts are counted from its beginning. Put the whole record there."
         )
-    columns = [np.asarray(found[name], dtype=float).ravel() for name in ("V1", "V2")]
-    return checked(columns[0], columns[1], path)
-
-
-def checked(voltage: np.ndarray, response: np.ndarray, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """The columns if they can be SNLS80mV: its length, in volts, V1 the input."""
-    for name, column in (("V1", voltage), ("V2", response)):
-        if len(column) != LENGTH:
-            raise DataError(
-                f"{path.name} has {len(column):,} rows of {name}; expected the {LENGTH:,} of "
-                "SNLS80mV, because the official parts are counted from its beginning. Put the "
-                "whole record there."
-            )
-        if not np.isfinite(column).all():
-            raise DataError(f"{path.name} has values of {name} that are not finite. Correct them.")
-        if np.abs(column).max() > LARGEST:
-            raise DataError(
-                f"{path.name} has values of {name} up to {np.abs(column).max():.3g}; expected at "
-                f"most {LARGEST:g} V. Is it in mV? Give V."
-            )
+    if (largest := np.abs([voltage, response]).max()) > LARGEST:
+        raise DataError(f"values up to {largest:.3g}; expected {LARGEST:g} V at most. Give volts.")
     return voltage, response
 
 
@@ -154,22 +106,16 @@ def score() -> list[Row]:
         )
     ]
     titles = [(f"Silverbox, {name}", f"{best}, {SOURCE}") for name, (_, best) in PARTS.items()]
-    if not (place(WHOLE).is_file() or place(ORIGINAL).is_file()):
-        form = (
-            f"SNLS80mV as two columns V1,V2 with a header ({LENGTH:,} rows; SNLS80mV.mat is read "
-            "as well)"
-        )
+    if not place(WHOLE).is_file():
+        form = f"SNLS80mV as two columns V1,V2 with a header ({LENGTH:,} rows)"
         return rows + [missing(what, published, WHOLE, form) for what, published in titles]
-    try:
-        voltage, response, remark = whole()
-    except Exception as error:
-        return rows + [refused(what, published, WHOLE, error) for what, published in titles]
     for (what, published), (ends, _) in zip(titles, PARTS.values(), strict=True):
 
-        def one(what=what, published=published, ends=ends):
-            record = part_of(voltage, response, ends, fit.model)
-            error = 1e3 * simulated_error(fit, record)
-            return [Row(what, error, published, "mV", note + remark)]
+        def one(
+            what: str = what, published: str = published, ends: tuple[int, int] = ends
+        ) -> list[Row]:
+            error = 1e3 * simulated_error(fit, part_of(*whole(), ends, fit.model))
+            return [Row(what, error, published, "mV", note)]
 
         rows += attempted(what, published, WHOLE, one)
     return rows

@@ -11,158 +11,55 @@ authors say; saturated readings are compared with predictions cut at the end of 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.scoreboard.row import (
-    Row,
-    Table,
-    attempted,
-    first_readable,
-    missing,
-    place,
-    read_table,
+from benchmarks.scoreboard.row import Row, attempted, columns, missing, place
+from oed_sysid import (
+    Channels,
+    Dataset,
+    Model,
+    MultipleShooting,
+    Record,
+    Solver,
+    load_problem,
+    read_csv,
 )
-from oed_sysid import Channels, Dataset, Model, MultipleShooting, Record, load_problem, read_csv
 from oed_sysid.data.third_party import fetch
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.fit import Fit
 
-VALIDATION = "cascaded_tanks/validation.csv"
-
-
-PUBLISHED = "cascaded_tanks/dataBenchmark.csv"
-
-
-ESTIMATION = "cascaded_tanks/estimation.csv"
-
-
-FORM = (
-    "the 1024 validation samples, in the form of estimation.csv (t_s,u_V,y_V; the published "
-    "dataBenchmark.csv is read as well)"
-)
-
-
+PUBLISHED, ESTIMATION = "cascaded_tanks/dataBenchmark.csv", "cascaded_tanks/estimation.csv"
 SAMPLES, SAMPLING = 1024, 4.0  # s
-
-
-LOWEST, HIGHEST = -1.0, 11.0  # V, of pump and level
-
-
 SAME = 1e-3  # V; five digits are kept of the estimation record
 
 
-def at_hand() -> list[str]:
-    """Files that may hold the validation record."""
-    return [path for path in (VALIDATION, PUBLISHED) if place(path).is_file()]
-
-
-def read_validation(channels: Channels) -> tuple[Record, str]:
-    """The validation record, and which file it is from.
+def read_validation(channels: Channels) -> Record:
+    """The validation record of the published table.
 
     Raises
     ------
     DataError
-        If none of the files holds it.
+        If the table is not the published one: its estimation columns say so.
     """
-    paths = (place(VALIDATION), place(PUBLISHED))
-    (columns, name), fault = first_readable(paths, (_own_form, _published_form))
-    record = Record("validation", columns[0], columns[1], columns[2], channels, name)
-    return record, f"{name}, because {fault}" if fault else name
-
-
-def _own_form(path: Path) -> tuple[tuple[np.ndarray, ...], str]:
-    """Times, input and level of a file with columns t_s, u_V and y_V."""
-    table = read_table(path, {"t_s": ("t", "time_s", "time"), "u_V": ("u",), "y_V": ("y",)})
-    _check_length(table.file, len(table))
-    times = table.numbers("t_s")
-    steps = np.diff(times)
-    if np.abs(steps - SAMPLING).max() > 0.01 * SAMPLING:
-        line = table.lines[int(np.argmax(np.abs(steps - SAMPLING))) + 1]
-        raise DataError(
-            f"{path.name} has steps of {steps.min():g} to {steps.max():g} s (line {line}); "
-            f"expected {SAMPLING:g} s between samples. Correct t_s."
-        )
-    return _checked(path.name, table.numbers("u_V"), table.numbers("y_V"), times - times[0])
-
-
-def _published_form(path: Path) -> tuple[tuple[np.ndarray, ...], str]:
-    """The validation columns of the published table, its estimation columns compared."""
-    names = ("uEst", "uVal", "yEst", "yVal")
-    table = read_table(path, {**{name: () for name in names}, "Ts": ()})
-    _check_length(table.file, len(table))
-    sampling = table.numbers("Ts", slice(0, 1))[0]
-    if abs(sampling - SAMPLING) > 0.01 * SAMPLING:
-        raise DataError(f"{path.name} has Ts {sampling:g} s; expected {SAMPLING:g} s. Correct it.")
-    own = _estimation()
-    if own is not None:
-        for name, column in (("uEst", "u_V"), ("yEst", "y_V")):
-            if np.abs(table.numbers(name) - own.numbers(column)).max() > SAME:
-                raise DataError(
-                    f"{path.name}: {name} is not {column} of estimation.csv. Are columns swapped, "
-                    "or is it another measurement? Put the published table there."
-                )
+    level, pump, own_level, own_pump = columns(place(PUBLISHED), "yVal", "uVal", "yEst", "uEst")
+    known = columns(place(ESTIMATION), "y_V", "u_V")
+    for column, name, own in zip((own_level, own_pump), ("yEst", "uEst"), known, strict=True):
+        if len(column) != SAMPLES or np.abs(column - own).max() > SAME:
+            raise DataError(f"{name} is not that of the estimation record. Put the table there.")
     times = SAMPLING * np.arange(SAMPLES)
-    return _checked(path.name, table.numbers("uVal"), table.numbers("yVal"), times)
-
-
-def _check_length(file: str, rows: int) -> None:
-    if rows != SAMPLES:
-        raise DataError(
-            f"{file} has {rows} samples; expected the {SAMPLES} of the official validation record. "
-            "Put the whole record there."
-        )
-
-
-def _checked(
-    file: str, pump: np.ndarray, level: np.ndarray, times: np.ndarray
-) -> tuple[tuple[np.ndarray, ...], str]:
-    """Columns in volts that are not those of the estimation record."""
-    for name, column in (("the input", pump), ("the level", level)):
-        if column.min() < LOWEST or column.max() > HIGHEST:
-            raise DataError(
-                f"{file}: {name} reaches from {column.min():g} to {column.max():g}; expected 0 to "
-                "10 V. Give volts."
-            )
-    own = _estimation()
-    if own is not None and np.abs(level - own.numbers("y_V")).max() < SAME:
-        raise DataError(
-            f"{file} holds the level of the estimation record, which was fitted to. Put the "
-            "validation samples there."
-        )
-    return (times, pump[:, np.newaxis], level[:, np.newaxis]), file
-
-
-def _estimation() -> Table | None:
-    """The estimation record, if it is there."""
-    path = place(ESTIMATION)
-    return read_table(path, {"u_V": (), "y_V": ()}) if path.is_file() else None
+    return Record("validation", times, pump[:, None], level[:, None], channels)
 
 
 FULL = 10.0  # V
-
-
 BLOCKS = 8
-
-
 SHORTLIST = 3  # candidates of a round that are judged by masked blocks
-
-
 BEST = "0.191 V, Schoukens et al., results listed at nonlinearbenchmark.org"
-
-
 # A brim is hard: water above it spills at once, as near as short steps follow; 1/s.
 HARD = {"upper_overflow": "E_upper_overflow", "lower_overflow": "E_lower_overflow"}
-
-
 SPILL, STEP = 2.0, 0.5
-
-
 BEGIN = {"E_outflow_inertia": 2.0}  # s, away from zero, where the delay has no slope
-
-
 CANDIDATES = (
     "linear_input",
     "upper_overflow",
@@ -208,9 +105,9 @@ def grow(model: Model, name: str) -> Model:
 def fit(model: Model, record: Record, *, start: str = "auto") -> Fit:
     """Least squares on one record."""
     own = Record(record.name, record.times, record.inputs, record.outputs, model.channels)
-    return MultipleShooting(disturbances="none", noise=[0.15], start=start, max_iterations=40).fit(
-        model, Dataset((own,))
-    )
+    return MultipleShooting(
+        disturbances="none", noise=[0.15], start=start, solver=Solver(max_iterations=40)
+    ).fit(model, Dataset((own,)))
 
 
 def at_bound(found: Fit) -> bool:
@@ -295,21 +192,20 @@ def validation_error(found: Fit, validation: Record) -> float:
 
 def score() -> list[Row]:
     """Estimation, masked blocks, and the official validation record if it is there."""
-    fetch("cascaded_tanks/estimation.csv")
-    record = read("cascaded_tanks/estimation.csv", begin())
+    fetch(ESTIMATION)
+    record = read(ESTIMATION, begin())
     best, chosen, error = choose(record)
     note = "Torricelli + " + ", ".join(chosen)
     what = "cascaded tanks, official validation"
 
     def official() -> list[Row]:
-        validation, remark = read_validation(best.model.channels)
-        value = validation_error(best, validation)
-        return [Row(what, value, BEST, "V", f"{note}; from {remark}")]
+        value = validation_error(best, read_validation(best.model.channels))
+        return [Row(what, value, BEST, "V", note)]
 
     rows = [
         Row("cascaded tanks, estimation record", best.rms["level"], "-", "V", note),
         Row("cascaded tanks, masked blocks of it", error, "-", "V", "chose the structure"),
     ]
-    if not at_hand():
-        return [*rows, missing(what, BEST, VALIDATION, FORM)]
-    return rows + attempted(what, BEST, at_hand()[0], official)
+    if not place(PUBLISHED).is_file():
+        return [*rows, missing(what, BEST, PUBLISHED, "the published table")]
+    return rows + attempted(what, BEST, PUBLISHED, official)

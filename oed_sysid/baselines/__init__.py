@@ -22,7 +22,7 @@ from oed_sysid.baselines.population import (
     ParticleSwarm,
 )
 from oed_sysid.baselines.support_vectors import LeastSquaresSVM, SupportVectorRegression
-from oed_sysid.likelihood.estimator import Estimator
+from oed_sysid.likelihood.estimator import Estimator, Solver
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.multistart import Multistart, Profile, profile
 
@@ -30,6 +30,7 @@ __all__ = [
     "Estimator",
     "MultipleShooting",
     "Multistart",
+    "Solver",
     "Profile",
     "profile",
     "OutputError",

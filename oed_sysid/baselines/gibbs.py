@@ -10,6 +10,7 @@ from oed_sysid.baselines.equations import Rates, Rows, check_rule
 from oed_sysid.baselines.regression import CONVERGED, Regression, regress
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.estimate import Posterior
 from oed_sysid.likelihood.fit import Fit, Status
 from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.physics.model import Model
@@ -330,8 +331,7 @@ class GibbsRegression:
         Returns
         -------
         Fit
-            ``extras``: ``r_hat`` and ``effective_draws`` by parameter, and
-            ``draws`` ``(n_chains, n_draws)`` by parameter.
+            ``fit.posterior`` holds the draws, and by parameter how far they can be trusted.
 
         Raises
         ------
@@ -344,7 +344,9 @@ class GibbsRegression:
         rng = np.random.default_rng(self.seed)
         names = rows.form.names
         estimates, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
-        facts: dict[str, dict] = {"r_hat": {}, "effective_draws": {}, "draws": {}}
+        r_hat: dict[str, float] = {}
+        effective: dict[str, float] = {}
+        drawn: dict[str, np.ndarray] = {}
         for index in range(len(rows.form.equations)):
             features, targets, own = rows.equation(index)
             where = [names.index(name) for name in own]
@@ -353,15 +355,15 @@ class GibbsRegression:
             flat = draws.reshape(-1, len(own))
             estimates[where] = flat.mean(axis=0)
             covariance[np.ix_(where, where)] = np.atleast_2d(np.cov(flat.T))
-            facts["r_hat"] |= zip(own, map(float, split_r_hat(draws)), strict=True)
-            facts["effective_draws"] |= zip(own, map(float, effective_draws(draws)), strict=True)
-            facts["draws"] |= zip(own, np.moveaxis(draws, 2, 0), strict=True)
-        worst = max(facts["r_hat"], key=lambda name: facts["r_hat"][name])
+            r_hat |= zip(own, map(float, split_r_hat(draws)), strict=True)
+            effective |= zip(own, map(float, effective_draws(draws)), strict=True)
+            drawn |= zip(own, np.moveaxis(draws, 2, 0), strict=True)
+        worst = max(r_hat, key=lambda name: r_hat[name])
         status = CONVERGED
-        if facts["r_hat"][worst] > R_HAT_LIMIT:
+        if r_hat[worst] > R_HAT_LIMIT:
             status = Status(
                 "iterations",
-                f"the chains disagree in {worst} (R-hat {facts['r_hat'][worst]:.3f}). Raise "
+                f"the chains disagree in {worst} (R-hat {r_hat[worst]:.3f}). Raise "
                 "n_draws, or use draw='joint'.",
             )
         return Regression(
@@ -369,7 +371,7 @@ class GibbsRegression:
             covariance,
             status=status,
             iterations=self.n_draws + self.burn_in,
-            extras=facts,
+            posterior=Posterior(drawn, r_hat, effective),
         )
 
     def _sample(

@@ -26,6 +26,8 @@ from oed_sysid.baselines.equations import Rows, regression_form, rows_of
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.covariance import sandwich
+from oed_sysid.likelihood.estimate import Posterior
 from oed_sysid.likelihood.fit import Fit, Status
 from oed_sysid.likelihood.information import (
     COLOUR_LIMIT,
@@ -58,6 +60,7 @@ def fit_from_values(
     status: Status = CONVERGED,
     iterations: int = 1,
     known: Mapping[str, float] | None = None,
+    posterior: Posterior | None = None,
     extras: Mapping[str, Any] | None = None,
 ) -> Fit:
     """Simulate every record with the estimated values and build the result.
@@ -86,6 +89,8 @@ def fit_from_values(
         Iterations or samples.
     known : mapping of str to float, optional
         Known start of some states in all records; others are measured, or zero.
+    posterior : Posterior, optional
+        Draws, of a sampler.
     extras : mapping, optional
         What else the estimator has to tell.
     """
@@ -137,6 +142,7 @@ def fit_from_values(
         status=status,
         iterations=iterations,
         seconds=time.perf_counter() - began,
+        posterior=posterior,
         extras=dict(extras or {}),
     )
 
@@ -185,6 +191,8 @@ class Regression:
     status : Status
     iterations : int
         Iterations or samples.
+    posterior : Posterior or None
+        Draws, of a sampler.
     extras : mapping
         What else there is to tell.
     """
@@ -195,6 +203,7 @@ class Regression:
     coloured: bool = False
     status: Status = CONVERGED
     iterations: int = 1
+    posterior: Posterior | None = None
     extras: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -313,15 +322,6 @@ def bounded_least_squares(matrix: np.ndarray, right: np.ndarray, model: Model) -
     open_upper = np.where(upper > lower, upper, np.nextafter(lower, np.inf))
     result = lsq_linear(matrix * scale, right, (lower / scale, open_upper / scale))
     return np.clip(scale * result.x, lower, upper)
-
-
-def sandwich(bread: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """``bread middle bread`` over the parameters that are seen at all."""
-    finite = np.isfinite(np.diag(bread))
-    result = bread.copy()
-    block = np.ix_(finite, finite)
-    result[block] = bread[block] @ middle[block] @ bread[block]
-    return result
 
 
 def residual_covariance(

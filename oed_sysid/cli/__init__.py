@@ -42,7 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # What was given is kept for results that say how they were made.
             app(args=given, prog_name="oed-sysid", obj=tuple(given))
         except SystemExit as end:
-            return int(end.code or 0)
+            # A reader that stopped, as `head` does, is no failure.
+            closed = isinstance(end.__context__, BrokenPipeError)
+            return DONE if closed else int(end.code or 0)
         except OedSysidError as error:
             if debug:
                 traceback.print_exc()

@@ -21,6 +21,7 @@ OLDER = {"--test": "--validate", "--train": "", "--records": ""}
 # Keys under which a call keeps what the shared options say.
 QUIET = "oed_sysid.quiet"
 TIME_UNIT = "oed_sysid.time_unit"
+FORM = "oed_sysid.form"
 _LIMITS = "oed_sysid.limits"
 
 
@@ -88,7 +89,8 @@ class Command(TyperCommand):
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
         reads = any(param.name in ("files", "validate") for param in self.params)
-        shared = (_OF_RECORDS if reads else {}) | _EVERY_COMMAND
+        told = any(param.name == "html_file" for param in self.params)
+        shared = (_OF_RECORDS if reads else {}) | (_OF_TABLES if told else {}) | _EVERY_COMMAND
         self.params = [*self.params, *_parameters(shared)]
 
     def get_params(self, ctx: Any) -> list[Any]:
@@ -133,6 +135,28 @@ def _set_time_unit(ctx: typer.Context, value: str | None) -> None:
     ctx.meta[TIME_UNIT] = value
 
 
+def _set_form(ctx: typer.Context, value: str) -> None:
+    if value not in FORMS:
+        raise typer.BadParameter(f"{value!r} is none of {', '.join(FORMS)}.")
+    ctx.meta[FORM] = value
+
+
+FORMS = ("text", "latex")
+_OF_TABLES = {
+    "form": (
+        Annotated[
+            str,
+            typer.Option(
+                "--as",
+                metavar="|".join(FORMS),
+                help="Print the report as text, or its tables as LaTeX.",
+                callback=_set_form,
+                expose_value=False,
+            ),
+        ],
+        FORMS[0],
+    ),
+}
 TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
 _OF_RECORDS = {
     "time_unit": (

@@ -140,7 +140,8 @@ def load_source(
         return None
     except subprocess.CalledProcessError as error:
         text = (error.stderr or b"").decode(errors="replace").strip().splitlines()
-        _say_interpreted(f"{compiler} failed: {text[-1] if text else error}")
+        said = next((line for line in text if "error" in line), text[-1] if text else str(error))
+        _say_interpreted(f"{compiler} failed: {said.strip()}")
         return None
     try:
         return ctypes.CDLL(str(library))

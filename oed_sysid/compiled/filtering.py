@@ -6,11 +6,12 @@ r"""One pass of the extended Kalman filter along a record, with every derivative
     x^+ = x^- + P^- h\, e / S, \quad P^+ = P^- - P^- h h' P^- / S
 
 one output at a time. ``x`` stacks the uncertain states of the model, disturbances that are
-first-order Gauss-Markov processes (each a parameter of the model, held over a step) and coloured
-errors of sensors. Columns ``X`` are derivatives of ``x`` by start states and parameters along the
-filtered path at frozen gain; levels of the noise carry exact tangents of mean and covariance
-(Jazwinski 1970, *Stochastic processes and filtering theory*, sections 7.3 and 8.3; Åström 1980,
-*Maximum likelihood and prediction error methods*, Automatica 16).
+Gauss-Markov processes of first or second order (each acts through a parameter of the model, held
+over a step), coloured errors of sensors, and the second states of disturbances
+(:mod:`oed_sysid.compiled.filter_pass`). Columns ``X`` are derivatives of ``x`` by start states and
+parameters along the filtered path at frozen gain; levels of the noise carry exact tangents of mean
+and covariance (Jazwinski 1970, *Stochastic processes and filtering theory*, sections 7.3 and 8.3;
+Åström 1980, *Maximum likelihood and prediction error methods*, Automatica 16).
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ from oed_sysid.compiled.filter_pass import (
     COLOUR_VARIANCE,
     FORCE_TIME,
     FORCE_VARIANCE,
+    MOST_PROCESSES,
+    SEA_DAMPING,
+    SEA_PERIOD,
+    SEA_VARIANCE,
     WHITE_VARIANCE,
     Disturbed,
     FilterPass,
@@ -33,6 +38,7 @@ from oed_sysid.compiled.filter_pass import (
 )
 from oed_sysid.compiled.interpreted_filter import InterpretedFilter
 from oed_sysid.compiled.kernels import Kernel
+from oed_sysid.errors import ModelError
 from oed_sysid.physics.model import Model
 
 __all__ = [
@@ -40,6 +46,9 @@ __all__ = [
     "COLOUR_VARIANCE",
     "FORCE_TIME",
     "FORCE_VARIANCE",
+    "SEA_DAMPING",
+    "SEA_PERIOD",
+    "SEA_VARIANCE",
     "WHITE_VARIANCE",
     "Disturbed",
     "FilterKernel",
@@ -136,6 +145,8 @@ class FilterKernel:
             Components besides these that are certain, and only pass derivatives on.
         levels : sequence of (kind, index)
             Levels with tangents, ``FORCE_VARIANCE`` and its like; index -1 is the time of all.
+            A ``SEA_VARIANCE`` counts among narrow-band disturbances, ``SEA_PERIOD`` and
+            ``SEA_DAMPING`` are of a sea.
         rows : bool
             Whether to return the derivatives of every innovation.
         gains : bool
@@ -150,7 +161,8 @@ class FilterKernel:
         inputs = inputs.reshape(n, plain.n_inputs)
         z0, dz0 = self.start(own, inputs[0], values, times[0])
         chosen = [self._free[name] for name in names]
-        random = [self._free[name] for name in noise.disturbances]
+        random = [self._free[name] for name in noise.acting]
+        self._check_processes(noise)
         kept = np.arange(self.n_full) if active is None else np.asarray(active, dtype=int)
         kept = np.concatenate([kept, np.asarray(passing, dtype=int)])
         n_active = len(kept) - len(passing)
@@ -162,11 +174,12 @@ class FilterKernel:
         kinds = np.array([kind for kind, _ in levels], dtype=np.intc)
         indices = np.array([index for _, index in levels], dtype=np.intc)
         width = first.shape[1] + len(levels)
-        size = self.n_full + len(random) + len(noise.coloured)
-        inner = n_active + len(random) + len(noise.coloured)
+        n_random = len(noise.disturbances)
+        size = self.n_full + n_random + len(noise.coloured)
+        inner = n_active + n_random + len(noise.coloured) + noise.n_second
         found = Results.empty(n, plain.n_outputs, width, len(levels), size, rows)
         found.gains = np.zeros((n, plain.n_outputs, 2, inner)) if gains else None
-        found.moves = np.zeros((n, inner + len(random), inner)) if moves else None
+        found.moves = np.zeros((n, inner + n_random, inner)) if moves else None
         if self._library is None:
             slow = InterpretedFilter(self.model, values, z0, kept, noise, longest_step)
             failed = slow.filter((times, inputs), measured, first, chosen, levels, n_active, found)
@@ -177,6 +190,7 @@ class FilterKernel:
         columns[random] = disturbance + np.arange(len(random))
         kept = np.ascontiguousarray(kept, dtype=np.intc)
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
+        acting = np.array([noise.acting.index(d) for d in noise.disturbances], dtype=np.intc)
         coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
         # Numbers a hair above zero: a process without memory has a time of zero.
         q_time, c_time = np.maximum(noise.time, 1e-9), np.maximum(noise.colour_time, 1e-9)
@@ -185,16 +199,24 @@ class FilterKernel:
         )
         work = np.empty(
             self._library.kernel_filter_work(
-                n_active, len(passing), len(random), len(coloured), first.shape[1], len(levels)
+                n_active,
+                len(passing),
+                n_random,
+                len(coloured),
+                noise.n_second,
+                first.shape[1],
+                len(levels),
             )
         )
         h_max = float(self.model.step)
         failed = call(
             self._library.kernel_filter, n, times, inputs, values, h_max, longest_step,
             z0, n_active, len(passing), kept, first.shape[1], len(chosen), parameter, disturbance,
-            columns, x0, len(random), positions, q_variance, q_time, white, len(coloured), coloured,
-            c_variance, c_time, measured, len(levels), kinds, indices, found.gram, found.level,
-            found.e, found.s, found.rows, found.path, found.gains, found.moves, found.total, work,
+            columns, x0, n_random, len(random), positions, acting, q_variance, q_time,
+            noise.damping, noise.turn, noise.sea, white, len(coloured), coloured, c_variance,
+            c_time, measured,
+            len(levels), kinds, indices, found.gram, found.level, found.e, found.s, found.rows,
+            found.path, found.gains, found.moves, found.total, work,
         )  # fmt: skip
         return found.done(failed)
 
@@ -220,7 +242,7 @@ class FilterKernel:
         ----------
         times, inputs, values, own, measured, noise, active, longest_step
             As of :meth:`filter`.
-        gains : ndarray (n_times, n_outputs, 2, n_active + n_disturbances + n_coloured)
+        gains : ndarray (n_times, n_outputs, 2, n)
             As a pass with the same active components, disturbances and colours has kept them.
 
         Returns
@@ -251,10 +273,17 @@ class FilterKernel:
         h_max = float(self.model.step)
         failed = call(
             self._library.kernel_replay, n, times, inputs, values, h_max, longest_step,
-            z0, len(kept), kept, len(positions), positions, q_time, len(coloured), coloured, c_time,
-            measured, gains, innovations, mean, delta,
+            z0, len(kept), kept, len(positions), positions, q_time, noise.damping, noise.turn,
+            len(coloured), coloured, c_time, measured, gains, innovations, mean, delta,
         )  # fmt: skip
         return innovations, failed < 0
+
+    def _check_processes(self, noise: Disturbed) -> None:
+        for name in noise.acting:
+            if noise.disturbances.count(name) > MOST_PROCESSES:
+                raise ModelError(
+                    f"More than {MOST_PROCESSES} processes act on {name!r}. Take fewer seas."
+                )
 
 
 def _usual_step(times: np.ndarray) -> float:

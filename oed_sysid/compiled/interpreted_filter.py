@@ -15,6 +15,9 @@ from oed_sysid.compiled.filter_pass import (
     COLOUR_VARIANCE,
     FORCE_TIME,
     FORCE_VARIANCE,
+    SEA_DAMPING,
+    SEA_PERIOD,
+    SEA_VARIANCE,
     WHITE_VARIANCE,
     Disturbed,
     Results,
@@ -56,10 +59,10 @@ class InterpretedFilter:
         random = [n_full + names.index(name) for name in noise.disturbances]
         self.random = np.array(random, dtype=int)
         self.na, self.m = len(kept), len(kept) + len(self.random)
-        self.size = self.m + len(noise.coloured)
-        self.extra = np.arange(self.na, self.size)
-        self.tail = np.concatenate([noise.variance, noise.colour_variance])
-        self.taus = np.maximum(np.concatenate([noise.time, noise.colour_time]), 1e-9)
+        self.coloured = slice(self.m, self.m + len(noise.coloured))
+        self.size = self.coloured.stop + noise.n_second
+        self.extra = slice(self.na, self.size)
+        self.tail = noise.stationary
         self.mean = np.zeros(self.size)
 
     def replay(
@@ -69,12 +72,12 @@ class InterpretedFilter:
         for k in range(len(measured)):
             if not np.isfinite(self.z).all():
                 return k
-            self.values[self.position] = self.mean[self.na : self.m]
+            self._let_act()
             y = self.code.sample(self.z, record, k, self.values)[0]
             delta = np.zeros(self.size)
             for i in np.flatnonzero(np.isfinite(measured[k])):
                 h, gain = gains[k, i]
-                own = (self.noise.coloured == i) @ self.mean[self.m :]
+                own = (self.noise.coloured == i) @ self.mean[self.coloured]
                 e = measured[k, i] - y[i] - h @ delta - own
                 if not np.isfinite(e):
                     return k
@@ -83,7 +86,7 @@ class InterpretedFilter:
             self._correct(delta)
             for step, steps, length in self._parts(record[0], k):
                 self._advance(record, k, (step, steps), None)
-                self.mean[self.na :] *= np.exp(-length / self.taus)
+                self.mean[self.extra] = self.noise.memory(length)[0] @ self.mean[self.extra]
         return -1
 
     def filter(
@@ -103,12 +106,11 @@ class InterpretedFilter:
         nx, nl = first.shape[1], len(levels)
         self.big_x, self.p = np.zeros((self.size, nx)), np.zeros((self.size, self.size))
         self.big_x[: self.na] = first
-        self.p[self.extra, self.extra] = self.tail
+        self.p[self.extra, self.extra] = np.diag(self.tail)
         self.d_p, self.d_m = np.zeros((nl, self.size, self.size)), np.zeros((nl, self.size))
         for level, (kind, index) in enumerate(levels):
-            if kind in (FORCE_VARIANCE, COLOUR_VARIANCE):
-                at = self._place(kind, index)
-                self.d_p[level, at, at] = 1.0
+            if kind in (FORCE_VARIANCE, COLOUR_VARIANCE, SEA_VARIANCE):
+                self.d_p[level, self.extra, self.extra] = self._unit(kind, index)
         self.gram = np.zeros((nx + nl + 1,) * 2)
         self.slope, self.information, self.total = np.zeros(nl), np.zeros((nl, nl)), np.zeros(2)
         for k in range(len(measured)):
@@ -129,9 +131,34 @@ class InterpretedFilter:
         steps = max(1, int(np.ceil(interval / self.longest_step - 1e-6)))
         return [(step, steps, interval / steps) for step in range(steps)]
 
-    def _place(self, kind: int, index: int) -> int:
-        """Component of a force or colour."""
-        return index + (self.na if kind in (FORCE_VARIANCE, FORCE_TIME) else self.m)
+    def _unit(self, kind: int, index: int) -> np.ndarray:
+        """Stationary covariance of a disturbance or colour of unit variance, with all of these."""
+        noise = self.noise
+        if kind == COLOUR_VARIANCE:
+            index += self.m - self.na
+        elif kind == SEA_VARIANCE:
+            index += int(np.sum(noise.sea < 0))
+        own = np.zeros(self.size - self.na)
+        own[index] = 1.0
+        if index < self.m - self.na:
+            own[self.coloured.stop - self.na :] = own[: self.m - self.na][noise.turn != 0]
+        return np.diag(own)
+
+    def _lasting(self, kind: int, index: int) -> np.ndarray:
+        """Disturbances, colours and second states of which a level is the time or damping."""
+        noise = self.noise
+        force, colour = np.arange(self.m - self.na), np.arange(len(noise.coloured))
+        if kind == FORCE_TIME:
+            hit = (noise.sea < 0) & ((index < 0) | (force == index))
+        else:
+            hit = (noise.sea == index) & (kind in (SEA_PERIOD, SEA_DAMPING))
+        own = (kind == COLOUR_TIME) & ((index < 0) | (colour == index))
+        return np.concatenate([hit, own, hit[noise.turn != 0]])
+
+    def _let_act(self) -> None:
+        """Disturbances into the parameters through which they act."""
+        self.values[self.position] = 0.0
+        np.add.at(self.values, self.position, self.mean[self.na : self.m])
 
     def _correct(self, delta: np.ndarray) -> None:
         self.z[self.kept] += delta[: self.na]
@@ -141,7 +168,7 @@ class InterpretedFilter:
         self, record: Commands, k: int, part: tuple[int, int], s: np.ndarray | None
     ) -> np.ndarray | None:
         """Move the state, and sensitivities ``s``, over one part of the time to the next sample."""
-        self.values[self.position] = self.mean[self.na : self.m]
+        self._let_act()
         if part[0] == 0:  # sensor memory moves on with what is known after the measurement
             _, self.z, _, d_after = self.code.sample(self.z, record, k, self.values)
             s = None if s is None else chained(d_after, s)
@@ -151,14 +178,15 @@ class InterpretedFilter:
     def _measure(self, record: Commands, k: int, measured: np.ndarray) -> bool:
         """Correct by one sample, one output at a time; whether everything is finite."""
         noise, found, na, m = self.noise, self.found, self.na, self.m
-        self.values[self.position] = self.mean[na:m]
+        self._let_act()
         y, _, dy, _ = self.code.sample(self.z, record, k, self.values)
         if found.moves is not None:
             found.moves[k, len(self.inside) :] = self.p[na:m][:, self.inside]
         nx, nl, n_p = self.big_x.shape[1], len(self.levels), len(self.chosen)
-        delta = np.zeros(self.size)
+        delta, second = np.zeros(self.size), np.zeros(noise.n_second)
         for i in range(len(y)):
-            h = np.concatenate([dy[i, self.kept], dy[i, self.random], noise.coloured == i])
+            of_sensor = noise.coloured == i
+            h = np.concatenate([dy[i, self.kept], dy[i, self.random], of_sensor, second])
             g = self.p @ h
             s = float(h @ g + noise.white[i])
             found.s[k, i] = s
@@ -183,7 +211,7 @@ class InterpretedFilter:
                 found.gains[k, i] = h[self.inside], g[self.inside] / s
             found.e[k, i] = e
         self._correct(delta)
-        found.path[k] = [*self.z, *self.mean[na:]]
+        found.path[k] = [*self.z, *self.mean[na : self.coloured.stop]]
         return True
 
     def _corrected(
@@ -213,7 +241,7 @@ class InterpretedFilter:
             record, k, part, np.eye(n_full, n_full + len(self.code.graph.free_indices))
         )
         assert s is not None
-        phi = np.exp(-length / self.taus)
+        phi, by_time, by_damping = self.noise.memory(length)
         f = np.zeros((self.size, self.size))
         f[:na, :na] = s[np.ix_(self.kept, self.kept)]
         f[:na, na:m] = s[np.ix_(self.kept, self.random)]
@@ -227,27 +255,27 @@ class InterpretedFilter:
             np.ix_(self.kept, self.chosen)
         ]
         for level in range(len(self.levels)):
-            self._predict_level(level, f, phi, phi * length / self.taus)
+            kind = self.levels[level][0]
+            self._predict_level(level, f, phi, by_damping if kind == SEA_DAMPING else by_time)
         self.p = f @ self.p @ f.T
-        self.p[extra, extra] += self.tail * (1 - phi**2)
-        self.mean[na:] *= phi
+        self.p[extra, extra] += np.diag(self.tail) - phi * self.tail @ phi.T
+        self.mean[extra] = phi @ self.mean[extra]
 
     def _predict_level(self, level: int, f: np.ndarray, phi: np.ndarray, d_phi: np.ndarray) -> None:
         """Tangents by one level; the covariance is still the one before the step."""
         kind, index = self.levels[level]
-        na, m = self.na, self.m
+        extra = self.extra
         d_p = f @ self.d_p[level] @ f.T
         self.d_m[level] = f @ self.d_m[level]
-        if kind in (FORCE_VARIANCE, COLOUR_VARIANCE):
-            at = self._place(kind, index)
-            d_p[at, at] += 1 - phi[at - na] ** 2
-        elif kind in (FORCE_TIME, COLOUR_TIME):
-            every = range(na, m) if kind == FORCE_TIME else range(m, self.size)
-            for j in every if index < 0 else [self._place(kind, index)]:
-                change = d_phi[j - na]
-                self.d_m[level, j] += change * self.mean[j]
-                column = change * (f @ self.p[:, j])
-                d_p[:, j] += column
-                d_p[j] += column
-                d_p[j, j] -= 2 * self.tail[j - na] * phi[j - na] * change
+        if kind in (FORCE_VARIANCE, COLOUR_VARIANCE, SEA_VARIANCE):
+            unit = self._unit(kind, index)
+            d_p[extra, extra] += unit - phi @ unit @ phi.T
+        elif kind != WHITE_VARIANCE:
+            change = np.where(self._lasting(kind, index)[:, None], d_phi, 0.0)
+            self.d_m[level, extra] += change @ self.mean[extra]
+            moved = change @ (self.p[extra] @ f.T)
+            d_p[extra] += moved
+            d_p[:, extra] += moved.T
+            fresh = change * self.tail @ phi.T
+            d_p[extra, extra] -= fresh + fresh.T
         self.d_p[level] = d_p

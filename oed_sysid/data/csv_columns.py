@@ -17,7 +17,7 @@ from oed_sysid.data.record import TIME_ADVICE, TURN, clear_wraps, closest, time_
 from oed_sysid.errors import DataError, UnitWarning
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.csv_table import Table, time_stamp
-from oed_sysid.text.units import dimension, parse_header, to_si
+from oed_sysid.text.units import dimension, foreign, latin, parse_header, to_si
 
 # -- columns of a table on their way to channels ---------------------------------------
 
@@ -134,6 +134,12 @@ class Columns:
     def _check_seconds(self, index: int, times: np.ndarray, unit: str) -> None:
         """Refuse, or note, times that are no seconds of one clock."""
         header, first = self.table.headers[index], self.table.values[0, index]
+        if unit == "s" and _clock_of_digits(self.table.values[:, index]):
+            raise DataError(
+                f"{self._where(index)} starts at {first:.14g} and goes on like a date or a clock "
+                "in digits, not like seconds. Write seconds, or ISO times such as "
+                "2024-05-31T12:00:00.5Z."
+            )
         for factor, other in ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
             if unit == "s" and EPOCH[0] < first * factor < EPOCH[1]:
                 raise DataError(
@@ -256,7 +262,7 @@ class Columns:
             if index not in self._used
         }
         same = (header for name, header in names.items() if _first_word(name) == wanted.lower())
-        found = next(same, None)
+        found = next(same, next((h for n, h in names.items() if latin(n) == wanted), None))
         if found is None:
             lower = {name.lower(): header for name, header in names.items()}
             # So alike is a slip: psi and phsi, not psi and phi.
@@ -268,10 +274,11 @@ class Columns:
         """Note a column that may be meant where an output has none; after all were read."""
         header = self.near(channel)
         if header is not None:
+            why = "Names are compared letter by letter"
+            why += "" if header.isascii() else f", and {foreign(header)}"
             self.suspicions.append(
                 f"{self.path.name} has no column {channel.column or channel.name!r}, but "
-                f"{header!r}, which is not read. Names are compared letter by letter: rename it, "
-                "or set Output(column=...)."
+                f"{header!r}, which is not read. {why}: rename it, or set Output(column=...)."
             )
 
     def _find(self, channel: Input | Output) -> int | None:
@@ -282,6 +289,12 @@ class Columns:
             [i for i, header in enumerate(self.table.headers) if header == wanted],
             [i for i, (name, _) in enumerate(self.parsed) if name == wanted],
             [i for i, (name, _) in enumerate(self.parsed) if name == bare],
+            # "psi_deg [deg]" says its unit twice.
+            [
+                i
+                for i, (name, unit) in enumerate(self.parsed)
+                if unit and parse_header(name)[0] == wanted
+            ],
         ):
             if len(matches) > 1:
                 headers = " and ".join(repr(self.table.headers[i]) for i in matches)
@@ -326,8 +339,14 @@ class Columns:
                 f"Channel {channel.name!r} is declared in [{channel.unit}]. Channels are SI: "
                 f"declare it in [{to_si(1.0, channel.unit)[1]}]; files may use any unit."
             )
+        suffix = parse_header(name)[1] if unit and name != channel.name else None
         if given is not None:
             unit = given
+        elif suffix and unit and not _same_unit(suffix, unit):
+            raise DataError(
+                f"{where} says two units, {suffix} and {unit}. Write the one that the numbers are "
+                f"in, as '{channel.name} [{unit}]'."
+            )
         elif unit is None and needed.is_dimensionless and not needed.radian:
             unit = "1"
         if unit is None:
@@ -340,6 +359,11 @@ class Columns:
             found = dimension(unit)
         except DataError as error:
             raise DataError(f"{where}: {error}") from error
+        if found.radian and re.search("%|percent", unit):
+            raise DataError(
+                f"{where} is in [{unit}], and a part in a hundred of an angle is none. Write "
+                f"'{name} [deg]' if the numbers are degrees."
+            )
         # Dimensions ignore the radian, but revolutions read as radians are wrong by 2 pi.
         if found != needed or found.radian != needed.radian:
             raise DataError(
@@ -400,6 +424,36 @@ class Columns:
                 f"units names {unused[0]!r}, which is neither a channel nor a column of "
                 f"{self.path.name}.{closest(unused[0], known)}"
             )
+
+
+def _same_unit(one: str, other: str) -> bool:
+    """Whether two texts mean one unit; what is none of the package's does not."""
+    try:
+        return dimension(one) == dimension(other) and to_si(1.0, one) == to_si(1.0, other)
+    except DataError:
+        return False
+
+
+def _clock_of_digits(times: np.ndarray) -> bool:
+    """Whether numbers are a date or a clock in digits: 115959 is followed by 120000.
+
+    Read as digits, with or without a date before them, they step evenly across a full minute
+    where the numbers themselves jump.
+    """
+    if times.size < 2 or np.any(times % 100.0 >= 60.0):
+        return False
+    date, clock = np.divmod(times, 1e6)
+    minutes, seconds = np.divmod(clock, 100.0)
+    hours, minutes = np.divmod(minutes, 100.0)
+    if np.any((hours >= 24) | (minutes >= 60)):
+        return False
+    month, day = np.divmod(date % 1e4, 100.0)
+    if date[0] and np.all((month >= 1) & (month <= 12) & (day >= 1) & (day <= 31)):
+        return bool(1e5 < date[0] < 1e9)
+    steps, read = np.diff(times), np.diff(3600.0 * hours + 60.0 * minutes + seconds)
+    jumps = np.abs(steps - read) > 1e-3 * np.median(steps)
+    few = 0.0 < jumps.mean() < 0.5
+    return bool(not date.any() and few and np.all(read[jumps] < 2.0 * np.median(steps)))
 
 
 def _first_word(name: str) -> str:

@@ -73,9 +73,7 @@ __all__ = [
 BLANKED = ("spikes", "dropouts", "frozen", "saturated", "held", "interpolated")
 
 
-def check(
-    dataset: Dataset, problem: Problem | Model, *, inputs: bool = True, spare: bool = True
-) -> LogCheck:
+def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) -> LogCheck:
     """Check records for faults of the log, before any model of forces.
 
     Parameters
@@ -87,8 +85,6 @@ def check(
         with standard names (SNAME) are also held against the kinematics of a rigid body.
     inputs : bool
         Whether the inputs are judged against the nominal model, its priors and limits.
-    spare : bool
-        Whether columns of the files that no channel asks for are read, too.
 
     Returns
     -------
@@ -118,7 +114,7 @@ def check(
     began = perf_counter()
     model = problem.model if isinstance(problem, Problem) else problem
     check_channels(model, dataset)
-    traces = [Trace.of(r, spare_signals(r) if spare else {}) for r in dataset]
+    traces = [Trace.of(r, spare_signals(r)) for r in dataset]
     equations = _equations(dataset, model, traces)
     faults, traces = screened(traces)
     findings = screen_findings(dataset, traces, faults)
@@ -134,7 +130,7 @@ def check(
     if equations:
         found, ended = contrasts.diagnosed(clean, equations, [*_places(findings, clean)])
         findings, sized = _merged(findings, ended.found, clean)
-        fixes = [one.correction for one in (*found, *ended.found)]
+        fixes = [*(r.correction for r in found), *(f.correction for f in ended.found)]
         mended = [undo(trace, fixes, equations) for trace in clean]
         about = dataset.channels, equations
         findings += [reading_finding(one, *about, dataset.names) for one in found]
@@ -169,7 +165,7 @@ def check(
 
 
 def quick_check(dataset: Dataset, model: Model) -> LogCheck:
-    """Check records before every fit: :func:`check` without spare columns of their files.
+    """Check records before every fit: :func:`check` under its name of old.
 
     Parameters
     ----------
@@ -178,7 +174,7 @@ def quick_check(dataset: Dataset, model: Model) -> LogCheck:
     model : Model
         What the signals are.
     """
-    return check(dataset, model, spare=False)
+    return check(dataset, model)
 
 
 def signal_check(dataset: Dataset) -> LogCheck:
@@ -388,7 +384,8 @@ def _balances(
     return tuple(
         Balance(
             str(one),
-            *(_share([pair[k] for pair in pairs.get(i, [])]) for k in (0, 1)),
+            _share([old for old, _ in pairs.get(i, [])]),
+            _share([new for _, new in pairs.get(i, [])]),
             one.target,
             unit.get(one.target, ""),
             tuple(

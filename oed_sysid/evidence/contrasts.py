@@ -382,22 +382,22 @@ def contrasts(
             under[:, i + 1] = sum(
                 (slopes[n] * g for n, g in shapes[k].items() if n in slopes), np.zeros(1)
             )
-        yield from _pieces(trace, index, relation, direct, under, usable, slopes,
-                           np.array(used, dtype=int), factors.get(relation.target, 1.0))  # fmt: skip
+        factor = factors.get(relation.target, 1.0)
+        columns = direct, under, np.array(used, dtype=int)
+        yield from _pieces(trace, index, relation, columns, usable, slopes, factor)
 
 
 def _pieces(
     trace: Trace,
     index: int,
     relation: Relation,
-    direct: np.ndarray,
-    under: np.ndarray,
+    columns: tuple[np.ndarray, np.ndarray, np.ndarray],
     usable: np.ndarray,
     slopes: Mapping[str, np.ndarray],
-    used: np.ndarray,
     factor: float,
 ) -> Iterator[Piece]:
     """Contrasts over each uninterrupted piece, as cosine coefficients of block means."""
+    direct, under, used = columns
     target = trace.values[relation.target]
     for piece in trace.pieces(usable, LEAST_BLOCKS):
         rows = np.flatnonzero(np.isfinite(target[piece])) + piece.start
@@ -953,9 +953,8 @@ def _described(bench: Selection, chosen: list[int]) -> tuple[Found, ...]:
         rest = [j for j in chosen if j != k]
         gain, other, error = bench.beside(rest)
         near = bench.able(chosen, other, error) & (gain > own[i] - CLOSE)
-        rivals = sorted(np.flatnonzero(near), key=lambda j: -gain[j])
-        told = {}
-        for j in rivals:
+        told: dict[tuple[object, ...], tuple[Candidate, float]] = {}
+        for j in sorted(np.flatnonzero(near).tolist(), key=lambda j: -gain[j]):
             f = bench.faults[j]
             told.setdefault((f.kind, f.signals, f.other, f.record), (f, float(other[j])))
         mine = bench.faults[k]

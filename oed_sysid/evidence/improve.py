@@ -1,19 +1,13 @@
-r"""The loop: fit, locate, rank, add, refit, until what remains is noise.
+r"""The loop: fit, locate, rank, add, refit, until nothing more is claimed.
 
-An effect is claimed where three things hold:
-
-1. the gain :math:`2\Delta\log L` on the training records is one that chance rarely gives,
-   however many candidates were tried;
-2. the validation records become more likely, judged with noise levels and start states
-   estimated on them and with the uncertainty of the parameters taken along;
-3. the error of the model on its own on the validation records is finite and does not rise.
-
-What shapes an improvement, so that a later call finds the steps of one that did not end.
+What is claimed, and why, is one rule (:mod:`oed_sysid.evidence.claim`); how candidates are gone
+through is :mod:`oed_sysid.evidence.search`. What shapes an improvement is hashed, so that a later
+call finds the steps of one that did not end.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -22,32 +16,14 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import LogCheck, check, quick_check
-from oed_sysid.evidence.constancy import doubt, imitates
+from oed_sysid.evidence.claim import claim, own_error
 from oed_sysid.evidence.improvement import Improvement, Step, Term, Yardstick, parameter_table
 from oed_sysid.evidence.locate import Located, likeliest, locate
 from oed_sysid.evidence.preparation import prepared
 from oed_sysid.evidence.propose import Proposals
-from oed_sysid.evidence.rank import Ranking, Refit, rank, threshold
-from oed_sysid.evidence.reconsider import (
-    judged_anew,
-    on_all_samples,
-    reviewed,
-    with_effect,
-    with_term,
-    without_imitations,
-)
+from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.remainder import Remains, remains
-from oed_sysid.evidence.search import (
-    ASKED,
-    BOUGHT,
-    CONFIRMED,
-    Standing,
-    confirmed,
-    difference,
-    own_error,
-    rises,
-    without_smoothers,
-)
+from oed_sysid.evidence.search import Standing, on_all_samples, overgrown, searched, with_term
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
@@ -55,7 +31,7 @@ from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import level_concerns
-from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
+from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -69,24 +45,15 @@ MUCH = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class _Reached:
-    """Where a search ended, where it began, and what it saw on the way."""
+class _Ended:
+    """Where a search ended and began, what is left of the records, and a term for that."""
 
     state: Standing
     base: FilteredSolution
     first: Ranking
-    rejected: tuple[str, ...]
-    last: Ranking | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class _Ended:
-    """A search with all samples asked, what is left of the records, and a term for that."""
-
-    state: Standing
+    last: Ranking | None
     left: Remains
     proposals: Proposals | None
-    notes: list[str]
 
 
 @single_threaded
@@ -99,13 +66,14 @@ def improve(
     known_noise: bool = False,
     disturbances: str | Sequence[str] = "auto",
     max_effects: int = 4,
+    terms: bool = True,
     progress: Callable[[str], None] | None = None,
     journal: Journal | None = None,
 ) -> Improvement:
     """Find the effects that a model lacks.
 
-    Choices are made on the training records; an effect is claimed only where
-    it also makes the validation records more likely and predicts them no worse.
+    An effect is claimed where training and validation records together are likelier with it than
+    chance makes them, and whole validation runs are not predicted worse.
 
     Parameters
     ----------
@@ -128,10 +96,17 @@ def improve(
         shows more clearly without them.
     max_effects : int
         Most effects to add; a proposed term may come beside them.
+    terms : bool
+        Whether a term that no candidate holds is sought where the candidates leave more than noise.
     progress : callable, optional
-        Told in words what is being done.
+        Told in words what is being done, and of every effect when it is confirmed.
     journal : Journal, optional
         Keeps every finished step; a later call with the same content goes on from them.
+
+    Returns
+    -------
+    Improvement
+        Its ``model`` and ``fit`` are what to design, predict and export with.
     """
     tell = progress or (lambda text: None)
     for records in (train,) if test is None else (train, test):
@@ -158,6 +133,7 @@ def improve(
             "known_noise": known_noise,
             "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],
             "max_effects": max_effects,
+            "terms": terms,
         },
         shared={"train": train, "validation": test},
     )
@@ -165,31 +141,108 @@ def improve(
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
     notes = [*ready.notes, *told]
-    found = _searched(study, base, max_effects, tell, keep, notes)
-    finish = partial(_ended, whole=ready.whole, max_effects=max_effects, tell=tell, keep=keep)
-
-    def calmer(than: _Reached) -> _Reached:
+    run = _Run(ready.whole, max_effects, terms, tell, keep, notes)
+    end = run.whole(study, base)
+    if disturbances == "auto" and _hidden_by_forces(end):
         tell("searching without random forces")
         calm = keep.once("without random forces", partial(begin, disturbances="none"))
-        return _calmer(than, _searched(*calm, max_effects, tell, keep, notes), notes)
-
-    may_be_calm = disturbances == "auto"
-    if may_be_calm and _astray(found.state.study, found.state.fit):
-        found, may_be_calm = calmer(found), False
-    end = finish(found)
-    if may_be_calm and _unexplained(end):
-        reached = replace(found, state=end.state)
-        if (other := calmer(reached)) is not reached:
-            found, end = other, finish(other)
-    notes += end.notes
+        end = run.calmer(end, *calm)
     tell("locating where the nominal model fails")
-    location = _located(study, found.base, found.first, notes, keep)
-    notes += _bought(end.state.study, end.state.fit)
+    location = _located(end, notes, keep)
     tell("fits and errors of every step")
-    result = keep.once("every step", lambda: _result(found, end, location, notes, log))
+    result = keep.once("every step", lambda: _result(end, location, notes, log))
     acting = other_way(result.fit, {p.name: p.value for p in model.free_parameters})
-    said = (*(one.text for one in acting), *_other_noise(result.fit))
+    said = (*(one.text for one in acting), *_other_noise(result.fit), *_bought(end))
     return replace(result, notes=(*said, *result.notes))
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """How a search is made: once with disturbance forces, perhaps again without."""
+
+    all_samples: Dataset | None
+    max_effects: int
+    terms: bool
+    tell: Callable[[str], None]
+    keep: Journal
+    notes: list[str]
+
+    def whole(self, study: Study, base: FilteredSolution) -> _Ended:
+        """Search from a nominal fit, ask all samples, and look for a term for what is left."""
+        state = Standing(study, (), base, (base,))
+        state, first, last = searched(state, self.max_effects, self.tell, self.keep, self.notes)
+        if self.all_samples is not None and state.added:
+            self.tell("asking all samples")
+            asking = partial(on_all_samples, state, self.all_samples)
+            state, notes = self.keep.once("all samples", asking)
+            self.notes.extend(notes)
+        end = _Ended(state, base, first, last, self._left(state), None)
+        if end.left.is_noise or not self.terms or not np.isfinite(end.left.forces):
+            return end
+        self.tell("looking for a term that no known effect holds")
+        work = partial(with_term, state, self.max_effects)
+        beyond = _kept(self.keep, "unknown term", work, self.notes)
+        if beyond is None:
+            return end
+        wider, proposals, tied = beyond
+        left = end.left if proposals is None else self._left(wider)
+        return replace(end, state=wider, left=replace(left, tied=tied), proposals=proposals)
+
+    def _left(self, state: Standing) -> Remains:
+        work = partial(remains, state.study, state.fit)
+        return _kept(self.keep, "what remains", work, self.notes) or Remains(np.inf, None)
+
+    def calmer(self, end: _Ended, study: Study, base: FilteredSolution) -> _Ended:
+        """Of a search with disturbance forces and one without, the one that is worth more.
+
+        A large missing effect makes forces grow until the records are likely and whole runs are
+        not: the right effect does not lead out of that valley. What the other search finds is
+        claimed against what this one has, with disturbance forces in both.
+        """
+        calm = Standing(study, (), base, (base,))
+        calm, first, last = searched(calm, self.max_effects, self.tell, self.keep, self.notes)
+        if not calm.added:
+            return end
+        study, present = end.state.study, end.state.fit
+        noise = study.quiet(study.loosened(present.noise))
+        fit = study.estimate(
+            calm.effects, calm.fit.values, calm.fit, noise=noise, max_iterations=25
+        )
+        if fit is None:
+            return end
+        more = sum(calm.needed(effect) for effect in calm.effects)
+        more -= sum(end.state.needed(effect) for effect in end.state.effects)
+        decided = claim(study, present, fit, calm.effects, more)
+        if not decided.stands:
+            return end
+        self.notes.append(
+            "Random forces had grown over what is missing: it was searched for without them, and "
+            "is likelier with them, too."
+        )
+        state = replace(calm, study=study, fit=fit, path=(*calm.path[:-1], fit))
+        return _Ended(state, base, first, last, self._left(state), None)
+
+
+def _hidden_by_forces(end: _Ended) -> bool:
+    """Whether disturbance forces may hide what is missing: whole runs are far off under them."""
+    study, fit = end.state.study, end.state.fit
+    if overgrown(study, fit):
+        return True
+    missed = study.rms(fit, study.train) / signal_spread(study.train)
+    return bool(end.left.structured) and bool(np.nanmax(missed) > MUCH)
+
+
+def _bought(end: _Ended) -> list[str]:
+    """Words where disturbance forces still explain the records at the price of whole runs."""
+    study, fit = end.state.study, end.state.fit
+    if not overgrown(study, fit):
+        return []
+    return [
+        "Random forces make the records likely, but a whole run is then "
+        f"{own_error(study, fit, study.train):.3g} x noise off, {study.plain_error:.3g} for the "
+        "nominal model without them. Where the sea was calm, look again with disturbances='none' "
+        "(--disturbances none): what is missing shows more clearly."
+    ]
 
 
 def _other_noise(fit: Fit) -> list[str]:
@@ -210,194 +263,10 @@ def _other_noise(fit: Fit) -> list[str]:
     ]
 
 
-def _searched(
-    study: Study,
-    base: FilteredSolution,
-    max_effects: int,
-    tell: Callable[[str], None],
-    keep: Journal,
-    notes: list[str],
-) -> _Reached:
-    """Search from the nominal model to the end."""
-    state, first, rejected = Standing(study, (), base, (base,)), None, []
-    last: Ranking | None = None
-    for reached, ranking, refused in _search(state, max_effects, tell, keep, notes):
-        state, first, last = reached, first or ranking, ranking
-        rejected += refused
-    first = first or rank(study, base, study.candidates, n_refits=0, share=state.share)
-    return _Reached(state, base, first, tuple(rejected), None if last is first else last)
-
-
-def _ended(
-    found: _Reached,
-    *,
-    whole: Dataset | None,
-    max_effects: int,
-    tell: Callable[[str], None],
-    keep: Journal,
-) -> _Ended:
-    """Ask all samples, judge what is left, and look for a term where that is no noise."""
-    state, notes = found.state, list[str]()
-    if whole is not None:
-        tell("asking all samples")
-        state, notes = keep.once("all samples", partial(on_all_samples, state, whole))
-    state = keep.once("sizes", partial(without_imitations, state))
-    left = _kept(keep, "what remains", lambda: remains(state.study, state.fit), notes)
-    if left is None or left.is_noise:
-        return _Ended(state, left or Remains(np.inf, None), None, notes)
-    tell("looking for a term that no known effect holds")
-    beyond = _kept(keep, "unknown term", lambda: with_term(state, max_effects), notes)
-    if beyond is None:
-        return _Ended(state, left, None, notes)
-    wider, proposals, tied = beyond
-    wider = keep.once("sizes with a term", partial(without_imitations, wider))
-    again = _kept(keep, "what remains", lambda: remains(wider.study, wider.fit), notes)
-    return _Ended(wider, replace(again or left, tied=tied), proposals, notes)
-
-
-def _unexplained(end: _Ended) -> bool:
-    """Whether structure is missing under disturbance forces, and whole runs miss much."""
-    if end.left.kind != "structure missing" or not end.left.random:
-        return False
-    study = end.state.study
-    missed = study.rms(end.state.fit, study.train) / signal_spread(study.train)
-    return bool(np.nanmax(missed) > MUCH)
-
-
-def _calmer(found: _Reached, calm: _Reached, notes: list[str]) -> _Reached:
-    """Of a search with disturbance forces and one without, the one whose end is likelier with them.
-
-    A large missing effect makes forces grow until the records are likely and whole runs are not:
-    gains are then judged in a valley from which the right effect does not lead out.
-    """
-    study, present = found.state.study, found.state.fit
-    more = len(calm.state.added) - len(found.state.added)
-    if not calm.state.added:
-        return found
-    end = calm.state.fit
-    noise = study.quiet(study.loosened(present.noise))
-    fit = study.estimate(calm.state.effects, end.values, end, noise=noise, max_iterations=25)
-    needed = max(more, 1) * threshold(len(study.candidates), 1, found.state.share)
-    if fit is None or present.objective - fit.objective < needed:
-        return found
-    if study.validation is not None:
-        gain = difference(study.validate(present), study.validate(fit))
-        if not gain > CONFIRMED or rises(study, present, fit, gain):
-            return found
-    notes.append(
-        "Random forces had grown over what is missing: it was searched for without them, and is "
-        "likelier with them, too."
-    )
-    fit = study.settle(fit)
-    state = replace(calm.state, study=study, fit=fit, path=(*calm.state.path[:-1], fit))
-    return replace(calm, state=judged_anew(state))
-
-
-def _astray(study: Study, found: FilteredSolution) -> bool:
-    """Whether disturbance forces explain the records at the price of whole runs."""
-    acting = [
-        place
-        for place, level in zip(found.noise.places, found.noise.force, strict=True)
-        if level > 0 and not place.startswith("actuator")
-    ]
-    return bool(acting) and own_error(study, found, study.train) > BOUGHT * study.plain_error
-
-
-def _bought(study: Study, found: FilteredSolution) -> list[str]:
-    """Words where disturbance forces still explain the records at the price of whole runs."""
-    if not _astray(study, found):
-        return []
-    alone = own_error(study, found, study.train)
-    return [
-        f"Random forces make the records likely, but a whole run is then {alone:.3g} x noise off, "
-        f"{study.plain_error:.3g} for the nominal model without them. Where the sea was calm, look "
-        "again with disturbances='none' (--disturbances none): what is missing shows more clearly."
-    ]
-
-
-def _search(
-    state: Standing,
-    max_effects: int,
-    tell: Callable[[str], None],
-    keep: Journal,
-    notes: list[str],
-) -> Iterator[tuple[Standing, Ranking, list[str]]]:
-    """Rank, choose, add, reconsider, until nothing more is worth it.
-
-    Yields the state, the ranking and what the validation records refused after every round, and
-    after every stage of it that ended well: what was found stays where a later stage fails.
-    """
-    try:
-        yield from _rounds(state, max_effects, tell, keep)
-    except OedSysidError as error:
-        notes.append(f"The search ended early: {error}")
-
-
-def _rounds(
-    state: Standing, max_effects: int, tell: Callable[[str], None], keep: Journal
-) -> Iterator[tuple[Standing, Ranking, list[str]]]:
-    while len(state.added) < max_effects:
-        tell(f"ranking candidates, round {len(state.added) + 1}")
-        ranking = keep.once(
-            "ranking", partial(rank, state.study, state.fit, state.left, share=state.share)
-        )
-        yield state, ranking, []
-        ranking, told = keep.once("smoothers", partial(without_smoothers, state, ranking))
-        for name, why in told.items():
-            state = state.doubting(name, why)
-        chosen, validation_gain, refused, told = keep.once(
-            "choice", partial(_choose, state, ranking)
-        )
-        for name, why in told.items():
-            state = state.doubting(name, why)
-        ranking = ranking.without(told)
-        yield state, ranking, refused
-        if chosen is None:
-            break
-        tell(f"adding {chosen.name}")
-        adding = partial(with_effect, state, chosen, ranking, validation_gain)
-        state = keep.once(f"with {chosen.name}", adding)
-        yield state, ranking, []
-        tell("reconsidering the effects added")
-        state = keep.once("review", partial(reviewed, state))
-        yield state, ranking, []
-
-
-def _choose(
-    state: Standing, ranking: Ranking
-) -> tuple[Refit | None, float, list[str], dict[str, str]]:
-    """Best candidate that chance does not explain, the validation records confirm, and repeats.
-
-    Returns it with its validation gain, what the validation records refused, and words, by name,
-    about what cannot be told from what else is missing.
-    """
-    refused: list[str] = []
-    told: dict[str, str] = {}
-    study = state.study
-    hopeful = [r for r in ranking.refits[:ASKED] if r.gain >= ranking.needed(r)]
-    before = np.nan if study.validation is None or not hopeful else study.validate(state.fit)
-    for refit in hopeful:
-        gain = np.nan
-        if study.validation is not None:
-            gain = difference(before, study.validate(refit.fit))
-            excess = refit.gain / ranking.needed(refit)
-            agreed = confirmed(study, state.fit, refit.fit, gain, excess)
-            if not agreed or rises(study, state.fit, refit.fit, gain):
-                refused.append(refit.name)
-                continue
-        if sizes := imitates(study, refit.fit, refit.score.effect, lambda: state.fit):
-            told[refit.name] = doubt(refit.score.effect, sizes)
-            continue
-        return refit, gain, refused, told
-    return None, np.nan, refused, told
-
-
-def _located(
-    study: Study, base: FilteredSolution, first: Ranking, notes: list[str], keep: Journal
-) -> Located:
-    rivals = likeliest(first)
-    found = _kept(keep, "location", lambda: locate(base, study.unit, rivals), notes)
-    return found if found is not None else Located.nothing(base)
+def _located(end: _Ended, notes: list[str], keep: Journal) -> Located:
+    work = partial(locate, end.base, end.state.study.unit, likeliest(end.first))
+    found = _kept(keep, "location", work, notes)
+    return found if found is not None else Located.nothing(end.base)
 
 
 def _kept(keep: Journal, label: str, work: Callable, notes: list[str]):  # type: ignore[no-untyped-def,type-arg]
@@ -415,87 +284,81 @@ def _at_estimates(effect: Effect, values: Mapping[str, float]) -> Effect:
 
 
 def _result(
-    found: _Reached, end: _Ended, location: Located, notes: list[str], log: LogCheck | None
+    end: _Ended, location: Located, notes: Sequence[str], log: LogCheck | None
 ) -> Improvement:
-    state, proposals = end.state, end.proposals
-    study = state.study
-    label = "improve, random forces"
+    state, study = end.state, end.state.study
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
-    path = [study.polished(fit) for fit in (found.base, *state.path[1:])]
-    fits = [study.result(fit, label) for fit in path]
-    base_fit = fits[0]
+    path = [study.polished(fit) for fit in (end.base, *state.path[1:])]
+    fits = [study.result(fit, "improve, random forces") for fit in path]
     sigma = _sigma(study, fits)
-    rms = [
-        {
-            "train": study.rms(fit, study.train),
-            "test": np.full(len(sigma), np.nan)
-            if study.validation is None
-            else study.rms(fit, study.validation),
-        }
-        for fit in path
-    ]
-    errors = [relative(one, sigma, study) for one in rms]
-    steps = [
-        Step(
-            effect=_at_estimates(one.effect, fits[number].model.values),
-            group=one.group,
-            gain=one.gain,
-            needed=one.needed,
-            test_gain=one.validation_gain,
-            train_error=errors[number]["train"],
-            test_error=errors[number]["test"],
-            fit=fits[number],
-            rms=rms[number],
-        )
-        for number, one in enumerate(state.added, start=1)
-    ]
+    rms = [_rms(study, fit) for fit in path]
+    steps = _steps(state, fits, rms, sigma)
     yardstick = Yardstick.of(study.train, sigma)
-    worst = rms[-1]["test"] if study.validation is not None else rms[-1]["train"]
-    shares, ratios = _missed(study, sigma, worst, yardstick)
-    term = None
-    if proposals is not None and proposals.best is not None:
-        term = Term.of(proposals, steps[-1], state.replaced)
+    term = None if end.proposals is None else Term.of(end.proposals, steps[-1], state.replaced)
     claimed = {step.added for step in steps}
+    refused = (d.name for d in state.decisions if d.training > d.needed and not d.stands)
     return Improvement(
         model=fits[-1].model,
-        base=base_fit.model,
-        steps=tuple(steps),
-        ranking=found.first,
-        base_fit=base_fit,
-        base_error=errors[0],
-        final_error=errors[-1],
+        base=fits[0].model,
+        steps=steps,
+        ranking=end.first,
+        base_fit=fits[0],
+        base_error=relative(rms[0], sigma, study),
+        final_error=relative(rms[-1], sigma, study),
         location=location,
         remains=replace(
             end.left,
-            shares=shares,
-            over_wiggles=ratios,
-            declared=tuple(np.array(study.base.output_names)[~study.estimated].tolist()),
+            training=fits[-1].whole_runs,
+            validation=None if study.validation is None else fits[-1].runs_on(study.validation),
             suspect=_suspect(log, steps),
         ),
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
         yardstick=yardstick,
-        rejected=tuple(dict.fromkeys(n for n in found.rejected if n not in claimed)),
+        rejected=tuple(name for name in dict.fromkeys(refused) if name not in claimed),
         proposed=() if term is None else (term.to_dict(),),
-        notes=(*notes, *state.doubts),
+        notes=tuple(notes),
         log=log,
         skipped=study.skipped,
-        last=found.last if steps else None,
+        last=end.last if steps else None,
+        decisions=state.decisions,
     )
 
 
-def _missed(
-    study: Study, sigma: np.ndarray, worst: np.ndarray, yardstick: Yardstick
-) -> tuple[dict[str, float], ...]:
-    """What whole runs miss of every output beyond noise, over its spread and over its noise."""
-    # Noise that nobody declared is what the fastest content shows, whatever a fit took for noise.
-    fast = np.where(study.estimated, np.minimum(sigma, credible_levels(study.train)[0]), sigma)
-    excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0))
-    pairs = (
-        zip(study.base.output_names, excess / unit, strict=True)
-        for unit in (yardstick.spread, fast)
-    )
-    return tuple({name: float(v) for name, v in pair if not np.isnan(v)} for pair in pairs)
+def _rms(study: Study, fit: FilteredSolution) -> dict[str, np.ndarray]:
+    """Errors of every output on training and validation records, ``(n_outputs,)``."""
+    nothing = np.full(len(study.base.outputs), np.nan)
+    tested = study.validation
+    return {
+        "train": study.rms(fit, study.train),
+        "test": nothing if tested is None else study.rms(fit, tested),
+    }
+
+
+def _steps(
+    state: Standing,
+    fits: Sequence[Fit],
+    rms: Sequence[Mapping[str, np.ndarray]],
+    sigma: np.ndarray,
+) -> tuple[Step, ...]:
+    """What was added, with the fits and errors after every step."""
+    found = []
+    for one, fit, own in zip(state.added, fits[1:], rms[1:], strict=True):
+        error = relative(own, sigma, state.study)
+        found.append(
+            Step(
+                effect=_at_estimates(one.effect, fit.model.values),
+                group=one.group,
+                gain=one.claim.training,
+                needed=one.claim.needed,
+                test_gain=one.claim.validation,
+                train_error=error["train"],
+                test_error=error["test"],
+                fit=fit,
+                rms=own,
+            )
+        )
+    return tuple(found)
 
 
 def _suspect(log: LogCheck | None, steps: Sequence[Step]) -> str:

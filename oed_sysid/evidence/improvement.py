@@ -10,10 +10,11 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.check import LogCheck
+from oed_sysid.evidence.claim import RISE, Claim
 from oed_sysid.evidence.compare import Comparison
 from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.propose import Proposals
-from oed_sysid.evidence.rank import Ranking
+from oed_sysid.evidence.rank import Ranking, hopeful
 from oed_sysid.evidence.remainder import Remains
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_levels import signal_spread
@@ -32,13 +33,8 @@ from oed_sysid.runtime.display import (
     as_text,
 )
 
-# Likelihood-ratio statistic, less the cost of freedom, from which a candidate is mentioned as a
-# hint.
-HINT = 4.0
 # Invisible candidates that are named.
 NAMED = 6
-# Factor by which the error on validation records may seem to rise by chance.
-RISE = 1.02
 # Half a 95 % interval, in typical sizes, from which the records do not tell a size.
 UNTOLD = 100.0
 
@@ -172,13 +168,11 @@ class Step:
         What was added, at its estimates after the step.
     group : tuple of str
         Identifiers that these data cannot tell from it, itself first.
-    gain : float
-        Likelihood-ratio statistic on the training records: by how much twice the log-likelihood
-        grows.
+    gain, test_gain : float
+        Both terms of the statistic T (:mod:`oed_sysid.evidence.claim`): on the training records,
+        and on the validation records; NaN without any.
     needed : float
-        Gain that chance rarely exceeds, however many candidates were tried.
-    test_gain : float
-        The same gain on the validation records; NaN without any.
+        Threshold that T exceeds.
     train_error, test_error : float
         Prediction errors after the step, in units of the noise.
     fit : Fit
@@ -197,7 +191,9 @@ class Step:
     fit: Fit
     rms: Errors
 
-    to_dict = as_dict("added", "group", "gain", "train_error", "test_error")
+    to_dict = as_dict(
+        "added", "group", "gain", "test_gain", "statistic", "needed", "train_error", "test_error"
+    )
 
     @property
     def added(self) -> str:
@@ -205,9 +201,18 @@ class Step:
         return self.effect.name
 
     @property
+    def statistic(self) -> float:
+        """The statistic T: training and validation together."""
+        return self.gain + (0.0 if np.isnan(self.test_gain) else self.test_gain)
+
+    @property
     def evidence(self) -> float:
         """Earlier name of ``gain``."""
         return self.gain
+
+
+# Verdicts of whole runs that are as noise and disturbances would leave them.
+EXPLAINED = ("adequate", "disturbance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,10 +240,12 @@ class Improvement:
     yardstick : Yardstick
         Noise and spread of the signals, to compare errors with.
     rejected : tuple of str
-        Best candidates that the validation records refused.
+        What the training records alone would have claimed.
     last : Ranking or None
         Of the last round, in which everything found was part of the model; it tells what the
         records would not have shown. None where the first was the last.
+    decisions : tuple of Claim
+        Everything that was asked, with every term of the decision.
     """
 
     model: Model
@@ -259,6 +266,7 @@ class Improvement:
     log: LogCheck | None = None
     skipped: tuple[str, ...] = ()
     last: Ranking | None = None
+    decisions: tuple[Claim, ...] = ()
 
     _repr_html_ = as_html
 
@@ -289,8 +297,7 @@ class Improvement:
         """``missing``, ``unexplained`` (more than noise, no claim) or ``nothing_missing``."""
         if self.steps and self.remains.kind != "log suspect":
             return "missing"
-        kinds = ("structure missing", "log suspect")
-        return "unexplained" if self.remains.kind in kinds else "nothing_missing"
+        return "nothing_missing" if self.remains.kind in EXPLAINED else "unexplained"
 
     @property
     def located(self) -> dict[str, float]:
@@ -305,7 +312,7 @@ class Improvement:
             self.ranking,
             self.parameters,
             before=self.base_error["test"],
-            explained=self.remains.kind in ("adequate", "random forces"),
+            explained=self.remains.kind in EXPLAINED,
             suspect=self.remains.kind == "log suspect",
             commanded=bool(self.base.inputs),
             last=self.last,
@@ -319,7 +326,7 @@ class Improvement:
     @property
     def explained(self) -> bool:
         """Whether what remains is noise: no disturbance is needed, and no sensor has to drift."""
-        return self.remains.is_noise and self.remains.kind == "adequate"
+        return self.remains.kind == "adequate"
 
     def at_step(self, count: int) -> Model:
         """Return the model after the first steps only: what came later is undone.
@@ -344,7 +351,7 @@ class Improvement:
 
     to_dict = as_dict(
         "verdict", "steps", "located", "base_error", "final_error", "remains", "conclusion",
-        "notes", "parameters",
+        "notes", "parameters", "decisions",
         ranking=lambda self: self.ranking.scored(), proposed_terms="proposed", noise="fit.noise",
     )  # fmt: skip
 
@@ -414,21 +421,28 @@ class Improvement:
         if self.remains.kind == "log suspect":
             return f"Log suspect: nothing about {self.base.name} can be claimed from it."
         if self.verdict == "unexplained":
+            more = "misses more than noise"
+            if self.remains.kind == "not known":
+                more = "may miss more than noise (not known)"
             return (
-                f"{self.base.name} misses more than noise, and no candidate is confirmed: error on "
-                f"the {records} records {before:.3g} × noise."
+                f"{self.base.name} {more}, and no candidate is confirmed: error on "
+                f"the {records} records {before:.3g} × noise{self._sizes()}."
             )
         if not self.steps:
             return (
                 f"Nothing is missing from {self.base.name} that these records could show: error on "
-                f"the {records} records {before:.3g} × noise."
+                f"the {records} records {before:.3g} × noise{self._sizes()}."
             )
         names = " and ".join(step.added for step in self.steps)
         goes = "falls" if after < before else "does not fall: it goes"
         return (
             f"{self.base.name} lacks {names}: with it the error on the {records} records {goes} "
-            f"from {before:.3g} to {after:.3g} × noise; {self.remains.kind}."
+            f"from {before:.3g} to {after:.3g} × noise{self._sizes()}; {self.remains.kind}."
         )
+
+    def _sizes(self) -> str:
+        """Whole-run errors in units and per cent of the signals, in brackets."""
+        return f" ({self.remains.size})" if self.remains.size else ""
 
     def _story(self) -> Section:
         """The steps, or why there is none."""
@@ -438,32 +452,27 @@ class Improvement:
                 UNCONFIRMED if unexplained else "Nothing is missing that these records could show."
             ]
             best = self.ranking.refits[0] if self.ranking.refits else None
-            if best is not None and best.evidence > HINT and best.name not in self.rejected:
+            if best is not None and hopeful(best, 0.0) and best.name not in self.rejected:
                 lines.append(
-                    f"A hint, no more: {best.name} would gain {best.gain:.1f}, where "
-                    f"{self.ranking.needed(best):.1f} are needed. A manoeuvre that excites it "
+                    f"A hint, no more: {best.name} would be worth {best.gain:.1f} on the training "
+                    f"records, where {best.needed:.1f} are needed. A manoeuvre that excites it "
                     "would tell."
                 )
-            if self.rejected:
-                lines.append(
-                    "The validation records refused "
-                    + ", ".join(dict.fromkeys(self.rejected))
-                    + ": what looked like it on the training records did not repeat."
-                )
-            return Section("What is missing", lines)
+            return Section("What is missing", [*lines, *self._refused()], self._asked())
         headers = (
-            "effect added", "gain", "needed", "validation gain", "training error",
+            "effect added", "training", "validation", "T", "threshold", "training error",
             "validation error",
         )  # fmt: skip
-        rows = [("(nominal)", "", "", "", *self._pair(self.base_error))]
+        rows = [("(nominal)", "", "", "", "", *self._pair(self.base_error))]
         lines = []
         for step in self.steps:
             rows.append(
                 (
                     step.added,
                     f"{step.gain:.1f}",
-                    f"{step.needed:.1f}",
                     "-" if np.isnan(step.test_gain) else f"{step.test_gain:.1f}",
+                    f"{step.statistic:.1f}",
+                    f"{step.needed:.1f}",
                     *self._pair({"train": step.train_error, "test": step.test_error}),
                 )
             )
@@ -471,7 +480,40 @@ class Improvement:
                 lines.append(
                     f"These records cannot tell {step.added} from {', '.join(step.group[1:])}."
                 )
-        return Section("What is missing", lines, (Table(headers, rows),))
+        tables = (Table(headers, rows), *self._asked())
+        return Section("What is missing", [*lines, *self._refused()], tables)
+
+    def _refused(self) -> list[str]:
+        """What the training records alone would have claimed."""
+        if not self.rejected:
+            return []
+        return [
+            f"Not claimed: {', '.join(self.rejected)}. What looked like it on the training records "
+            "did not repeat, or the conditions of a claim are not met."
+        ]
+
+    def _asked(self) -> tuple[Table, ...]:
+        """Every decision with every term of it."""
+        if not self.decisions:
+            return ()
+        headers = (
+            "asked", "training", "validation", "T", "threshold", "whole runs before", "after",
+            "decision",
+        )  # fmt: skip
+        rows = [
+            (
+                one.name,
+                f"{one.training:.1f}",
+                "-" if np.isnan(one.validation) else f"{one.validation:.1f}",
+                f"{one.statistic:.1f}",
+                f"{one.needed:.1f}",
+                "-" if np.isnan(one.before) else f"{one.before:.3g}",
+                "-" if np.isnan(one.after) else f"{one.after:.3g}",
+                one.decision,
+            )
+            for one in self.decisions
+        ]
+        return (Table(headers, rows, words=(7,)),)
 
     def _meanings(self) -> list[str]:
         """What the effects added are, in words."""

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from oed_sysid.errors import SimulationError
+from oed_sysid.evidence.claim import GROUP_WIDTH, threshold
 from oed_sysid.evidence.dictionary import Signals, Term, signals_along, terms
-from oed_sysid.evidence.rank import GROUP_WIDTH, threshold
 from oed_sysid.evidence.residual_forces import derivatives, let_in
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.filtered import Filtered

@@ -1,14 +1,21 @@
-"""Which effect is missing: scores for all candidates, refits for the few that deserve one."""
+r"""Which effect is missing: scores for all candidates, refits for the few that deserve one.
+
+Where no single effect is claimed, two may be that hide each other, as an offset and dry friction
+do: with projected signatures :math:`S = (s_i, s_j)` of a pair and the residual :math:`r`, the joint
+score statistic :math:`r'S (S'S)^{-1} S'r` costs nothing beyond the scores of all, and pairs whose
+joint statistic exceeds the threshold of all pairs are refitted together.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
 
+from oed_sysid.evidence.claim import GROUP_WIDTH, Claim, at_bounds, threshold
 from oed_sysid.evidence.score import Score, scores, two_sided
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
@@ -16,38 +23,17 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.variants import BY_RECORD
 from oed_sysid.runtime.display import Figure, Report, Section, Table
 
-# Candidates refitted in each round.
-N_REFITS = 7
-# Of these, how many again with the noise levels free, and which share of the best gain
-# makes one worth it.
-N_FULL, SHARE = 4, 0.1
-# Share of the gain that a claim needs below which free noise levels will not reach it either.
-HOPELESS = 0.3
-# A rival whose refit is this close, in twice the log-likelihood, cannot be told apart.
-GROUP_WIDTH = 6.0
+# Candidates refitted in each round; of these, how many again with the noise levels free and asked
+# whether they are claimed; pairs refitted where no single one is.
+N_REFITS, ASKED, N_PAIRS = 7, 5, 3
+# Share of the best statistic below which a candidate is no rival in this round.
+SHARE = 0.1
+# Share of the score statistic that a refit has to reach before no other size is begun from.
+REACHED = 0.3
+# Sizes that a refit begins from, in those of the score's one-step estimate.
+SIZES = (1.0, 0.2, 5.0)
 # Correlation of two signatures, free parameters projected out, above which they are one.
 ALIKE = 0.95
-# Of two such effects, the one that explains less by no more than this share is not refuted: noise
-# models are never that exact.
-NEARLY = 0.015
-# Share of false claims over all candidates where no validation record can be asked, and
-# where one is: chance passes both once in several hundred searches.
-FALSE_CLAIMS, FALSE_CLAIMS_BEFORE_TEST = 0.01, 0.05
-
-
-def threshold(
-    n_candidates: int, freedom: int, share: float = FALSE_CLAIMS, *, trials: float = 1.0
-) -> float:
-    """Gain in twice the log-likelihood that chance exceeds rarely, however many candidates.
-
-    ``trials`` counts the frequencies of which a candidate takes the best.
-
-    Examples
-    --------
-    >>> round(threshold(40, 1), 1)
-    13.4
-    """
-    return float(chdtri(freedom, share / (max(n_candidates, 1) * max(trials, 1.0))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,33 +42,41 @@ class Refit:
 
     Attributes
     ----------
-    score : Score
-        What the score test had said.
+    scores : tuple of Score
+        What the score test had said; of several where a set was tried jointly.
     fit : FilteredSolution
         The new fit, noise levels included.
     gain : float
-        Gain in twice the log-likelihood.
+        Likelihood-ratio statistic on the training records.
+    needed : float
+        Threshold of a claim.
     """
 
-    score: Score
+    scores: tuple[Score, ...]
     fit: FilteredSolution
     gain: float
+    needed: float
+
+    @property
+    def score(self) -> Score:
+        """Score of the first effect."""
+        return self.scores[0]
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects as they were fitted: bounds may be wider than those of the candidates."""
+        known = {effect.name: effect for effect in self.fit.problem.model.effects}
+        return tuple(known[score.effect.name] for score in self.scores)
 
     @property
     def name(self) -> str:
-        """Identifier of the effect."""
-        return self.score.effect.name
+        """Identifier of the effect, or of all of a set."""
+        return " + ".join(score.effect.name for score in self.scores)
 
     @property
     def evidence(self) -> float:
-        """Gain less what freedom costs (two per parameter, as in Akaike's criterion).
-
-        A size for every record costs twice that: it is estimated anew on validation records, too,
-        so that these cannot refuse it in favour of one that all share. The best of many frequencies
-        gains twice their logarithm by chance.
-        """
-        chance = 2.0 * float(np.log(self.score.trials))
-        return self.gain - 2.0 * self.score.freedom - 2.0 * self.score.apart - chance
+        """Statistic less the threshold, which grows with freedoms and frequencies tried."""
+        return self.gain - self.needed
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +91,11 @@ class Ranking:
         By evidence.
     residual : ndarray (n_rows,)
         Whitened residual, existing unknowns projected out.
-    share : float
-        Share of false claims that chance may make on these records.
     """
 
     scores: tuple[Score, ...]
     refits: tuple[Refit, ...]
     residual: np.ndarray
-    share: float = FALSE_CLAIMS
 
     @property
     def order(self) -> tuple[str, ...]:
@@ -112,39 +103,48 @@ class Ranking:
         refitted = [refit.name for refit in self.refits]
         return (*refitted, *(s.effect.name for s in self.scores if s.effect.name not in refitted))
 
-    def without(self, names: Collection[str]) -> Ranking:
-        """The same with some refits left out: no rivals of what is claimed."""
-        kept = tuple(refit for refit in self.refits if refit.name not in names)
-        return replace(self, refits=kept)
-
     def needed(self, refit: Refit) -> float:
-        """Gain that a claim needs."""
-        return self.needed_by(refit.score)
+        """Statistic that a claim needs."""
+        return refit.needed
 
     def needed_by(self, score: Score) -> float:
-        """Gain that a claim of one candidate needs."""
-        return threshold(len(self.scores), score.freedom, self.share, trials=score.trials)
+        """Statistic that a claim of one candidate needs."""
+        return threshold(len(self.scores), score.freedom, trials=score.trials)
 
-    def group(self, width: float = GROUP_WIDTH) -> tuple[Refit, ...]:
-        """The best refit and all that these data cannot tell from it.
+    def group(self, best: Refit | None = None, claims: Sequence[Claim] = ()) -> tuple[Refit, ...]:
+        """The best refit, or another, and all that these data cannot tell from it.
 
-        The same with a size for every record is no rival: it holds the best as a special case.
+        Compared by their claims where both were asked, else by the training records. The same with
+        a size for every record is no rival: it holds the best as a special case.
         """
         if not self.refits:
             return ()
-        best = self.refits[0]
-        return tuple(
+        lead = best or self.refits[0]
+        excess = {one.name: one.excess for one in claims}
+
+        def behind(refit: Refit) -> float:
+            if {lead.name, refit.name} <= set(excess):
+                return excess[lead.name] - excess[refit.name]
+            return lead.evidence - refit.evidence
+
+        near = (
             refit
             for refit in self.refits
-            if refit.name != f"{best.name}{BY_RECORD}"
-            and (
-                best.evidence - refit.evidence < width
-                or (
-                    best.gain - refit.gain < NEARLY * best.gain
-                    and self.similarity(best, refit) > ALIKE
-                )
-            )
+            if refit.name not in (lead.name, f"{lead.name}{BY_RECORD}")
+            and behind(refit) < self.error(lead, refit)
         )
+        return lead, *near
+
+    def error(self, best: Refit, other: Refit) -> float:
+        r"""What two statistics may differ by and be the same.
+
+        Odds of 20 to 1; of signatures that are nearly one, two standard errors of the difference,
+        :math:`4 \sqrt{2 T (1 - \rho)}` (Vuong 1989, Econometrica 57): no noise model is so exact.
+        """
+        correlation = min(self.similarity(best, other), 1.0)
+        if correlation < ALIKE:
+            return GROUP_WIDTH
+        return max(GROUP_WIDTH, 4.0 * float(np.sqrt(2.0 * best.gain * (1.0 - correlation))))
 
     def similarity(self, first: Refit, second: Refit) -> float:
         """Largest canonical correlation of two effects' signatures."""
@@ -169,9 +169,9 @@ class Ranking:
         }
         return tuple(n for n in sorted(found, key=lambda n: -found[n]) if found[n] > limit)
 
-    def claimed_with(self, name: str) -> tuple[str, ...]:
-        """A claimed effect and all that these data cannot tell from it or from the best."""
-        names = (name, *(refit.name for refit in self.group()), *self.alike(name))
+    def claimed_with(self, refit: Refit, claims: Sequence[Claim] = ()) -> tuple[str, ...]:
+        """A claimed effect and all that these data cannot tell from it."""
+        names = (*(one.name for one in self.group(refit, claims)), *self.alike(refit.name))
         return tuple(dict.fromkeys(names))
 
     def document(self, *, hidden: bool = True) -> Report:
@@ -276,7 +276,6 @@ def rank(
     *,
     n_refits: int = N_REFITS,
     also: Sequence[str] = (),
-    share: float = FALSE_CLAIMS,
 ) -> Ranking:
     """Score all candidates, refit the most promising.
 
@@ -290,10 +289,9 @@ def rank(
         How many to refit.
     also : sequence of str
         Identifiers that are refitted whatever their score.
-    share : float
-        Share of false claims that chance may make on these records.
     """
     scored, residual = scores(study, fit, candidates)
+    ranking = Ranking(tuple(scored), (), residual)
     shared = {f"{s.effect.name}{BY_RECORD}": s.statistic for s in scored}
     chosen = [
         s
@@ -302,57 +300,113 @@ def rank(
         if not s.absorbed and s.statistic > 2.0 + shared.get(s.effect.name, -s.apart) + s.apart
     ][:n_refits]
     chosen += [s for s in scored if s.effect.name in also and s not in chosen]
-    quick = [r for r in (refit(study, fit, score) for score in chosen) if r is not None]
-    quick.sort(key=lambda r: -r.evidence)
+    tried = (refit(study, fit, (score,), ranking.needed_by(score)) for score in chosen)
+    quick = sorted((r for r in tried if r is not None), key=lambda r: -r.evidence)
     best = quick[0].gain if quick else 0.0
-
-    def worth(position: int, r: Refit) -> bool:
-        needed = threshold(len(scored), r.score.freedom, share, trials=r.score.trials)
-        return position < N_FULL and r.gain > SHARE * best and r.gain > HOPELESS * needed
-
-    refits = [deepen(study, fit, r) if worth(n, r) else r for n, r in enumerate(quick)]
-    refits.sort(key=lambda r: -r.evidence)
-    return Ranking(tuple(scored), tuple(refits), residual, share)
+    refits = [
+        deepen(study, fit, r) if n < ASKED and hopeful(r, best) else r for n, r in enumerate(quick)
+    ]
+    return replace(ranking, refits=tuple(sorted(refits, key=lambda r: -r.evidence)))
 
 
-def refit(study: Study, fit: FilteredSolution, score: Score) -> Refit | None:
-    """Estimate parameters again with one candidate added, noise levels held.
+def hopeful(refit: Refit, best: float) -> bool:
+    """Whether a refit may be claimed: validation records rarely say more than the training."""
+    return 2.0 * refit.gain > refit.needed and refit.gain > SHARE * best
 
-    An effect that may have either sign starts from nothing, where the first
-    step is the score test's own; one that cannot be negative, and often has a
-    kink there, starts from its one-step estimate. Further starts follow where
-    the first leads nowhere.
+
+def pairs(study: Study, fit: FilteredSolution, ranking: Ranking) -> tuple[Refit, ...]:
+    """Refits of pairs that are strong together, best first.
+
+    Parameters
+    ----------
+    study, fit
+        The present model.
+    ranking : Ranking
+        Its scores.
     """
-    effect = score.effect
+    single = [s for s in ranking.scores if not s.absorbed and s.signature.shape[1] == 1]
+    if len(single) < 2:
+        return ()
+    columns = np.column_stack([s.signature[:, 0] for s in single])
+    columns /= np.linalg.norm(columns, axis=0)
+    likeness, along = columns.T @ columns, columns.T @ ranking.residual
+    count = len(single) * (len(single) - 1) // 2
+    found: list[tuple[float, float, tuple[Score, Score]]] = []
+    for i, j in combinations(range(len(single)), 2):
+        rho = likeness[i, j]
+        if abs(rho) > ALIKE:
+            continue
+        joint = (along[i] ** 2 + along[j] ** 2 - 2 * rho * along[i] * along[j]) / (1 - rho**2)
+        both = single[i], single[j]
+        trials = both[0].trials * both[1].trials
+        freedom = both[0].freedom + both[1].freedom
+        needed = threshold(count, freedom, trials=trials)
+        if joint > needed:
+            found.append((joint - needed, needed, both))
+    found.sort(key=lambda one: -one[0])
+    tried = [refit(study, fit, both, needed) for _, needed, both in found[:N_PAIRS]]
+    deep = [deepen(study, fit, r) for r in tried if r is not None]
+    return tuple(sorted(deep, key=lambda r: -r.evidence))
+
+
+def refit(
+    study: Study, fit: FilteredSolution, scored: Sequence[Score], needed: float
+) -> Refit | None:
+    """Estimate parameters again with candidates added, noise levels held.
+
+    An effect that may have either sign starts from nothing, where the first step is the score
+    test's own; one that cannot be negative, and often has a kink there, starts from its one-step
+    estimate. Further sizes follow where the first leads nowhere.
+    """
+    effects = tuple(score.effect for score in scored)
     best: FilteredSolution | None = None
-    shares = (0.0, 1.0, 0.2) if two_sided(effect) else (1.0, 0.2, 0.0)
-    for share in shares:
-        # Shapes that the score did not choose stay where the effect has them.
-        start = {p.name: p.value for p in effect.parameters if p.name in effect.shape_names}
-        start.update(fit.values)
-        for name, value in score.estimate.items():
-            start[name] = share * value if name in effect.amplitude_names else value
+    statistic = max(score.statistic for score in scored)
+    sizes = (0.0, *SIZES) if all(map(two_sided, effects)) else (*SIZES, 0.0)
+    for size in sizes:
         found = study.estimate(
-            (*study.effects_of(fit), effect),
-            start,
+            (*study.effects_of(fit), *effects),
+            _start(fit, scored, size),
             fit,
             update_noise=False,
             max_iterations=6,
         )
         if found is not None and (best is None or found.objective < best.objective):
             best = found
-        if best is not None and fit.objective - best.objective > 0.3 * score.statistic:
+        if best is not None and fit.objective - best.objective > REACHED * statistic:
             break
     if best is None:
         return None
-    return Refit(score, best, fit.objective - best.objective)
+    return Refit(tuple(scored), best, fit.objective - best.objective, needed)
+
+
+def _start(fit: FilteredSolution, scored: Sequence[Score], size: float) -> dict[str, float]:
+    """Values to begin a refit from, amplitudes in sizes of their one-step estimates."""
+    start: dict[str, float] = {}
+    for score in scored:
+        effect = score.effect
+        # Shapes that the score did not choose stay where the effect has them.
+        start |= {p.name: p.value for p in effect.parameters if p.name in effect.shape_names}
+    start |= fit.values
+    for score in scored:
+        limits = {p.name: (p.lower, p.upper) for p in score.effect.parameters}
+        for name, value in score.estimate.items():
+            scaled = size * value if name in score.effect.amplitude_names else value
+            start[name] = float(np.clip(scaled, *limits[name]))
+    return start
 
 
 def deepen(study: Study, fit: FilteredSolution, quick: Refit) -> Refit:
-    """Continue a refit with the noise levels free: what the effect explains is no noise."""
-    found = study.estimate(
-        study.effects_of(quick.fit), quick.fit.values, quick.fit, max_iterations=25
-    )
+    """Continue a refit with the noise levels free: what the effect explains is no noise.
+
+    Where it ends at a bound that nobody declared it goes on without.
+    """
+    effects = study.effects_of(quick.fit)
+    if at_bounds(quick.fit, quick.effects):
+        own = {effect.name for effect in quick.effects}
+        effects = tuple(one.widened() if one.name in own else one for one in effects)
+    found = study.estimate(effects, quick.fit.values, quick.fit, max_iterations=25)
     if found is None or found.objective > quick.fit.objective:
         return quick
-    return Refit(quick.score, found, fit.objective - found.objective)
+    deep = replace(quick, fit=found, gain=fit.objective - found.objective)
+    once_more = at_bounds(found, deep.effects) and not at_bounds(quick.fit, quick.effects)
+    return deepen(study, fit, deep) if once_more else deep

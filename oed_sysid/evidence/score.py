@@ -40,8 +40,9 @@ from oed_sysid.physics.parameters import Parameter
 # Values of a shape parameter (a frequency, a time constant) that are tried, of the first and of
 # every other one.
 N_SHAPES, N_OTHER_SHAPES = 11, 3
-# Share of a typical amplitude that stands for its tangent.
-TANGENT = 1e-3
+# Shares of a typical amplitude from nothing to which the change of the innovations is taken: its
+# tangent; and of effects with a kink at nothing, or a threshold, whose answer depends on the size.
+TANGENT, SIZES = 1e-3, (0.3, 1.0, 3.0)
 # What is left of a candidate after projection, below which it is another name for a
 # combination of parameters that are free already.
 ABSORBED = 1e-3
@@ -177,11 +178,13 @@ def scores(
     known = rows.known[:, np.linalg.norm(rows.known, axis=0) > 0]
     basis, _ = np.linalg.qr(known / np.linalg.norm(known, axis=0))
     residual = rows.residual - basis @ (basis.T @ rows.residual)
+    # Sizes and starts of single records are estimated anew on the validation records.
+    n_records = len(rows.seen) + len(study.validation or ())
     best: dict[str, Score] = {}
     for variant in _variants(study, fit, candidates, rows, smooth):
         raw = variant.columns
         projected = raw - basis @ (basis.T @ raw)
-        score = _score(variant, raw, projected, residual, len(rows.seen))
+        score = _score(variant, raw, projected, residual, n_records)
         score = replace(score, trials=_trials(variant.effect, rows))
         name = variant.effect.name
         if name not in best or score.statistic > best[name].statistic:
@@ -243,7 +246,8 @@ def _score(
     left = np.linalg.norm(projected, axis=0)
     distinct = float(np.min(left / np.where(size > 0, size, np.inf)))
     local = _local_names(effect)
-    freedom = raw.shape[1] + len(effect.shape_names) + n_records * len(effect.start_names)
+    each = len(local) + len(effect.start_names)
+    freedom = len(variant.amplitudes) - len(local) + len(effect.shape_names) + n_records * each
     if distinct < ABSORBED:
         nothing = dict.fromkeys(variant.amplitudes, 0.0)
         endless = dict.fromkeys(variant.amplitudes, np.inf)
@@ -294,11 +298,12 @@ def _variants(
     for effect in candidates:
         amplitudes = effect.amplitude_names
         is_smooth = all(name in smooth for name in amplitudes)
-        for shape in _shapes(effect, rows) if effect.shape_names else [{}]:
+        smooth_sizes = (TANGENT,) if two_sided(effect) else SIZES
+        for shape, size in product(_shapes(effect, rows), smooth_sizes):
             columns = (
                 np.column_stack([rows.extra[name] for name in amplitudes])
                 if is_smooth
-                else _secant(study, fit, effect, shape, rows)
+                else _secant(study, fit, effect, shape, rows, size)
             )
             if columns is not None:
                 columns = rows.by_record(columns) if _local_names(effect) else columns
@@ -317,18 +322,18 @@ def _secant(
     effect: Effect,
     shape: dict[str, float],
     rows: _Rows,
+    share: float,
 ) -> np.ndarray | None:
-    """Change of the innovations per unit of each amplitude, from nothing to a typical size.
-
-    Small against it where the effect has either sign, so that the change is its tangent.
-    """
+    """Change of the innovations per unit of each amplitude, from nothing to a share of its size."""
     names = effect.amplitude_names
-    small = TANGENT if two_sided(effect) else 1.0
     groups = [names] if not two_sided(effect) else [(name,) for name in names]
     problem, model = fit.problem, fit.problem.model + effect
     columns = []
     for group in groups:
-        sizes = {name: small * _parameter(effect, name).magnitude for name in group}
+        sizes = {
+            name: min(share * _parameter(effect, name).magnitude, _parameter(effect, name).upper)
+            for name in group
+        }
         trial = Filtered(
             model.with_values(fit.values | shape | sizes),
             problem.dataset,
@@ -368,7 +373,7 @@ def _shapes(effect: Effect, rows: _Rows) -> list[dict[str, float]]:
     Where a term swings in time, the frequencies at which the innovations do are beside the grid,
     which is coarser than a long record tells them apart.
     """
-    axes = []
+    axes: list[np.ndarray] = []
     for position, name in enumerate(effect.shape_names):
         parameter = _parameter(effect, name)
         low, high = parameter.lower, parameter.upper

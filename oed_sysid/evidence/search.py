@@ -1,60 +1,80 @@
-"""Where a search stands: what it has added, the fits on the way, and how these are judged.
+"""The search: rank, ask, add, ask again, until nothing more is claimed.
 
-Effects that only smooth the noise of a logged input (a lag, a backlash) are no claims.
+Every decision is one :class:`~oed_sysid.evidence.claim.Claim`. After an addition what was added
+earlier is asked again in both directions: left out where that costs less than its threshold,
+exchanged where another is better in its place. No stage hands on a model whose whole validation
+runs are worse than those of the model that it was given.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.evidence.improvement import RISE
-from oed_sysid.evidence.rank import FALSE_CLAIMS, FALSE_CLAIMS_BEFORE_TEST, Ranking, threshold
-from oed_sysid.evidence.residual_forces import repeated
-from oed_sysid.evidence.study import Study, total_error
+from oed_sysid.errors import OedSysidError
+from oed_sysid.evidence.claim import (
+    GROUP_WIDTH,
+    Claim,
+    claim,
+    leader,
+    own_error,
+    rises,
+    threshold,
+)
+from oed_sysid.evidence.propose import Proposals, propose
+from oed_sysid.evidence.rank import ASKED, Ranking, Refit, hopeful, pairs, rank
+from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.physics import Effect
+from oed_sysid.physics.table import POLYNOMIAL
+from oed_sysid.runtime.journal import Journal
 
+# Information of an effect about itself, in thresholds, from which no fit without it is made.
+SURE = 4.0
 # Error of whole runs, over that of a fit without disturbance forces, that they should not cost.
 BOUGHT = 2.0
-# Error of whole validation runs after an addition, over that before, that is no rise while random
-# forces act, and where the validation records gain as much as chance never gives besides: runs
-# wander under forces, and those of the better model may wander further. In seas a bias that was
-# there rose to 1.03 (gain on validation 127), a current to 1.24 (gain 384).
-WANDERING, WANDERING_FAR, BEYOND_CHANCE = 1.1, 1.5, 50.0
-# Training gain, over that needed, from which validation records that cannot tell need not confirm.
-ALONE = 2.0
-# Gain in twice the log-likelihood on validation records that confirms a claim.
-CONFIRMED = 2.0
+# Twice the log-likelihood within which two fits are the same: arithmetic.
+NEARBY = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Added:
-    """One effect that was added, why, and the fit with it."""
+    """One effect that was added, the decision, and what these data cannot tell from it."""
 
     effect: Effect
-    ranking: Ranking | None
-    gain: float
-    needed: float
-    validation_gain: float
+    claim: Claim
     group: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """Where the loop stands: what was added, the fit with it, and all fits on the way.
+    """Where a search stands.
 
-    ``dismissed`` holds names of likelier effects that are no claims, and why.
+    Attributes
+    ----------
+    study : Study
+    added : tuple of Added
+    fit : FilteredSolution
+        With them.
+    path : tuple of FilteredSolution
+        Fits on the way, that of the nominal model first.
+    decisions : tuple of Claim
+        Everything that was asked, in this order.
+    replaced, dropped : tuple of str
+        Known effects whose place a term took; effects that do not come back.
     """
 
     study: Study
     added: tuple[Added, ...]
     fit: FilteredSolution
     path: tuple[FilteredSolution, ...]
+    decisions: tuple[Claim, ...] = ()
     replaced: tuple[str, ...] = ()
-    dismissed: tuple[tuple[str, str], ...] = ()
     dropped: tuple[str, ...] = ()
 
     @property
@@ -68,28 +88,13 @@ class Standing:
         gone = {effect.name for effect in self.effects} | set(self.dropped)
         return [e for e in self.study.candidates if e.name not in gone]
 
-    @property
-    def share(self) -> float:
-        """Share of false claims allowed before validation records, if any, are asked."""
-        return FALSE_CLAIMS if self.study.validation is None else FALSE_CLAIMS_BEFORE_TEST
-
     def needed(self, effect: Effect) -> float:
-        """Gain that chance rarely gives, were the effect among the candidates left."""
-        return threshold(len(self.left) + 1, len(effect.parameters), self.share)
+        """Threshold of an effect, were it among the candidates left."""
+        return threshold(len(self.left) + 1, len(effect.parameters))
 
     def others(self, one: Added) -> tuple[Added, ...]:
         """What was added besides."""
         return tuple(other for other in self.added if other is not one)
-
-    @property
-    def doubts(self) -> tuple[str, ...]:
-        """Why likelier effects are no claims, but those that became claims after all."""
-        claimed = {effect.name for effect in self.effects}
-        return tuple(why for name, why in self.dismissed if name not in claimed)
-
-    def doubting(self, name: str, why: str) -> Standing:
-        """The same with a word about an effect that is no claim, in place of an earlier one."""
-        return replace(self, dismissed=tuple((dict(self.dismissed) | {name: why}).items()))
 
     def dropping(self, one: Added, fit: FilteredSolution) -> Standing:
         """The same without one effect, which does not come back."""
@@ -97,119 +102,322 @@ class Standing:
         return replace(self, added=self.others(one), fit=fit, dropped=gone)
 
 
-def absent(fit: FilteredSolution, effect: Effect) -> dict[str, float]:
-    """Values of a fit with one effect at nothing."""
-    return dict(fit.values) | dict.fromkeys(effect.amplitude_names, 0.0)
+def rounds(
+    state: Standing, max_effects: int, tell: Callable[[str], None], keep: Journal
+) -> Iterator[tuple[Standing, Ranking]]:
+    """Search to the end; yields the state and the ranking after every stage that ended well."""
+    while len(state.added) < max_effects:
+        tell(f"ranking candidates, round {len(state.added) + 1}")
+        ranking = keep.once("ranking", partial(rank, state.study, state.fit, state.left))
+        yield state, ranking
+        chosen, decisions = keep.once("choice", partial(choice, state, ranking))
+        state = replace(state, decisions=(*state.decisions, *decisions))
+        yield state, ranking
+        if chosen is None:
+            break
+        refit, decided = chosen
+        tell(
+            f"confirmed {decided.name}: T = {decided.statistic:.1f}, threshold {decided.needed:.1f}"
+        )
+        state = keep.once(
+            f"with {refit.name}", partial(with_refit, state, refit, decisions, ranking)
+        )
+        yield state, ranking
+        tell("asking again what was added")
+        state = keep.once("asked again", partial(asked_again, state))
+        yield state, ranking
 
 
-def difference(before: float, after: float) -> float:
-    """Gain of a model over another, either of which may not run at all."""
-    if not np.isfinite(after):
-        return -np.inf
-    return before - after if np.isfinite(before) else np.inf
+def choice(
+    state: Standing, ranking: Ranking
+) -> tuple[tuple[Refit, Claim] | None, tuple[Claim, ...]]:
+    """What is claimed next, if anything, and every decision: single effects, then pairs."""
+    best = ranking.refits[0].gain if ranking.refits else 0.0
+    asked = [one for one in ranking.refits[:ASKED] if hopeful(one, best)]
+    claims = asked_of(state, asked)
+    lead = leader(claims, _named(asked))
+    if lead is None:
+        asked = [one for one in pairs(state.study, state.fit, ranking) if hopeful(one, 0.0)]
+        more = asked_of(state, asked)
+        claims, lead = [*claims, *more], leader(more, _named(asked))
+    if lead is None:
+        return None, tuple(claims)
+    refit = next(one for one in asked if one.name == lead.name)
+    return (refit, lead), tuple(claims)
 
 
-def confirmed(
-    study: Study, before: FilteredSolution, after: FilteredSolution, gain: float, excess: float
-) -> bool:
-    r"""Whether validation records agree with an effect.
+def asked_of(state: Standing, refits: Sequence[Refit]) -> list[Claim]:
+    """The claim of every refit."""
+    return [claim(state.study, state.fit, r.fit, r.effects, r.needed) for r in refits]
 
-    They do where they become more likely; and where they could not tell while the training records
-    leave no doubt. An effect that moves the runs by :math:`d` noise levels altogether is expected
-    to gain :math:`d^2 \pm 2d`: less than two deviations below that is no contradiction.
 
-    Parameters
-    ----------
-    study : Study
-    before, after : FilteredSolution
-    gain : float
-        On the validation records.
-    excess : float
-        Gain on the training records, over that needed.
+def _named(refits: Sequence[Refit]) -> list[str]:
+    return [one.name for one in refits if all(e.source != POLYNOMIAL for e in one.effects)]
+
+
+def with_refit(
+    state: Standing, refit: Refit, claims: Sequence[Claim], ranking: Ranking
+) -> Standing:
+    """Add what was claimed, and estimate once more."""
+    study = state.study
+    decided = next(one for one in claims if one.name == refit.name)
+    fit = not_astray(study, study.settle(refit.fit))
+    if rises(study, refit.fit, fit):
+        fit = refit.fit  # a better likelihood elsewhere, which the validation records refuse
+    names = [effect.name for effect in refit.effects]
+    single = len(names) == 1
+    added = [
+        Added(effect, decided, ranking.claimed_with(refit, claims) if single else (effect.name,))
+        for effect in refit.effects
+    ]
+    path = [*state.path, *[fit] * len(added)]
+    return replace(state, added=(*state.added, *added), fit=fit, path=tuple(path))
+
+
+def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
+    """The fit, or a likelier one from the nominal values, or from a fit without disturbance forces.
+
+    Where a large effect was missing, forces have grown to explain it and parameters have followed
+    them. Once it is there, that may be a valley of its own.
     """
-    assert study.validation is not None
-    if gain > CONFIRMED:
-        return True
-    if not (excess > ALONE and gain > -CONFIRMED):
-        return False
-    distance = study.apart(before, after, study.validation)
-    return gain > distance**2 - 4.0 * distance
+    if not (fit.noise.force > 0).any():
+        return fit
+    effects, quiet = study.effects_of(fit), study.quiet(fit.noise)
+    own = {p.name for effect in effects for p in effect.parameters}
+    values = study.base.values | {k: v for k, v in fit.values.items() if k in own}
+    best = study.estimate(effects, values, fit, noise=quiet, max_iterations=25)
+    if best is None or best.objective > fit.objective - NEARBY:
+        best = fit
+    start = study.without_forces(effects, best.values) if overgrown(study, best) else None
+    if start is not None:
+        again = study.estimate(effects, start.values, start, noise=quiet, max_iterations=25)
+        if again is not None and again.objective < best.objective - NEARBY:
+            best = again
+    return fit if best is fit else study.settle(best)
 
 
-def rises(
-    study: Study, before: FilteredSolution, after: FilteredSolution, gain: float | None = None
-) -> bool:
-    """Whether the error of the model on its own on validation records rises or is infinite.
-
-    Parameters
-    ----------
-    study : Study
-    before, after : FilteredSolution
-    gain : float, optional
-        In twice the log-likelihood of the validation records: with a named effect that gains
-        there, runs may wander under disturbance forces.
-    """
-    assert study.validation is not None
-    old, new = (own_error(study, fit, study.validation) for fit in (before, after))
-    if not np.isfinite(new):
-        return True
-    if new <= RISE * old:
-        return False
-    if gain is None or not after.noise.has_forces:
-        return True
-    far = WANDERING_FAR if gain > BEYOND_CHANCE else WANDERING
-    if new > far * old or not np.isfinite(own_error(study, after, study.train)):
-        return True
-    # A force that follows the motion is structure, and under that no run wanders by chance.
-    return bool(repeated(study, after, study.on_records(after, study.validation)))
-
-
-def own_error(study: Study, found: FilteredSolution, dataset: Dataset) -> float:
-    """Error over all outputs of the model on its own on records, in units of the noise."""
-    return total_error(study.rms(found, dataset) / study.setting.white)
-
-
-# Candidates per round that the validation records are asked about.
-ASKED = 3
-
-
-def without_smoothers(state: Standing, ranking: Ranking) -> tuple[Ranking, dict[str, str]]:
-    """The ranking without refits that only smooth the noise of a logged input, and why."""
-    study, told = state.study, dict[str, str]()
-    asked = [r for r in ranking.refits[:ASKED] if r.gain >= ranking.needed(r)]
-    if study.smoothed is None or not asked:
-        return ranking, {}
-    before = smoothed_fit(study, state.fit)
-    for refit in ranking.refits:
-        if refit in asked and not persists(study, before, refit.fit, ranking.needed(refit)):
-            told[refit.name] = dismissal(study, refit.name)
-    return ranking.without(told), told
-
-
-def smoothed_fit(study: Study, fit: FilteredSolution) -> FilteredSolution | None:
-    """The same model on the training records with the noise of logged inputs smoothed."""
-    assert study.smoothed is not None
-    other = replace(study, train=study.smoothed)
-    return other.estimate(other.effects_of(fit), fit.values, fit, max_iterations=12)
-
-
-def persists(
-    study: Study, before: FilteredSolution | None, after: FilteredSolution, needed: float
-) -> bool:
-    """Whether a gain over a fit to smoothed records is left there.
-
-    The vehicle answers to the true input. What flattens the answer to a noisy log (a play, a lag)
-    is likelier, whether or not it is there.
-    """
-    found = smoothed_fit(study, after)
-    if before is None or found is None:
-        return True
-    return before.objective - found.objective >= needed
-
-
-def dismissal(study: Study, name: str) -> str:
-    """Why a likelier effect is no claim."""
-    return (
-        f"{name} may explain no more than the noise of the logged {', '.join(study.noisy_inputs)}: "
-        "no claim is made."
+def overgrown(study: Study, fit: FilteredSolution) -> bool:
+    """Whether disturbance forces explain the records at the price of whole runs."""
+    acting = any(
+        level > 0 and not place.startswith("actuator")
+        for place, level in zip(fit.noise.places, fit.noise.force, strict=True)
     )
+    return acting and own_error(study, fit, study.train) > BOUGHT * study.plain_error
+
+
+def asked_again(state: Standing) -> Standing:
+    """Drop what costs less than its threshold to leave out; exchange what another does better."""
+    while len(state.added) > 1:
+        spare = [(one, fit) for one in state.added if (fit := _spared(state, one)) is not None]
+        if not spare:
+            break
+        least, without = min(spare, key=lambda pair: pair[1].objective)
+        state = rebuilt(state.dropping(least, without))
+    for old in state.added[:-1]:
+        if old in state.added:
+            state = _exchanged(state, old)
+    return state
+
+
+def _spared(state: Standing, one: Added) -> FilteredSolution | None:
+    """The fit without an effect where it may go; None where it is needed."""
+    study, needed = state.study, state.needed(one.effect)
+    if _cost(state.fit, one.effect) > SURE * needed:
+        return None
+    without = _without(state, one)
+    if without is None:
+        return None
+    without = study.settle(without)
+    kept = claim(study, without, state.fit, [one.effect], needed)
+    return without if kept.excess < 0.0 and not rises(study, state.fit, without) else None
+
+
+def _exchanged(state: Standing, old: Added) -> Standing:
+    """The state with another effect in place of one, where that is clearly likelier."""
+    study, without = state.study, _without(state, old)
+    if without is None:
+        return state
+    others = state.others(old)
+    left = replace(state, added=others).left
+    ranking = rank(study, without, left, also=(old.effect.name,), n_refits=ASKED)
+    present = next((r for r in ranking.refits if r.name == old.effect.name), None)
+    best = ranking.refits[0] if ranking.refits else None
+    if best is None or present is None or best.evidence < present.evidence + GROUP_WIDTH:
+        return state
+    before = replace(state, added=others, fit=without)
+    decided, kept = asked_of(before, [best, present])
+    if not decided.stands or decided.excess < kept.excess + GROUP_WIDTH:
+        return state
+    fit = study.settle(best.fit)
+    if rises(study, state.fit, fit):
+        return state
+    new = Added(best.effects[0], decided, ranking.claimed_with(best, [decided, kept]))
+    asked = (*state.decisions, decided)
+    return rebuilt(replace(state, added=(*others, new), fit=fit, decisions=asked))
+
+
+def _without(state: Standing, one: Added) -> FilteredSolution | None:
+    """The fit with all effects but one."""
+    values = dict(state.fit.values) | dict.fromkeys(one.effect.amplitude_names, 0.0)
+    effects = [other.effect for other in state.others(one)]
+    return state.study.estimate(effects, values, state.fit, max_iterations=25)
+
+
+def _cost(fit: FilteredSolution, effect: Effect) -> float:
+    """What leaving an effect out would cost in twice the log-likelihood, by its information."""
+    known = {name: i for i, name in enumerate(fit.problem.layout.shared)}
+    own = np.array([known[name] for name in effect.amplitude_names if name in known], dtype=int)
+    if len(own) < len(effect.amplitude_names):  # one for each record: not told so quickly
+        return 0.0
+    matrix = fit.matrix + np.diag(fit.problem.limits.prior_weight)
+    size = fit.point.unknowns[own]
+    rest = np.setdiff1d(np.arange(len(matrix)), own)
+    return float(size @ eliminate(matrix, own, rest) @ size)
+
+
+def rebuilt(state: Standing) -> Standing:
+    """The same with the fits of all steps made again, each with its own and earlier effects."""
+    study, path = state.study, [state.path[0]]
+    for count in range(1, len(state.added)):
+        last = path[-1]
+        effects = state.effects[:count]
+        names = [effect.name for effect in effects]
+        fits = [fit for fit in state.path if [e.name for e in study.effects_of(fit)] == names]
+        for values in (state.fit.values, last.values):
+            fit = study.estimate(
+                effects, values, last, max_iterations=25, noise=study.loosened(last.noise)
+            )
+            fits += [] if fit is None else [fit]
+        # Two optima of nearly the same likelihood: the one that predicts is meant.
+        fits = [fit for fit in fits if not rises(study, last, fit)] or fits
+        path.append(min(fits, key=lambda fit: fit.objective, default=last))
+    if state.added:
+        path.append(state.fit)
+    return replace(state, path=tuple(path))
+
+
+def on_all_samples(state: Standing, whole: Dataset) -> tuple[Standing, list[str]]:
+    """Drop what only the thinned records show: means of a command between samples are not it."""
+    notes: list[str] = []
+    full = replace(state.study, train=whole, validation=None)
+    for one in reversed(state.added):
+        values = dict(state.fit.values) | dict.fromkeys(one.effect.amplitude_names, 0.0)
+        effects, fit = [other.effect for other in state.others(one)], state.fit
+        needed = state.needed(one.effect)
+        if not one.effect.memory and _cost(fit, one.effect) > SURE * needed:
+            continue
+        less = full.estimate(effects, values, fit, max_iterations=12)
+        more = full.estimate([*effects, one.effect], fit.values, fit, max_iterations=12)
+        if less is None or more is None or claim(full, less, more, [one.effect], needed).excess > 0:
+            continue
+        without = state.study.estimate(effects, less.values, fit, max_iterations=25)
+        if without is None or rises(state.study, fit, without):
+            continue
+        state = rebuilt(state.dropping(one, state.study.settle(without)))
+        notes.append(
+            f"{one.effect.name} was seen in the thinned records and is not in all samples: it is "
+            "no claim."
+        )
+    return state, notes
+
+
+def with_term(
+    state: Standing, max_effects: int
+) -> tuple[Standing, Proposals | None, tuple[str, ...]]:
+    """Ask for a term that no candidate holds, beside the effects found or in place of some.
+
+    Missing physics that is in no vocabulary is imitated by effects that it is not: terms are sought
+    from the nominal model, too, and effects that are not needed beside the term go.
+
+    Returns
+    -------
+    state : Standing
+        With the term, where it is claimed.
+    proposals : Proposals or None
+        Those of the term that was added.
+    tied : tuple of str
+        Terms that would explain what is left and were not claimed.
+    """
+    options: list[tuple[float, Standing, Proposals]] = []
+    tied: tuple[str, ...] = ()
+    for count in sorted({0, len(state.added)}, reverse=True):
+        proposals = propose(state.study, state.path[count])
+        if proposals.best is None:
+            continue
+        if count == len(state.added):
+            tied = proposals.group[:3]
+        option = _beside(state, count, proposals)
+        if option is not None and len(option.added) <= max_effects + 1:
+            cost = sum(state.needed(effect) for effect in option.effects)
+            options.append((option.fit.objective + cost, option, proposals))
+    if not options:
+        return state, None, tied
+    _, option, proposals = min(options, key=lambda one: one[0])
+    names = {effect.name for effect in option.effects}
+    gone = [one for one in state.added if one.effect.name not in names]
+    needed = proposals.needed - sum(state.needed(one.effect) for one in gone)
+    term = option.added[-1]
+    decided = claim(option.study, state.fit, option.fit, [term.effect], needed)
+    state = replace(state, decisions=(*state.decisions, decided))
+    if not decided.stands:
+        return state, None, tied
+    fit = option.study.settle(option.fit)
+    found = replace(
+        option,
+        added=(*option.added[:-1], replace(term, claim=decided)),
+        fit=option.fit if rises(option.study, option.fit, fit) else fit,
+        decisions=state.decisions,
+        replaced=tuple(one.effect.name for one in gone),
+    )
+    return rebuilt(found), proposals, ()
+
+
+def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | None:
+    """The best term beside the effects of the first steps, less those not needed any more."""
+    assert proposals.best is not None
+    effect, study = proposals.best.effect, state.study
+    start = state.path[count]
+    wide = study.with_candidates([effect])
+    kept = state.added[:count]
+    found = wide.estimate(
+        [*(one.effect for one in kept), effect],
+        proposals.best.fit.values,
+        start,
+        noise=study.loosened(start.noise),
+        max_iterations=25,
+    )
+    if found is None:
+        return None
+    decided = Claim(effect.name, start.objective - found.objective, np.nan, proposals.needed)
+    term = Added(effect, decided, (effect.name,))
+    option = replace(state, study=wide, added=(*kept, term), fit=found)
+    while len(option.added) > 1:
+        judged = [(one, _without(option, one)) for one in option.added[:-1]]
+        spare = [
+            (one, fit)
+            for one, fit in judged
+            if fit is not None and fit.objective - option.fit.objective < state.needed(one.effect)
+        ]
+        if not spare:
+            break
+        option = option.dropping(*min(spare, key=lambda pair: pair[1].objective))
+    return option
+
+
+def searched(
+    state: Standing,
+    max_effects: int,
+    tell: Callable[[str], None],
+    keep: Journal,
+    notes: list[str],
+) -> tuple[Standing, Ranking, Ranking | None]:
+    """Search to the end: the state, the first and the last ranking; what was found stays."""
+    seen: list[tuple[Standing, Ranking]] = []
+    try:
+        seen.extend(rounds(state, max_effects, tell, keep))
+    except OedSysidError as error:
+        notes.append(f"The search ended early: {error}")
+    if not seen:
+        return state, rank(state.study, state.fit, state.left, n_refits=0), None
+    first, (end, last) = seen[0][1], seen[-1]
+    return end, first, None if last is first else last

@@ -21,7 +21,7 @@ with the information :math:`\Lambda` of the training and :math:`H_v` of the vali
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 from weakref import WeakKeyDictionary
 
@@ -30,9 +30,9 @@ import numpy as np
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, SimulationError
-from oed_sysid.likelihood.departures import noisy_inputs, smoothed
 from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
+from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
@@ -40,6 +40,7 @@ from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.likelihood.random_forces import (
     Start,
     fit_disturbed,
@@ -49,7 +50,8 @@ from oed_sysid.likelihood.random_forces import (
 )
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Point, Shooting
-from oed_sysid.likelihood.summary import eliminate, summarise_filtered
+from oed_sysid.likelihood.summary import summarise_filtered
+from oed_sysid.likelihood.whole_runs import rms, whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 
@@ -57,8 +59,9 @@ from oed_sysid.physics.model import Model
 VAGUE = 1e-8
 
 # A fit to white noise, on the way to one with disturbance forces.
-PLAIN = MultipleShooting(max_iterations=15, coloured="never", disturbances="none")
+PLAIN = MultipleShooting(solver=Solver(max_iterations=15), coloured="never", disturbances="none")
 # Fits of start states on records: a validation, its error and the table of errors ask for the same.
+_VALIDATED: WeakKeyDictionary[FilteredSolution, list[tuple[Study, float]]] = WeakKeyDictionary()
 _ALONE: WeakKeyDictionary[
     FilteredSolution, list[tuple[Study, Dataset, FilteredSolution | None]]
 ] = WeakKeyDictionary()
@@ -88,10 +91,6 @@ class Study:
         Of the nominal model with all candidates and a disturbance at every place but the sensors.
     estimated : ndarray of bool (n_outputs,)
         Outputs whose noise nobody declared.
-    noisy_inputs : mapping of str to float
-        Level of the white noise that the log of an input shows.
-    smoothed : Dataset or None
-        The training records with these smoothed; None without any.
     """
 
     base: Model
@@ -104,8 +103,6 @@ class Study:
     unit: NoiseModel
     kernel: FilterKernel
     estimated: np.ndarray
-    noisy_inputs: Mapping[str, float] = field(default_factory=dict)
-    smoothed: Dataset | None = None
 
     @classmethod
     def begin(
@@ -167,7 +164,6 @@ class Study:
         test = _best_test(model, train, setting, starts, kernel)
         level = np.where(np.isin(test.noise.places, absent), 0.0, test.noise.force)
         test = replace(test, noise=replace(test.noise, force=level))
-        noisy = {} if tests else noisy_inputs(train)
         study = cls(
             base=model,
             candidates=effects,
@@ -179,8 +175,6 @@ class Study:
             unit=test.unit,
             kernel=kernel,
             estimated=~np.isfinite(levels),
-            noisy_inputs=noisy,
-            smoothed=smoothed(train, noisy) if noisy else None,
         )
         best = fit_disturbed(model, train, setting, starts, test, kernel=kernel, polish=0)
         if best is None:
@@ -322,15 +316,23 @@ class Study:
 
     # -- validation ------------------------------------------------------------------
 
-    def validate(self, found: FilteredSolution, dataset: Dataset | None = None) -> float:
-        """Minus twice the log-likelihood of validation records, the training records known.
+    def validate(self, found: FilteredSolution) -> float:
+        """Minus twice the log-likelihood of the validation records, the training records known.
 
         Returns
         -------
         float
             Up to a constant that all models share; infinite where the model cannot be run.
         """
-        dataset = self.validation if dataset is None else dataset
+        kept = _VALIDATED.setdefault(found, [])
+        known = next((value for study, value in kept if study is self), None)
+        if known is None:
+            known = self._validated(found)
+            kept.append((self, known))
+        return known
+
+    def _validated(self, found: FilteredSolution) -> float:
+        dataset = self.validation
         assert dataset is not None
         layout, limits = found.problem.layout, found.problem.limits
         shared = np.arange(len(layout.shared))
@@ -405,41 +407,14 @@ class Study:
         kept.append((self, dataset, result))
         return result
 
-    def apart(self, one: FilteredSolution, other: FilteredSolution, dataset: Dataset) -> float:
-        """Distance of two models' own runs on records, in noise levels; infinite if one ends."""
-        runs = [run for run in (self.alone(one, dataset), self.alone(other, dataset)) if run]
-        if len(runs) < 2:
-            return np.inf
-        square = 0.0
-        for index, record in enumerate(dataset):
-            ends = [run.problem.alone(run.point.unknowns, index)[0] for run in runs]
-            scaled = ((ends[1] - ends[0]) / one.noise.sensors)[np.isfinite(record.outputs)]
-            square += float(scaled @ scaled)
-        return float(np.sqrt(square)) if np.isfinite(square) else np.inf
-
     def rms(self, found: FilteredSolution, dataset: Dataset) -> np.ndarray:
         """Errors of the model on its own, ``(n_outputs,)``, as `compare` finds them.
 
-        Shared parameters are held, start states estimated on each record under the fit's
-        noise model; infinite where the model diverges.
+        Shared parameters are held, start states fitted to each whole record; infinite where the
+        model diverges.
         """
-        measured = np.vstack([np.isfinite(record.outputs) for record in dataset]).any(axis=0)
-        alone = self.alone(found, dataset)
-        if alone is None:
-            return np.where(measured, np.inf, np.nan)
-        squares = np.zeros(len(self.base.outputs))
-        count = np.zeros(len(squares))
-        for index, record in enumerate(dataset):
-            outputs, _, ok = alone.problem.alone(alone.point.unknowns, index)
-            residual = record.residuals(outputs)
-            seen = np.isfinite(record.outputs)
-            count += seen.sum(axis=0)
-            with np.errstate(over="ignore", invalid="ignore"):
-                squares += (np.where(seen, residual, 0.0) ** 2).sum(axis=0)
-            if not ok:
-                squares[seen.any(axis=0)] = np.inf
-        with np.errstate(invalid="ignore"):
-            return np.where(count > 0, np.sqrt(squares / np.maximum(count, 1)), np.nan)
+        model = self.model(self.effects_of(found), found.values)
+        return rms(whole_runs(model, dataset, found.noise.sensors))
 
 
 def total_error(rms: np.ndarray) -> float:

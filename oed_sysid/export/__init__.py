@@ -1,7 +1,7 @@
 """Models out: a fitted model where it works next, with the covariance of its parameters.
 
 :func:`export` writes a fit, or a model, as CasADi functions, C, Python, MATLAB, a Functional
-Mock-up Unit, a linear model for python-control, or SymPy and LaTeX. All but the last two repeat the
+Mock-up Unit, a linear model for python-control, SymPy or LaTeX. All but the last three repeat the
 package's simulation, step for step.
 """
 
@@ -15,7 +15,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.export.c_code import write_c, write_fmu
 from oed_sysid.export.program import Program, program_of
 from oed_sysid.export.scripts import write_casadi, write_control, write_matlab, write_python
-from oed_sysid.export.symbolic import write_sympy
+from oed_sysid.export.symbolic import write_latex, write_sympy
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
 
@@ -29,6 +29,7 @@ KINDS: dict[str, Callable[..., tuple[Path, ...]]] = {
     "matlab": write_matlab,
     "control": write_control,
     "sympy": write_sympy,
+    "latex": write_latex,
 }
 
 
@@ -42,7 +43,8 @@ def export(
     source : Fit or Model
         A fit, as estimators and ``improve`` return it, brings the covariance of its parameters.
     kind : str
-        ``"c"``, ``"python"``, ``"casadi"``, ``"fmu"``, ``"matlab"``, ``"control"`` or ``"sympy"``.
+        ``"c"``, ``"python"``, ``"casadi"``, ``"fmu"``, ``"matlab"``, ``"control"``,
+        ``"sympy"`` or ``"latex"``.
     path : str or Path
         A folder; of kinds with a single file also the file.
     trim : mapping of str to float, optional

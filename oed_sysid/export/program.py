@@ -342,6 +342,13 @@ def _routine(function: ca.Function) -> Routine:
             )
             continue
         word = {ca.OP_INPUT: "input", ca.OP_OUTPUT: "output"}.get(code, OPERATION_WORDS.get(code))
+        if code == ca.OP_CALL:
+            called = {one.name() for one in flat.find_functions()}
+            raise ModelError(
+                f"The model calls CasADi's function {', '.join(sorted(called)) or 'of its own'}, "
+                "which has no elementary operations to export. Give its table or its formula, or "
+                "generate C with CasADi from kernel functions (oed_sysid.compiled.graph.build)."
+            )
         if word is None:
             raise ModelError(f"The model uses CasADi's operation {code}, which is not exported.")
         operations.append(Operation(word, tuple(outputs), tuple(inputs)))

@@ -96,6 +96,13 @@ def write_sympy(program: Program, path: Path) -> tuple[Path, ...]:
     return module, page
 
 
+def write_latex(program: Program, path: Path) -> tuple[Path, ...]:
+    """Write the equations and the values as ``NAME.tex``; parameters as for :func:`write_sympy`."""
+    page = target_file(program, path, ".tex")
+    write_text(page, latex_text(program))
+    return (page,)
+
+
 def module_text(program: Program) -> str:
     """Text of the module."""
     model = program.model

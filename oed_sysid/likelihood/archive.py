@@ -180,7 +180,7 @@ class _Builder:
                     f"{value!r:.40}, which is no {getattr(hints[key], '__name__', hints[key])}",
                 )
         try:
-            return cls(**content)
+            return getattr(cls, "of_saved", cls)(**content)
         except OedSysidError as error:
             raise DataError(
                 f"The file holds a {name}{_at(place)} that is refused: {error}"

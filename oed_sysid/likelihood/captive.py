@@ -31,6 +31,7 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.errors import DataError, ModelError, UnitWarning
+from oed_sysid.likelihood.estimate import CaptiveErrors
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.unknowns import StartState
 from oed_sysid.physics.channels import Input, Output
@@ -326,10 +327,8 @@ class CaptiveTests:
         Returns
         -------
         Fit
-            Of ``model`` to ``dataset``, with what both have told; ``extras["captive"]`` has the
-            errors of the forces relative to their own size, ``extras["captive_misfit"]`` to their
-            noise. Of the towed model where there is
-            no free-running record.
+            Of ``model`` to ``dataset``, with what both have told; ``fit.captive`` has the errors
+            of the forces. Of the towed model where there is no free-running record.
         """
         if "start_states" not in signature(estimator.fit).parameters:
             raise ModelError(
@@ -347,13 +346,11 @@ class CaptiveTests:
         known: list[StartState] = [{} for _ in records] + [still] * len(tests)
         fit = estimator.fit(towed, whole, start_states=known)
         fitted = model.with_values(fit.model.values)
-        extras = {
-            **fit.extras,
-            "captive": self.relative_errors(fitted),
-            "captive_misfit": self._misfits(fitted),
-        }
+        fit = replace(
+            fit, captive=CaptiveErrors(self.relative_errors(fitted), self._misfits(fitted))
+        )
         if dataset is None:
-            return replace(fit, extras=extras)
+            return fit
         n, n_outputs = len(records), len(model.outputs)
         return replace(
             fit,
@@ -371,7 +368,6 @@ class CaptiveTests:
             noise=None,  # type: ignore[arg-type]  # white
             innovations=None,
             innovation_std=None,
-            extras=extras,
         )
 
     def _free(self, model: Model, towed: Model, record: Record) -> Record:

@@ -37,29 +37,24 @@ trajectories have the parameters that were expected. No parameter that the recor
 has the expected sign can be part of :math:`F`, so that one start value of the wrong sign among
 several right ones says nothing.
 
-White noise in the log of an input: how much, and what is left when it is smoothed.
+White noise in the log of an input: how much.
 
 The level is that of third differences, which hardly see a command; it is noise where fourth
 differences say the same,
 
 .. math:: \sigma^2 = \operatorname{median}(\Delta^3 u)^2 \,/\, (0.4549 \cdot 20).
-
-A sigma filter (Lee 1983, *Comput. Vision Graph. Image Process.* 24, 255) averages each sample
-with those neighbours that differ from it by no more than chance: jumps stay where they are, and
-slopes are kept where there are as many before as after. What a vehicle answers to is the slow
-part of the noise, and only many rounds take that from a command that is held.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, Run, kernel
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.likelihood.estimate import Estimate
+from oed_sysid.likelihood.estimate import ActuatorStart, Delay, Estimate
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
@@ -70,30 +65,6 @@ CLEAR = 4.5
 COLOUR_SHARE = 0.8
 # Share of the misfit beyond noise that a delay must explain where residuals are coloured.
 DELAY_SHARE = 0.3
-
-
-@dataclass(frozen=True)
-class Delay:
-    """Score estimate of the delay of one signal.
-
-    Attributes
-    ----------
-    signal, kind : str
-        Name, and ``output`` or ``input``.
-    seconds, std : float
-        Delay and standard error, s.
-    gain : float
-        What it explains, in twice the log-likelihood.
-    share : float
-        Of the misfit beyond noise.
-    """
-
-    signal: str
-    kind: str
-    seconds: float
-    std: float
-    gain: float
-    share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,28 +239,6 @@ def values_of(fit: Estimate, index: int) -> np.ndarray:
     for name, value in (fit.local_values[index] if fit.local_values else {}).items():
         values[names.index(name)] = value
     return values
-
-
-@dataclass(frozen=True)
-class ActuatorStart:
-    """Score estimate of where an actuator began in one record.
-
-    Attributes
-    ----------
-    effect, signal, record : str
-    size, std : float
-        Actual value before the record less the first command, and its standard error, in the
-        unit of the command.
-    share : float
-        Of the record's misfit beyond noise that it explains.
-    """
-
-    effect: str
-    signal: str
-    record: str
-    size: float
-    std: float
-    share: float
 
 
 def estimate_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
@@ -521,8 +470,6 @@ def _change(fit: Estimate, column: int, factor: float, powers: Mapping[str, int]
 INPUT_SHARE = (1e-5, 0.3)
 # Level of fourth differences over that of third ones, from which these are noise.
 FLAT = 0.85
-# Neighbours on each side, largest difference in levels, and rounds of the sigma filter.
-NEIGHBOURS, WITHIN, ROUNDS = 10, 4.0, 25
 
 
 def fast_level(parts: Sequence[np.ndarray]) -> float:
@@ -587,56 +534,3 @@ def noisy_inputs(dataset: Dataset) -> dict[str, float]:
         if spread > 0 and low * spread < level < high * spread and is_noise(series):
             found[name] = level
     return found
-
-
-def smoothed(dataset: Dataset, levels: Mapping[str, float]) -> Dataset:
-    """Records with some inputs smoothed, jumps and slopes kept.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    levels : mapping of str to float
-        Level of the noise of the inputs to smooth, in their units.
-    """
-    names = [channel.name for channel in dataset[0].channels.inputs]
-    records = []
-    for record in dataset:
-        inputs = record.inputs.copy()
-        for name, level in levels.items():
-            column = names.index(name)
-            inputs[:, column] = sigma_filter(inputs[:, column], level)
-        records.append(replace(record, inputs=inputs))
-    return Dataset(tuple(records))
-
-
-def sigma_filter(series: np.ndarray, level: float) -> np.ndarray:
-    """Mean of each sample and those of its neighbours that differ by no more than chance.
-
-    Parameters
-    ----------
-    series : ndarray (n_samples,)
-    level : float
-        Standard deviation of the noise.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(0)
-    >>> held = np.repeat([0.0, 0.3], 200)
-    >>> left = sigma_filter(held + 0.01 * rng.standard_normal(400), 0.01) - held
-    >>> float(np.std(left)) < 0.004
-    True
-    """
-    result = np.array(series, dtype=float)
-    n, limit = len(result), WITHIN * level
-    for _ in range(ROUNDS):
-        total, count = result.copy(), np.ones(n)
-        for away in range(1, min(NEIGHBOURS, n - 1) + 1):
-            early, late = result[:-away], result[away:]
-            near = np.abs(late - early) < limit
-            total[:-away] += np.where(near, late, 0.0)
-            total[away:] += np.where(near, early, 0.0)
-            count[:-away] += near
-            count[away:] += near
-        result = total / count
-        limit = WITHIN * level / np.sqrt(2.0 * NEIGHBOURS + 1.0)
-    return result

@@ -41,6 +41,131 @@ class Status:
         return f"{self.code}: {self.advice}" if self.advice else self.code
 
 
+@dataclass(frozen=True)
+class Delay:
+    """Score estimate of the delay of one signal.
+
+    Attributes
+    ----------
+    signal, kind : str
+        Name, and ``output`` or ``input``.
+    seconds, std : float
+        Delay and standard error, s.
+    gain : float
+        What it explains, in twice the log-likelihood.
+    share : float
+        Of the misfit beyond noise.
+    """
+
+    signal: str
+    kind: str
+    seconds: float
+    std: float
+    gain: float
+    share: float
+
+
+@dataclass(frozen=True)
+class ActuatorStart:
+    """Score estimate of where an actuator began in one record.
+
+    Attributes
+    ----------
+    effect, signal, record : str
+    size, std : float
+        Actual value before the record less the first command, and its standard error, in the
+        unit of the command.
+    share : float
+        Of the record's misfit beyond noise that it explains.
+    """
+
+    effect: str
+    signal: str
+    record: str
+    size: float
+    std: float
+    share: float
+
+
+@dataclass(frozen=True)
+class ProcessNoiseTest:
+    """What the fit to white noise said of process noise, and of what that would absorb.
+
+    Attributes
+    ----------
+    statistic : float
+        Likelihood-ratio statistic 2 delta ln L that the score test expects.
+    failed : str
+        How the fit with process noise ended, where its values are not those that are returned.
+    delay : Delay or None
+        Clear delay of a signal.
+    actuator_starts : tuple of ActuatorStart
+        Clear starts of actuators beside their first command.
+    """
+
+    statistic: float
+    failed: str = ""
+    delay: Delay | None = None
+    actuator_starts: tuple[ActuatorStart, ...] = ()
+
+
+@dataclass(frozen=True)
+class CaptiveErrors:
+    """Errors of forces that were measured at given motion, by axis.
+
+    Attributes
+    ----------
+    relative : mapping of str to float
+        Root mean square error over the root mean square of the force.
+    in_noise : mapping of str to float
+        Over the noise; NaN where nothing was measured.
+    """
+
+    relative: Mapping[str, float]
+    in_noise: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Attempts:
+    """Where estimations from several starts ended.
+
+    Attributes
+    ----------
+    start_values : tuple of mapping of str to float
+        Start values by parameter, a mapping a start; the model's own first.
+    log_likelihoods : ndarray (n_starts,)
+    objectives : ndarray (n_starts,)
+        Minus twice the log-likelihood, with priors; infinite where it diverged.
+    converged : ndarray of bool (n_starts,)
+    arrived : int
+        Starts that found the optimum that is returned.
+    """
+
+    start_values: tuple[Mapping[str, float], ...]
+    log_likelihoods: np.ndarray
+    objectives: np.ndarray
+    converged: np.ndarray
+    arrived: int
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Draws of a sampler, by parameter.
+
+    Attributes
+    ----------
+    draws : mapping of str to ndarray (n_chains, n_draws)
+    r_hat : mapping of str to float
+        Spread between halves of chains over that within; one where they agree.
+    effective_draws : mapping of str to float
+        Independent draws that are worth as much.
+    """
+
+    draws: Mapping[str, np.ndarray]
+    r_hat: Mapping[str, float]
+    effective_draws: Mapping[str, float]
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Numbers of a :class:`oed_sysid.likelihood.fit.Fit`; see there for the attributes."""
@@ -72,6 +197,15 @@ class Estimate:
     start_states: tuple[Mapping[str, tuple[float, float]], ...] = ()
     record_scatter: RecordScatter | None = None
     sources: Sources | None = None
+    nominal: Mapping[str, float] = field(default_factory=dict)
+    excluded: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    process_noise: ProcessNoiseTest | None = None
+    tests_scatter: bool = False
+    captive: CaptiveErrors | None = None
+    horizon: float | None = None
+    n_windows: int = 0
+    attempts: Attempts | None = None
+    posterior: Posterior | None = None
 
     def __post_init__(self) -> None:
         if self.noise is None:
@@ -183,6 +317,17 @@ class Estimate:
     def normalised_rms(self) -> float:
         """Root mean square residual over all outputs, in units of the noise."""
         stacked = np.vstack(self.residuals) / self.sigma
+        present = np.isfinite(stacked)
+        return float(np.sqrt(np.mean(stacked[present] ** 2))) if present.any() else np.nan
+
+    @property
+    def one_step_rms(self) -> float:
+        """Root mean square one-step error, in its stated standard deviation: one if all is right.
+
+        Minus twice the log-likelihood is its square times the samples, but for a constant and the
+        determinants of the standard deviations.
+        """
+        stacked = np.vstack(self.whitened)
         present = np.isfinite(stacked)
         return float(np.sqrt(np.mean(stacked[present] ** 2))) if present.any() else np.nan
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,22 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.likelihood.archive import check_fit, decode_result, encode, made_by, write_result
 from oed_sysid.likelihood.between_records import RecordScatter, Sources
 from oed_sysid.likelihood.disturbances import places
-from oed_sysid.likelihood.estimate import Estimate, Status, checked_scatter
+from oed_sysid.likelihood.estimate import (
+    ActuatorStart,
+    Attempts,
+    CaptiveErrors,
+    Delay,
+    Estimate,
+    Posterior,
+    ProcessNoiseTest,
+    Status,
+    checked_scatter,
+)
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.judgement import Concern, grave, judge
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.likelihood.prediction import Initial, Prediction, predict
+from oed_sysid.likelihood.whole_runs import WholeRuns, judged_runs
 from oed_sysid.physics import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.channels import Channels, Input, Output, State
@@ -39,9 +50,8 @@ from oed_sysid.runtime.display import (
 from oed_sysid.text.callables import Function
 from oed_sysid.text.units import shown_unit
 
-# Multiple of the noise up to which residuals say no more than noise would, and from which they
-# are no measure: filtered logs have next to no noise.
-EXPLAINED, SMOOTHED = 1.2, 100.0
+# Multiple of the noise from which residuals are no measure: filtered logs have next to no noise.
+SMOOTHED = 100.0
 # Prior standard deviations beyond which an estimate contradicts the prior.
 SURPRISING = 3.0
 # Records that a page draws.
@@ -109,7 +119,33 @@ class Fit(Estimate):
     sources : Sources, or None
         What priors and each record say of the shared parameters, apart from one another; None
         where the estimator does not tell. See :mod:`oed_sysid.likelihood.between_records`.
+    nominal : mapping of str to float
+        Start values of the estimated parameters; empty where the estimator does not tell.
+    excluded : mapping of str to pair of int
+        Samples that were left out as spikes, of how many, by output.
+    process_noise : ProcessNoiseTest, or None
+        What the fit to white noise said of process noise; None where it was not tested for.
+    tests_scatter : bool
+        Whether independent tests scatter more than their noise, so that their part of the
+        standard errors is from their residuals.
+    captive : CaptiveErrors, or None
+        Errors of captive tests that were fitted along.
+    horizon : float, or None
+        Seconds ahead that the fit predicts, in ``n_windows`` windows; None for whole records.
+    n_windows : int
+    attempts : Attempts, or None
+        Where all starts ended; None where there was one.
+    posterior : Posterior, or None
+        Draws of a sampler.
+    extras : mapping
+        What else an estimator tells of its way, such as the course of a recursion. Nothing in the
+        package is decided by it.
     """
+
+    @classmethod
+    def of_saved(cls, **content: Any) -> Fit:
+        """Build a fit of the fields of a file; of version 0.1 some were told in ``extras``."""
+        return cls(**_typed(content))
 
     @cached_property
     def concerns(self) -> tuple[Concern, ...]:
@@ -120,6 +156,26 @@ class Fit(Estimate):
     def grave(self) -> tuple[Concern, ...]:
         """Why the values must not be used although the fit converged; see :mod:`.explained`."""
         return grave(self, self.concerns)
+
+    @cached_property
+    def whole_runs(self) -> WholeRuns:
+        """Errors of whole runs, and whether noise as estimated could have left them."""
+        return judged_runs(self, unasked=self._unasked)
+
+    def runs_on(self, dataset: Dataset) -> WholeRuns:
+        """The same on records that the fit has not seen."""
+        return judged_runs(self, dataset, unasked=self._unasked)
+
+    @property
+    def _unasked(self) -> str:
+        """Why runs under the noise model would not be those of the sea; empty where they would."""
+        waves = [one for one in self.concerns if one.kind == "swing"]
+        if not waves or not self.noise.has_forces:
+            return ""
+        return (
+            f"innovations are narrow-band about {waves[0].size:.2g} s, which the noise model "
+            "does not hold"
+        )
 
     @property
     def caveat(self) -> str:
@@ -211,7 +267,7 @@ class Fit(Estimate):
         way = self.estimator.replace(", ", " with ", 1)
         effective = sum(count for count, _ in self.effective_samples().values())
         tested = "samples" if self.innovations is None else "innovations"
-        misfit = f"{self.normalised_rms:.3f} x noise over all outputs"
+        misfit = f"{self._misfit:.3f} x noise over all outputs"
         return Report(
             title=self.model.name,
             subtitle=f"Fitted by {way} to {', '.join(self._record_words())}",
@@ -220,15 +276,18 @@ class Fit(Estimate):
             warnings=(
                 *([] if log is None else log.warning().splitlines()),
                 *(f"Do not use these values: {concern.text}" for concern in self.grave),
+                *self._taken(),
             ),
             head=(
                 ("records", ", ".join(self._record_words())),
                 ("observations", f"{self.n_observations}"),
                 ("status", f"{self.status} ({self.iterations} iterations, {self.seconds:.2g} s)"),
                 ("misfit", misfit),
+                ("one step", f"{self.one_step_rms:.3f} x its standard deviation"),
+                ("whole runs", self.whole_runs.sizes or "none"),
             ),
             numbers=(
-                ("misfit", f"{self.normalised_rms:.3g} × noise"),
+                ("misfit", f"{self._misfit:.3g} × noise"),
                 ("parameters", str(len(self.names))),
                 ("samples", f"{self.n_observations:,}".replace(",", " ")),
                 (f"independent {tested}", f"{effective:,.0f}".replace(",", " ")),
@@ -248,6 +307,21 @@ class Fit(Estimate):
 
     report = as_text
 
+    @property
+    def _misfit(self) -> float:
+        """Error of whole runs over all outputs, in units of the noise."""
+        return self.normalised_rms if self.innovations is None else self.whole_runs.relative
+
+    def _taken(self) -> list[str]:
+        """Words where process noise has taken the work of physics."""
+        if not self.whole_runs.took_the_work:
+            return []
+        return [
+            "Process noise has taken the work of physics: "
+            f"{'; '.join(self.whole_runs.objections)}. Look for what is missing with improve(); "
+            "for runs, simulation and export take the values of replayed(fit)."
+        ]
+
     def _answer(self, comparison: Any) -> str:
         """Whether the fit can be used, how certain it is, and how well it fits and predicts."""
         if not self.status.ok:
@@ -262,14 +336,16 @@ class Fit(Estimate):
         if errors:
             worst = max(errors, key=lambda name: errors[name])
             words += f", the least certain {worst} ± {share(errors[worst])} (95 %)"
-        words += f"; residuals are {self.normalised_rms:.3g} × noise"
-        if self.normalised_rms > SMOOTHED:
+        words += f"; residuals are {self._misfit:.3g} × noise"
+        if self._misfit > SMOOTHED:
             words += (
                 ": the model is far off, or the log was smoothed and shows no noise; read errors "
                 "in units"
             )
-        elif not self.normalised_rms < EXPLAINED:
+        elif self.whole_runs.objections:
             words += ", so the model lacks something"
+        if self.whole_runs.sizes:
+            words += f"; whole runs are off {self.whole_runs.sizes}"
         if comparison is not None:
             size = comparison.best.relative
             words += f"; errors on the validation records {size:.3g} × noise"
@@ -358,15 +434,18 @@ class Fit(Estimate):
 
     def _captive_lines(self) -> list[str]:
         """Forces at given motion that were fitted along, one line each."""
-        errors: Mapping[str, float] = self.extras.get("captive", {})
-        sizes: Mapping[str, float] = self.extras.get("captive_misfit", {})
+        told = self.captive or CaptiveErrors({}, {})
         lines = [
-            f"captive {axis}: error {sizes[axis]:.3g} x noise"
-            + (f", {100 * error:.3g} % of its rms" if np.isfinite(error) else "")
-            for axis, error in errors.items()
-            if np.isfinite(sizes.get(axis, np.nan))
+            f"captive {axis}: error {size:.3g} x noise"
+            + (
+                f", {100 * told.relative[axis]:.3g} % of its rms"
+                if told.relative[axis] < np.inf
+                else ""
+            )
+            for axis, size in told.in_noise.items()
+            if np.isfinite(size)
         ]
-        if self.extras.get("tests_scatter"):
+        if self.tests_scatter:
             lines.append(
                 "Forces of the captive tests scatter more than their noise allows: their part "
                 "of the standard errors is from their residuals, in whatever order."
@@ -469,7 +548,36 @@ class Fit(Estimate):
         ):
             if level > 0:
                 rows.append(self._noise_row(f"colour of {output.name}", level, time, output.unit))
-        return [Section("Random", tables=(Table(headers, rows),), indent=2)]
+        sections = [Section("Random", tables=(Table(headers, rows),), indent=2)] if rows else []
+        return sections + [self._sea(number, units) for number in range(len(noise.seas))]
+
+    def _sea(self, number: int, units: Mapping[str, str]) -> Section:
+        """Period, width and significant level of a sea."""
+        sea = self.noise.seas[number]
+        label = f"sea {number + 1}" if len(self.noise.seas) > 1 else "sea"
+
+        def told(name: str, size: float, digits: str) -> str:
+            known = self.noise_std.get(name)
+            value = f"{size:{digits}}"
+            return value if known is None else f"{value} +/- {TWO_SIDED_95 * known * size:.2g}"
+
+        period, width = float(sea.period or 0.0), 100.0 * float(sea.bandwidth or 0.0)
+        words = (
+            "Disturbance forces have a period, as waves give them (or motion that the model "
+            f"lacks): {told(f'{label} period', period, '.3g')} s, "
+            f"{told(f'{label} bandwidth', width, '.2g')} % wide (95 %)"
+        )
+        words += "." if sea.shape == "velocity" else ", with a tail at low frequencies."
+        rows = [
+            (
+                place,
+                told(f"sea {place} level", level, ".3g") if level > 0 else "absent",
+                units.get(place, ""),
+            )
+            for place, level in sea.significant.items()
+        ]
+        headers = ("waves", "significant amplitude", "unit")
+        return Section("Sea", (words,), (Table(headers, rows),), indent=2)
 
     def _noise_row(self, name: str, level: float, time: float, unit: str) -> tuple[str, ...]:
         if level <= 0:
@@ -526,7 +634,7 @@ class Fit(Estimate):
 
     to_dict = as_dict(
         "estimator", "iterations", "seconds", "cost", "normalised_rms", "covariance", "rms",
-        "noise_std", "concerns", "grave", "status",
+        "noise_std", "concerns", "grave", "status", "one_step_rms", "whole_runs",
         model="model.name", records="dataset.names", coloured_residuals="coloured",
         # Null where nothing tells: three records or fewer, another estimator.
         parameters=lambda self: [
@@ -544,13 +652,47 @@ class Fit(Estimate):
     )  # fmt: skip
 
 
+def _typed(content: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a fit, with what version 0.1 kept in ``extras`` as what it is now."""
+    extras = dict(content.get("extras", {}))
+    told: dict[str, Any] = {}
+    for name, field in (("nominal", "nominal"), ("excluded", "excluded"), ("horizon", "horizon"),
+                        ("tests_scatter", "tests_scatter"), ("windows", "n_windows")):  # fmt: skip
+        if name in extras:
+            told[field] = extras.pop(name)
+    if extras.keys() & {"disturbance_test", "process_noise_failed"}:
+        delay = extras.pop("white_delay", None)
+        told["process_noise"] = ProcessNoiseTest(
+            extras.pop("disturbance_test", np.inf),
+            extras.pop("process_noise_failed", ""),
+            None if delay is None else Delay(*(*delay, np.nan, np.nan)),
+            tuple(ActuatorStart(*one) for one in extras.pop("white_starts", ())),
+        )
+    if "captive" in extras:
+        errors = extras.pop("captive")
+        told["captive"] = CaptiveErrors(errors, extras.pop("captive_misfit", {}))
+    for field, kind in (("attempts", Attempts), ("posterior", Posterior)):
+        names = [one.name for one in fields(kind)]
+        if extras.keys() >= set(names):
+            told[field] = kind(*(extras.pop(name) for name in names))
+    extras.pop("magnitudes", None)
+    return {**content, **told, "extras": extras} if "extras" in content else content
+
+
 # Everything that a saved fit is made of.
 ARCHIVED: tuple[type, ...] = (
     *(
         Fit,
         Status,
+        ProcessNoiseTest,
+        Delay,
+        ActuatorStart,
+        CaptiveErrors,
+        Attempts,
+        Posterior,
         Information,
         NoiseModel,
+        Sea,
         RecordScatter,
         Sources,
         Model,

@@ -41,7 +41,7 @@ the misfit is one and the iterations converge. :func:`grave` says so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -53,8 +53,6 @@ from oed_sysid.likelihood.covariance import clear_peaks
 from oed_sysid.likelihood.departures import (
     CLEAR,
     COLOUR_SHARE,
-    ActuatorStart,
-    Delay,
     clear_delay,
     clear_starts,
     estimate_delays,
@@ -64,7 +62,13 @@ from oed_sysid.likelihood.departures import (
     values_of,
 )
 from oed_sysid.likelihood.estimate import Estimate
-from oed_sysid.likelihood.noise_levels import signal_spread, spike_masks, spike_sizes, white_levels
+from oed_sysid.likelihood.noise_levels import (
+    DIFFERENCE_ERROR,
+    signal_spread,
+    spike_masks,
+    spike_sizes,
+    white_levels,
+)
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.text.units import shown_unit
 
@@ -74,8 +78,6 @@ Found = TypeVar("Found", bound=Estimate)
 LEVEL_FACTOR = 1.15
 # Chance of the statistic from which on residuals are coloured.
 COLOUR_CHANCE = 1e-5
-# Standard error of the logarithm of a level from third differences, times the root of n.
-DIFFERENCE_ERROR = 1.5
 # Change by a quarter of the step, in noise levels, that a trajectory must not show.
 STEP_CHANGE = 0.5
 FINER = 4
@@ -138,7 +140,7 @@ class Concern:
 
 def with_verdict(fit: Found) -> Found:
     """The same fit; its status is not ``converged`` where its values must not be used."""
-    if fit.status.code in ("stalled", "iterations") and "integration step" not in fit.status.advice:
+    if fit.status.code in ("stalled", "iterations"):
         steps = " ".join(concern.text for concern in _integration(fit))
         advice = f"{fit.status.advice} {steps}".rstrip()
         return replace(fit, status=replace(fit.status, advice=advice))
@@ -308,19 +310,20 @@ def colour_concerns(fit: Estimate) -> tuple[Concern, ...]:
 
 def _process_noise(fit: Estimate) -> tuple[Concern, ...]:
     """Process noise that acts, but whose estimation failed."""
-    if (reason := fit.extras.get("process_noise_failed")) is None:
+    test = fit.process_noise
+    if test is None or not test.failed:
         return ()
-    gain = float(fit.extras.get("disturbance_test", np.inf))
     return (
         Concern(
             "process_noise",
             "",
             "",
-            gain,
-            f"Process noise seems to act (2 delta ln L is about {gain:.3g} by the score test), but "
-            f"the fit with it ended with {reason!r}: these values are from the fit without it. "
-            "Look for what is missing with improve() and for faults of the log with "
-            "`oed-sysid check`, or name the disturbed equations, such as disturbances=('Z', 'M').",
+            test.statistic,
+            f"Process noise seems to act (2 delta ln L is about {test.statistic:.3g} by the score "
+            f"test), but the fit with it ended with {test.failed!r}: these values are from the "
+            "fit without it. Look for what is missing with improve() and for faults of the log "
+            "with `oed-sysid check`, or name the disturbed equations, such as "
+            "disturbances=('Z', 'M').",
         ),
     )
 
@@ -337,8 +340,8 @@ def swing_concerns(fit: Estimate) -> tuple[Concern, ...]:
             "",
             peak.period,
             f"Innovations of {peak.output} swing with a period of about {peak.period:.2g} s "
-            f"({peak.ratio:.1f} times the power of white ones), as waves and swell leave them; "
-            "random forces are modelled without a period. Standard errors are from the sandwich "
+            f"({peak.ratio:.1f} times the power of white ones): waves that one sea does not "
+            "describe, or motion that the model lacks. Standard errors are from the sandwich "
             "covariance, which holds the swing; estimates are not as precise as they could be.",
         )
         for peak in peaks
@@ -378,8 +381,7 @@ def _absorbed(fit: Estimate) -> tuple[Concern, ...]:
 def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """Isolated outliers, and those that the fit has left out."""
     found = []
-    excluded: Mapping[str, Sequence[int]] = fit.extras.get("excluded", {})
-    for name, (count, total) in excluded.items():
+    for name, (count, total) in fit.excluded.items():
         found.append(
             Concern(
                 "spikes",
@@ -424,9 +426,9 @@ def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
 
 def delay_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """A delay of one signal: the one that explains most, others follow once it is mended."""
-    if "white_delay" in fit.extras:
-        name, kind, seconds, std = fit.extras["white_delay"]
-        best: Delay | None = Delay(name, kind, seconds, std, np.nan, np.nan)
+    best = None if fit.process_noise is None else fit.process_noise.delay
+    if best is not None:
+        pass  # found before disturbance forces absorbed it
     elif fit.innovations is not None or not fit.names:
         return ()
     else:
@@ -450,8 +452,9 @@ def delay_concerns(fit: Estimate) -> tuple[Concern, ...]:
 
 def start_concerns(fit: Estimate) -> tuple[Concern, ...]:
     """Actuators that did not begin at their first command, the clearest record of each."""
-    if "white_starts" in fit.extras:  # disturbance forces absorb a start
-        clear = tuple(ActuatorStart(*one) for one in fit.extras["white_starts"])
+    clear = () if fit.process_noise is None else fit.process_noise.actuator_starts
+    if clear:
+        pass  # found before disturbance forces absorbed it
     elif fit.innovations is not None or not fit.names:
         return ()
     else:
@@ -525,12 +528,11 @@ def input_concerns(fit: Estimate) -> tuple[Concern, ...]:
 
 def _other_way(fit: Estimate) -> tuple[Concern, ...]:
     """Inputs that act reversed, or in another unit, than the start values say."""
-    nominal = fit.extras.get("nominal")
-    if not fit.status.ok or not nominal:
+    if not fit.status.ok or not fit.nominal:
         return ()
     return tuple(
         Concern("other_way", one.channel.name, "", one.factor, one.text)
-        for one in other_way(fit, nominal)
+        for one in other_way(fit, fit.nominal)
     )
 
 
@@ -539,10 +541,11 @@ def _other_way(fit: Estimate) -> tuple[Concern, ...]:
 
 def _runaway(fit: Estimate) -> tuple[Concern, ...]:
     """Values far beyond any scale."""
-    magnitudes: Mapping[str, float] = fit.extras.get("magnitudes", {})
     for name, value in fit.values.items():
         parameter = fit.model.parameter(name)
-        scale = max(magnitudes.get(name, 0.0), parameter.scale or 0.0)
+        scale = parameter.scale or 0.0
+        if name in fit.nominal:
+            scale = replace(parameter, value=fit.nominal[name]).magnitude
         # Without a scale: beyond what any coefficient in SI units can be.
         most = RUNAWAY if np.isfinite(fit.std_errors.get(name, 0.0)) else UNSEEN
         limit = most * scale if scale > 0 else 1e15
@@ -623,7 +626,9 @@ def _integration(fit: Estimate) -> tuple[Concern, ...]:
     size, output, record = step_change(fit)
     if size < STEP_CHANGE:
         return ()
-    step = fit.model.step
+    step, stiff = fit.model.step, ""
+    if fit.model.integrator != "implicit":
+        stiff = ", or take Model(integrator='implicit') if some motions die out within a step"
     return (
         Concern(
             "integration",
@@ -632,8 +637,8 @@ def _integration(fit: Estimate) -> tuple[Concern, ...]:
             size,
             f"The trajectories hang on the integration step: with {step / FINER:g} s instead of "
             f"{step:g} s, {output} of record {record!r} changes by {size:.3g} noise levels "
-            f"(expected below {STEP_CHANGE:g}). Reduce model.step and fit again; if that does not "
-            "help, a force of the model jumps where the state passes some value: make it "
+            f"(expected below {STEP_CHANGE:g}). Reduce model.step and fit again{stiff}; if that "
+            "does not help, a force of the model jumps where the state passes some value: make it "
             "continuous.",
         ),
     )

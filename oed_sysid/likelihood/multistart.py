@@ -22,6 +22,7 @@ from scipy.special import gammaincinv
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.covariance import ReducedProblem
+from oed_sysid.likelihood.estimate import Attempts
 from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Solution, solve
@@ -120,10 +121,8 @@ class Multistart:
         Returns
         -------
         Fit
-            ``extras`` holds, per start, ``"start_values"``, ``"log_likelihoods"``,
-            ``"objectives"`` (minus twice the same, with priors; see
-            :func:`oed_sysid.results.plot_waterfall`) and whether it ``"converged"``;
-            ``"arrived"`` counts the starts that found the optimum that is returned.
+            ``fit.attempts`` tells where every start ended; see
+            :func:`oed_sysid.results.plot_waterfall`.
         """
         began = time.perf_counter()
         starts = self.starts(model)
@@ -140,20 +139,12 @@ class Multistart:
         ok = np.array([fit.status.ok for fit in fits])
         best = max(range(len(fits)), key=lambda i: (ok[i], goals[i]))
         arrived = ok & (2.0 * (goals[best] - goals) < SAME_OPTIMUM)
-        extras = {
-            **fits[best].extras,
-            "start_values": tuple(starts),
-            "log_likelihoods": likelihoods,
-            "objectives": -2.0 * goals,
-            "converged": ok,
-            "arrived": int(arrived.sum()),
-        }
         return replace(
             fits[best],
             estimator=self.name,
             seconds=time.perf_counter() - began,
             iterations=sum(fit.iterations for fit in fits),
-            extras=extras,
+            attempts=Attempts(tuple(starts), likelihoods, -2.0 * goals, ok, int(arrived.sum())),
         )
 
 

@@ -1,17 +1,14 @@
 r"""Predictions of a fitted model on records it has not seen, with their uncertainty.
 
-Without measurements a trajectory spreads by three causes: parameters and start states,
+Start states and parameters that differ from record to record are estimated from the whole run
+(:mod:`oed_sysid.likelihood.whole_runs`). A trajectory then spreads by the shared parameters, whose
+covariance is ``C``, by those estimates, and by process noise and autocorrelated sensors,
 
-.. math:: V(t) = J(t)\, C\, J(t)' + P(t), \qquad P_{k+1} = F P_k F' + Q
+.. math:: V(t) = J(t)\, C\, J(t)' + J_s(t)\, C_s\, J_s(t)' + \overline{r_b(t)^2}
 
-the disturbance forces of the noise model (``P``, from a filter that is shown nothing), and the
-sensors. Where a first-order band would mislead, because parameters are poorly known or random
-forces throw the vehicle far, ``V`` is the mean square of runs in which all is drawn.
-
-What is predicted where all that is uncertain is drawn, not carried to first order.
-
-Mean squares about the prediction, of runs with parameters, start states and disturbance forces
-drawn together: beyond first order an unstable vehicle falls to one side or the other.
+with ``J`` the derivatives after the start was estimated anew, and ``r_b`` what that leaves of the
+departures of runs that are drawn under process noise. Where parameters are poorly known so that
+first order misleads, ``V`` is the mean square of runs in which they are drawn too.
 
 Estimated series of unknown inputs, read off a fit; see :mod:`oed_sysid.physics.unknown`.
 """
@@ -20,33 +17,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
-from oed_sysid.experiments.simulation import simulate_batch
-from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.estimate import Estimate
-from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.gauss_newton import solve, solve_filtered
-from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.realisation import gauss_markov
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts, Layout, StartState
+from oed_sysid.likelihood.whole_runs import WholeRun
 from oed_sysid.physics.model import Model
 
 # Draws that show whether a first-order band would mislead, draws of a band, and at once.
 N_PROBE, N_DRAWS, CHUNK = 20, 200, 20
 RUNAWAY = 1e100  # a draw beyond is no run of a vehicle
-# Mean over a run of drawn over first-order variances from which (or below whose inverse) it does;
-# three times the scatter of so few draws.
-MISLEADS = 2.0
-# The same where both are of the same draws, so that no chance is in it.
-MISLEADS_SURELY = 1.2
+# Mean over a run of drawn over first-order variances, of the same draws, from which (or below whose
+# inverse) first order misleads.
+MISLEADS = 1.2
 
 SimulateAll = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
@@ -79,6 +69,10 @@ class Spread:
     other_covariance: np.ndarray
     bounds: tuple[np.ndarray, np.ndarray]
 
+    def with_others_known(self) -> Spread:
+        """The same with start states and parameters of the record exact at given shared ones."""
+        return replace(self, other_covariance=np.zeros_like(self.other_covariance))
+
     def draw(self, n_draws: int, rng: np.random.Generator) -> np.ndarray:
         """Unknowns, ``(n_draws, n_unknowns)``."""
         known = np.isfinite(np.diag(self.covariance))
@@ -105,49 +99,13 @@ class Spread:
         return total / count if count else np.full_like(outputs, np.inf)
 
 
-def misleads(variance: np.ndarray, drawn: np.ndarray, limit: float = MISLEADS) -> bool:
+def misleads(variance: np.ndarray, drawn: np.ndarray) -> bool:
     """Whether first-order variances differ clearly from those of some draws, on the whole."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(np.isfinite(variance) & (variance > 0), drawn / variance, np.nan)
     seen = ~np.isnan(ratio).all(axis=0)
     means = np.nanmean(ratio[:, seen], axis=0)
-    return bool(np.any((means > limit) | (means < 1.0 / limit)))
-
-
-def runs_at_sea(
-    model: Model,
-    record: Record,
-    noise: NoiseModel,
-    split: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
-) -> SimulateAll:
-    """Runs of a record under drawn disturbance forces.
-
-    Parameters
-    ----------
-    model : Model
-    record : Record
-        Gives times and inputs.
-    noise : NoiseModel
-        Its forces are drawn; sensors are without noise.
-    split : callable
-        From unknowns to all values of the model's parameters and its own start states.
-    """
-    acting = [i for i in range(len(noise.force)) if noise.force[i] > 0]
-    places = chosen_places(model, [noise.places[i] for i in acting])
-    vehicle = with_disturbance_inputs(model, places)
-
-    def simulate(unknowns: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        values, starts = (np.array(part) for part in zip(*map(split, unknowns), strict=True))
-        waves = [
-            [gauss_markov(noise.force[i], noise.force_time[i], record.times, rng) for i in acting]
-            for _ in unknowns
-        ]
-        calm = np.broadcast_to(record.inputs, (len(unknowns), *record.inputs.shape))
-        shape = (len(unknowns), len(acting), len(record.times))
-        inputs = np.concatenate([calm, np.reshape(waves, shape).swapaxes(1, 2)], axis=2)
-        return simulate_batch(vehicle, record.times, inputs=inputs, values=values, initials=starts)
-
-    return simulate
+    return bool(np.any((means > MISLEADS) | (means < 1.0 / MISLEADS)))
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
@@ -334,10 +292,7 @@ def predict(
                 f"initial gives {', '.join(initial) or 'nothing'}; give a value for each of "
                 f"{', '.join(model.state_names)}."
             )
-    if noise.is_white:
-        parts = [_predict(model, r, covariance, noise.white, initial, way) for r in dataset]
-    else:
-        parts = [_predict_disturbed(model, r, covariance, noise, initial, way) for r in dataset]
+    parts = [_predict(model, r, covariance, noise, initial, way) for r in dataset]
     outputs, stds, starts, local = zip(*parts, strict=True)
     return Prediction(dataset, outputs, stds, noise.white.copy(), starts, way, local)
 
@@ -346,187 +301,101 @@ def _predict(
     model: Model,
     record: Record,
     covariance: np.ndarray,
-    sigma: np.ndarray,
-    initial: Initial,
-    way: str,
-) -> tuple[np.ndarray, np.ndarray, dict[str, float], dict[str, float]]:
-    known = _given(model, record, initial)
-    shooting = Shooting(model, Dataset((record,)), sigma, known_starts=known)
-    layout = shooting.layout
-    n_shared, n_own = len(layout.shared), layout.n_own
-    shared = np.arange(n_shared)
-    point = shooting.start_point()
-    own_variance = np.zeros(n_own)
-    if way == "fit":
-        held = shooting.holding(shared, point.unknowns[shared])
-        solution = solve(held, held.start_point())
-        if solution is not None:
-            point = solution.point
-    elif way == "first":
-        stds = shooting.guess_std[0, :n_own]
-        own_variance = np.where(np.isfinite(stds), stds, 0.0) ** 2
-    elif known is not None:
-        own_variance = known.std[0] ** 2
-    smooth = shooting.continuous(point.unknowns)
-    lin = shooting.linearise(smooth)
-    states = dict(zip(model.state_names, map(float, point.unknowns[n_shared:]), strict=False))
-    own = layout.parameters(point.unknowns, 0)
-    values = {layout.free_names[i]: float(own[i]) for i in layout.local}
-    covariance = _of_unknowns(covariance, layout, point.unknowns)
-    if lin is None:
-        empty = np.full(record.outputs.shape, np.nan)
-        return empty, empty, states, values
-    jacobian = lin.jacobians[0]
-    by_shared = at_given_others = jacobian[:, :, n_own + layout.shared]
-    others = np.concatenate([np.arange(n_own), n_own + layout.local])
-    by_other = jacobian[:, :, others]
-    if way == "fit":
-        # Re-estimated for every value of the shared parameters, and noisy themselves.
-        columns = layout.record_columns(0)
-        present = np.isfinite(lin.residuals[0]) / sigma
-        prior = np.sqrt(shooting.limits.prior_weight[columns[others]])
-        inner = np.vstack(
-            [(by_other * present[:, :, None]).reshape(-1, len(others)), np.diag(prior)]
-        )
-        outer = (by_shared * present[:, :, None]).reshape(-1, n_shared)
-        inverse = np.linalg.pinv(inner, rcond=1e-10)
-        by_shared = by_shared - by_other @ (inverse[:, : len(outer)] @ outer)
-        other_covariance = inverse @ inverse.T
-    else:
-        other_covariance = np.diag([*own_variance, *np.zeros(len(layout.local))])
-    variance = _carry(by_other, other_covariance) + _carry_uncertain(by_shared, covariance)
-    outputs = _outputs(shooting, point.unknowns)
-    if np.any(variance > (MATTERS * sigma) ** 2):
-        gain = np.zeros((len(others), n_shared))
-        if way == "fit":
-            gain = inverse[:, : len(outer)] @ outer
-        spread = Spread(
-            point.unknowns,
-            shared,
-            layout.record_columns(0)[others],
-            gain,
-            covariance,
-            other_covariance,
-            (shooting.limits.lower, shooting.limits.upper),
-        )
-
-        def simulated(unknowns: np.ndarray, _: np.random.Generator) -> np.ndarray:
-            return np.array([_outputs(shooting, one) for one in unknowns])
-
-        def linear(unknowns: np.ndarray, _: np.random.Generator) -> np.ndarray:
-            away = unknowns - spread.unknowns
-            far = np.einsum("tij,kj->kti", at_given_others, away[:, spread.shared])
-            return outputs + far + np.einsum("tij,kj->kti", by_other, away[:, spread.others])
-
-        # The same draws, to first order and simulated, over the whole run: what differs is no
-        # chance, and no moment at which nothing moves to first order.
-        first_order, few = (
-            spread.mean_square(run, outputs, N_PROBE).mean(axis=0, keepdims=True)
-            for run in (linear, simulated)
-        )
-        if _poorly_known(model, layout.shared_names, covariance) or misleads(
-            first_order, few, MISLEADS_SURELY
-        ):
-            drawn = spread.mean_square(simulated, outputs)
-            variance = np.where(np.isfinite(variance), drawn, variance)
-    return outputs, np.sqrt(variance), states, values
-
-
-def _predict_disturbed(
-    model: Model,
-    record: Record,
-    covariance: np.ndarray,
     noise: NoiseModel,
     initial: Initial,
     way: str,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, float], dict[str, float]]:
-    """One record under disturbance forces or coloured sensors."""
-    known = _given(model, record, initial)
-    start = Shooting(model, Dataset((record,)), noise.sensors, known_starts=known)
-    begin = start.start_unknowns()
-    disturbances = tuple(f"disturbance_{place.replace(' ', '_', 1)}" for place in noise.places)
-    nothing = np.zeros(0, dtype=bool)
-    levels = Levels.of(
-        noise,
-        noise,
-        disturbances,
-        white=np.zeros(len(noise.white), dtype=bool),
-        colour=np.zeros(len(noise.white), dtype=bool),
-        force=np.zeros(len(noise.force), dtype=bool) if len(noise.force) else nothing,
-    )
-    problem = Filtered(model, Dataset((record,)), levels)
-    layout = problem.layout
-    n_shared, n_own = len(layout.shared), layout.n_own
-    columns = layout.record_columns(0)
-    shared = np.arange(n_shared)
-    others = np.concatenate([columns[:n_own], columns[n_own + layout.local]])
-    point = problem.point([begin[columns[:n_own]]])
-    other_covariance = np.zeros((len(others), len(others)))
-    gain = np.zeros((len(others), n_shared))
+    known = None if isinstance(initial, str) else KnownStarts.of(model, Dataset((record,)), initial)
     if way == "fit":
-        held = problem.holding(shared, point.unknowns[shared])
-        solution = solve_filtered(held, point, polish=0)
-        if solution is not None:
-            point = solution.point
-            matrix = solution.matrix + np.diag(problem.limits.prior_weight)
-            other_covariance = np.linalg.pinv(matrix[np.ix_(others, others)], rcond=1e-10)
-            gain = other_covariance @ matrix[np.ix_(others, shared)]
-    elif way == "first":
-        stds = start.guess_std[0, :n_own]
-        own_variance = np.where(np.isfinite(stds), stds, 0.0) ** 2
-        other_covariance = np.diag([*own_variance, *np.zeros(len(layout.local))])
-    elif known is not None:
-        other_covariance = np.diag([*known.std[0] ** 2, *np.zeros(len(layout.local))])
-    unknowns = point.unknowns
-    covariance = _of_unknowns(covariance, layout, unknowns)
-    blind = np.full(record.outputs.shape, np.nan)
-    (part,) = problem.passes(unknowns, rows=True, measured=[blind])
-    states = dict(
-        zip(model.state_names, map(float, problem.initial_state(unknowns, 0)), strict=True)
-    )
-    own = layout.parameters(unknowns, 0)
-    values = {layout.free_names[i]: float(own[i]) for i in layout.local}
+        run = WholeRun.fitted(model, record, noise.sensors)
+    else:
+        shooting = Shooting(model, Dataset((record,)), noise.sensors, known_starts=known)
+        run = WholeRun.at(shooting, shooting.start_unknowns())
+    if run.jacobian is None:
+        empty = np.full(record.outputs.shape, np.nan)
+        return empty, empty, run.states, run.local
+    variance = _variance(run, covariance, noise, way, known)
+    return run.outputs, np.sqrt(variance), run.states, run.local
 
-    position = {name: i for i, name in enumerate(model.parameter_names)}
-    free = [position[name] for name in layout.free_names]
 
-    def split(vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        own = model.value_vector.copy()
-        own[free] = layout.parameters(vector, 0)
-        return own, problem.initial_state(vector, 0)
+def _variance(
+    run: WholeRun, covariance: np.ndarray, noise: NoiseModel, way: str, known: KnownStarts | None
+) -> np.ndarray:
+    """Variance of the outputs of a run, white noise of the sensors apart."""
+    jacobian = run.jacobian
+    assert jacobian is not None
+    spread, answer = _spread(run, covariance, way, known)
+    by_other = jacobian[:, :, run.others]
+    by_shared = jacobian[:, :, run.shared] - by_other @ spread.gain
+    of_start = _carry(by_other, spread.other_covariance)
+    variance = of_start + _carry_uncertain(by_shared, spread.covariance)
 
-    outputs, _, _ = problem.alone(unknowns, 0)
-    if not part.ok or part.rows is None:
-        return np.full(record.outputs.shape, np.nan), blind, states, values
-    jacobian = -part.rows * np.sqrt(part.variances)[:, :, None]
-    if layout.logged is not None:
-        jacobian[:, :, n_own : n_own + len(layout.free_names)] *= layout.slopes(
-            unknowns[columns[n_own:]]
+    def alone(unknowns: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        return np.array([run.simulated(one) for one in unknowns])
+
+    def linear(unknowns: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        return run.outputs + np.einsum("tij,kj->kti", jacobian, unknowns - run.unknowns)
+
+    def disturbed(unknowns: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Runs under process noise, less what an estimate of the start makes of that."""
+        runs = run.drawn(noise, unknowns, rng) if noise.has_forces else alone(unknowns, rng)
+        away = runs - run.outputs
+        if answer is not None:
+            away = away + run.sensors(noise, len(runs), rng, white=False)
+            whitened = (away * run.weights()).reshape(len(away), -1)
+            away = away - np.einsum("tij,kj->kti", by_other, whitened @ answer.T)
+        return run.outputs + away
+
+    if not noise.is_white:
+        given = spread if answer is None else spread.with_others_known()
+        drawn = given.mean_square(disturbed, run.outputs)
+        drawn += noise.colour**2 if answer is None else of_start
+        return np.where(np.isfinite(variance), drawn, variance)
+    if np.any(variance > (MATTERS * noise.sensors) ** 2):
+        # The same draws, to first order and simulated, over the whole run: what differs is no
+        # chance, and no moment at which nothing moves to first order.
+        first, few = (
+            spread.mean_square(runs, run.outputs, N_PROBE).mean(axis=0, keepdims=True)
+            for runs in (linear, alone)
         )
-    by_shared = jacobian[:, :, n_own + layout.shared]
-    by_other = jacobian[:, :, np.concatenate([np.arange(n_own), n_own + layout.local])]
-    by_shared = by_shared - by_other @ gain
-    variance = _carry(by_other, other_covariance) + _carry_uncertain(by_shared, covariance)
-    # White noise of sensors is no matter of the model; their colour is, as of what drifts.
-    total = variance + np.maximum(part.variances - noise.white**2, 0.0)
-    bounds = (problem.limits.lower, problem.limits.upper)
-    spread = Spread(unknowns, shared, others, gain, covariance, other_covariance, bounds)
-    simulate = runs_at_sea(model, record, noise, split)
-    doubtful = _poorly_known(model, layout.shared_names, covariance) and bool(
-        np.any(variance > MATTERS**2 * part.variances)
+        names = run.shooting.layout.shared_names
+        if _poorly_known(run.shooting.model, names, covariance) or misleads(first, few):
+            drawn = spread.mean_square(alone, run.outputs)
+            variance = np.where(np.isfinite(variance), drawn, variance)
+    return variance
+
+
+def _spread(
+    run: WholeRun, covariance: np.ndarray, way: str, known: KnownStarts | None
+) -> tuple[Spread, np.ndarray | None]:
+    """What is uncertain of a run, and how its start answers a departure where it is estimated."""
+    assert run.jacobian is not None
+    shooting, answer = run.shooting, None
+    layout, shared, others = shooting.layout, run.shared, run.others
+    n_own = layout.n_own
+    gain, own_variance = np.zeros((len(others), len(shared))), np.zeros(n_own)
+    if way == "fit":
+        # Estimated anew for every value of the shared parameters, and noisy itself.
+        answer, other_covariance = run.answer()
+        outer = (run.jacobian[:, :, shared] * run.weights()[:, :, None]).reshape(-1, len(shared))
+        gain = answer @ outer
+    else:
+        if way == "first":
+            stds = shooting.guess_std[0, :n_own]
+            own_variance = np.where(np.isfinite(stds), stds, 0.0) ** 2
+        elif known is not None:
+            own_variance = known.std[0] ** 2
+        other_covariance = np.diag([*own_variance, *np.zeros(len(layout.local))])
+    spread = Spread(
+        run.unknowns,
+        shared,
+        others,
+        gain,
+        _of_unknowns(covariance, layout, run.unknowns),
+        other_covariance,
+        (shooting.limits.lower, shooting.limits.upper),
     )
-    colour = noise.colour**2
-    if doubtful or misleads(total, colour + spread.mean_square(simulate, outputs, N_PROBE)):
-        drawn = colour + spread.mean_square(simulate, outputs)
-        total = np.where(np.isfinite(total), drawn, total)
-    return outputs, np.sqrt(total), states, values
-
-
-def _given(model: Model, record: Record, initial: Initial) -> KnownStarts | None:
-    """What is stated of the start states."""
-    if isinstance(initial, str):
-        return None
-    return KnownStarts.of(model, Dataset((record,)), initial)
+    return spread, answer
 
 
 def _of_unknowns(covariance: np.ndarray, layout: Layout, unknowns: np.ndarray) -> np.ndarray:
@@ -543,12 +412,6 @@ def _poorly_known(model: Model, names: Sequence[str], covariance: np.ndarray) ->
     parameters = [model.parameter(name) for name in names]
     sizes = np.array([1.0 if p.log else abs(p.value) for p in parameters])
     return bool(np.any(np.isfinite(errors) & (errors > DRAWN * sizes)))
-
-
-def _outputs(shooting: Shooting, unknowns: np.ndarray) -> np.ndarray:
-    record, values = shooting.records[0], shooting.values(unknowns, 0)
-    z0, _ = shooting.full_start(unknowns, 0)
-    return shooting.kernel.run(record.times, record.inputs, values, z0).outputs
 
 
 def _carry(jacobian: np.ndarray, covariance: np.ndarray) -> np.ndarray:

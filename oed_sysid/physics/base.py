@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, ClassVar, Self
 
@@ -305,6 +305,14 @@ class Effect:
             tuple(p.with_value(values[p.name]) if p.name in values else p for p in self.parameters),
         )
 
+    def widened(self) -> Effect:
+        """Return the effect without those bounds of its amplitudes that nobody declared."""
+        sizes = self.amplitude_names
+        return with_parameters(
+            self,
+            tuple(_unbounded(p) if p.name in sizes else p for p in self.parameters),
+        )
+
     def structure(self) -> tuple[Hashable, ...]:
         """Everything that shapes the equations, values of parameters excluded."""
         return (
@@ -318,6 +326,15 @@ class Effect:
             tuple(p.name for p in self.parameters),
             tuple((f.name, *callables.digest(f)) for f in self.functions),
         )
+
+
+def _unbounded(parameter: Parameter) -> Parameter:
+    """The parameter without bounds that only follow from its typical size."""
+    by_default = parameter.upper >= _SPAN * parameter.magnitude
+    if not by_default or not math.isfinite(parameter.upper):
+        return parameter
+    lowest = -math.inf if parameter.lower < 0.0 else parameter.lower
+    return replace(parameter, lower=lowest, upper=math.inf)
 
 
 def _result(name: str, function: Callable[..., Any], place: int, count: int, *x: Any) -> Any:

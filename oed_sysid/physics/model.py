@@ -7,12 +7,15 @@ expressions and :mod:`oed_sysid.compiled.kernels` into compiled code.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
+import casadi as ca
+
 from oed_sysid.errors import ModelError
 from oed_sysid.physics import Effect
+from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.parameters import Parameter, with_parameters
 from oed_sysid.physics.structure import Structure, settle_parts, validate
 from oed_sysid.runtime.display import as_html
@@ -87,6 +90,90 @@ class Model(Structure):
     def __post_init__(self) -> None:
         settle_parts(self)
         validate(self)
+
+    @classmethod
+    def from_casadi(
+        cls,
+        f: ca.Function,
+        h: ca.Function | None = None,
+        *,
+        states: Sequence[State],
+        inputs: Sequence[Input] = (),
+        parameters: Sequence[Parameter] = (),
+        outputs: Sequence[Output] | None = None,
+        name: str = "",
+        step: float = 0.1,
+        integrator: str = "explicit",
+    ) -> Model:
+        r"""Return the model that functions of CasADi describe.
+
+        .. math:: \dot x = f(x, u, p, t), \qquad y = h(x, u, p, t)
+
+        Parameters
+        ----------
+        f : casadi.Function
+            Rates ``(n_states,)``. Arguments called ``x``, ``u``, ``p`` and ``t`` may stand in
+            any order, others stand for x, u, p and t as they come; each is a column, and those
+            that are not needed may be left out. Elementary operations become those of the model.
+            Interpolants, rootfinders and external functions are called as they are: they cost
+            their own time, exports need C that CasADi generates, and a saved fit is read where
+            this model has been built before.
+        h : casadi.Function, optional
+            Outputs ``(n_outputs,)``; without it, each output is the state of its name.
+        states, inputs, parameters : sequence of State, Input, Parameter
+            The elements of x, u and p, in order.
+        outputs : sequence of Output, optional
+            Names, units and noise of the elements of y; by default every state is measured.
+        name, step, integrator
+            As of any model.
+
+        Raises
+        ------
+        ModelError
+            If sizes do not agree, or a function cannot be copied (a callback of Python).
+
+        Examples
+        --------
+        >>> import casadi as ca
+        >>> from oed_sysid import Input, Parameter, State
+        >>> x, u, p = ca.MX.sym("x", 2), ca.MX.sym("u"), ca.MX.sym("p", 2)
+        >>> f = ca.Function("f", [x, u, p], [ca.vertcat(x[1], (p[0] * u - x[1]) / p[1])])
+        >>> nomoto = Model.from_casadi(
+        ...     f,
+        ...     states=(State("psi", "rad"), State("r", "rad/s")),
+        ...     inputs=(Input("delta", "rad"),),
+        ...     parameters=(Parameter("K", 0.2, "1/s"), Parameter("T", 15.0, "s")),
+        ... )
+        >>> print(nomoto.equations())
+        psi' = f_psi(r)
+        r' = f_r(r, delta, K, T)
+        measured psi = psi
+        measured r = r
+        """
+        symbols = {
+            "x": [one.name for one in states],
+            "u": [one.name for one in inputs],
+            "p": [one.name for one in parameters],
+            "t": ["t"],
+        }
+        rates = callables.elements(f, symbols, [one.name for one in states])
+        if outputs is None:
+            outputs = [Output(one.name, one.unit) for one in states]
+        seen = {} if h is None else callables.elements(h, symbols, [one.name for one in outputs])
+        return cls(
+            name or f.name(),
+            tuple(states),
+            tuple(inputs),
+            tuple(
+                replace(one, expression=callables.call_text(seen[one.name])) if seen else one
+                for one in outputs
+            ),
+            kinematics={key: callables.call_text(rate) for key, rate in rates.items()},
+            parameters=tuple(parameters),
+            step=step,
+            integrator=integrator,
+            functions=(*rates.values(), *seen.values()),
+        )
 
     # -- new models from old -------------------------------------------------------
 

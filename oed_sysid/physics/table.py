@@ -32,6 +32,8 @@ from oed_sysid.text import notation
 
 SNAME = "SNAME (1950), Technical and Research Bulletin 1-5."
 ABKOWITZ = "Abkowitz (1964), Lectures on ship hydrodynamics, report Hy-5, Lyngby."
+#: Source of a term that fits and is no physics with a name.
+POLYNOMIAL = "Taylor series: no physics of its own."
 
 #: Velocities through the water; pass ``symbols={}`` where a model has none.
 THROUGH_WATER: Mapping[str, str] = {"u": "u_r", "v": "v_r", "w": "w_r"}

@@ -57,7 +57,7 @@ def draw(fit: Fit, n_draws: int, rng: np.random.Generator) -> np.ndarray:
     ModelError
         If the fit does not determine a parameter.
     """
-    sampled = fit.extras.get("draws")
+    sampled = {} if fit.posterior is None else fit.posterior.draws
     if sampled and set(fit.names) <= set(sampled):
         flat = np.column_stack([np.ravel(sampled[name]) for name in fit.names])
         shared = flat[rng.choice(len(flat), min(n_draws, len(flat)), replace=False)]

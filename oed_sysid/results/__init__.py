@@ -6,6 +6,7 @@ figure, and returns them; nothing is shown and no global setting is touched.
 one file: the document of the result with its figures drawn.
 """
 
+from oed_sysid.results.benchmark_plots import figure_benchmark
 from oed_sysid.results.design_plots import (
     figure_card,
     figure_design,
@@ -79,6 +80,7 @@ __all__ = [
     "programme_page",
     "figure_programme",
     "diagnosis_page",
+    "figure_benchmark",
     "figure_card",
     "figure_check",
     "figure_design",

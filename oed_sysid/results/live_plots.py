@@ -288,15 +288,13 @@ def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
     DataError
         If the fit was made from one start only.
     """
-    extras = result.extras
-    if "log_likelihoods" not in extras or "converged" not in extras:
+    attempts = result.attempts
+    if attempts is None:
         raise DataError(
             f"The fit by {result.estimator!r} holds no starts. Make it with "
             "Multistart(estimator, n_starts=20).fit(model, dataset) of oed_sysid.likelihood."
         )
-    likelihoods = np.asarray(extras["log_likelihoods"], dtype=float)
-    objectives = np.asarray(extras.get("objectives", -2.0 * likelihoods), dtype=float)
-    converged = np.asarray(extras["converged"], dtype=bool)
+    objectives, converged = attempts.objectives, attempts.converged
     order = np.argsort(np.where(np.isfinite(objectives), objectives, np.inf), kind="stable")
     objectives, converged = objectives[order], converged[order]
     ax = new_axes(ax)

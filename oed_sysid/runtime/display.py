@@ -156,6 +156,19 @@ def align(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> list[str
     ]
 
 
+# Characters that LaTeX reads as commands, and what writes them.
+_TEX = {one: f"\\{one}" for one in "&%$#_{}"} | {
+    "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+    "±": r"$\pm$", "×": r"$\times$", "−": "$-$", "≤": r"$\le$", "≥": r"$\ge$", "°": r"$^\circ$",
+    "<": "$<$", ">": "$>$",
+}  # fmt: skip
+
+
+def _tex(text: str) -> str:
+    """Text as LaTeX prints it."""
+    return "".join(_TEX.get(letter, letter) for letter in text)
+
+
 # -- documents -------------------------------------------------------------------------
 
 
@@ -184,6 +197,25 @@ class Table:
         """Return the table as aligned lines of text."""
         return align([self.headers, *self.rows], left=(0, *self.words))
 
+    def latex(self) -> str:
+        r"""Return the table as LaTeX, with the rules of the package booktabs.
+
+        Examples
+        --------
+        >>> print(Table(("name", "share"), [("Z_w", "3 %")]).latex())
+        \begin{tabular}{lr}
+        \toprule
+        name & share \\
+        \midrule
+        Z\_w & 3 \% \\
+        \bottomrule
+        \end{tabular}
+        """
+        flush = "".join("l" if i in (0, *self.words) else "r" for i in range(len(self.headers)))
+        head, *rows = (" & ".join(map(_tex, row)) + r" \\" for row in (self.headers, *self.rows))
+        inner = [r"\toprule", head, r"\midrule", *rows, r"\bottomrule"]
+        return "\n".join([rf"\begin{{tabular}}{{{flush}}}", *inner, r"\end{tabular}"])
+
 
 @dataclass(frozen=True, eq=False)
 class Figure:
@@ -200,8 +232,8 @@ class Figure:
         What is to be seen and how to read it.
     arguments : tuple
     options : mapping
-    size : (float, float)
-        Of a ``plot_x``, inches.
+    size : (float, float), optional
+        Of a ``plot_x``, inches; None leaves it to the plot.
     """
 
     name: str
@@ -209,7 +241,7 @@ class Figure:
     caption: str
     arguments: tuple[Any, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
-    size: tuple[float, float] = (7.6, 3.8)
+    size: tuple[float, float] | None = (7.6, 3.8)
 
 
 @dataclass(frozen=True)
@@ -318,6 +350,14 @@ class Report:
         parts += [one.lines() for one in self.sections if one.only != "page"]
         parts.append(list(self.verdict))
         return "\n".join(line for part in filter(None, parts) for line in ["", *part]).lstrip("\n")
+
+    def latex(self) -> str:
+        """Return the tables of the document as LaTeX, each below a comment with its heading."""
+        return "\n\n".join(
+            f"% {part.caption or one.title or self.title}\n{part.latex()}"
+            for one in self.sections
+            for part in one.tables
+        )
 
     def html(self) -> str:
         """Return the document as a page of HTML that refers to nothing outside itself."""

@@ -9,8 +9,9 @@ compared, stored and read back without executing anybody's code.
 
 from __future__ import annotations
 
+import hashlib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -121,6 +122,17 @@ class Function:
         object.__setattr__(self, "definition", _recorded(self.name, symbols, result))
         object.__setattr__(self, "arguments", arguments)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Functions of CasADi that are called go along to another process."""
+        digests = [step.split()[1] for step in str(self.definition).split("; ") if "=call " in step]
+        return self.__dict__ | {"called": {one: _CALLED[one].serialize() for one in digests}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for digest, text in state.pop("called", {}).items():
+            if digest not in _CALLED:
+                _CALLED[digest] = ca.Function.deserialize(text)
+        self.__dict__.update(state)
+
     def symbolic(self, *values: ca.SX) -> ca.SX:
         """Return the function of CasADi symbols."""
         return _rebuilt(str(self.definition), len(self.arguments))(*values)
@@ -151,27 +163,129 @@ def argument_names(name: str, definition: Callable[..., Any]) -> tuple[str, ...]
     return found
 
 
+def elements(
+    function: ca.Function, symbols: Mapping[str, Sequence[str]], results: Sequence[str]
+) -> dict[str, Function]:
+    """Elements of the first result of a function of columns, each of the scalars that it needs.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Its arguments are columns, named as the ``symbols`` or in their order.
+    symbols : mapping of str to sequence of str
+        Names of the elements of each column.
+    results : sequence of str
+        Names of the elements of the result.
+    """
+    title, given = function.name(), function.name_in()
+    order = given if set(given) <= set(symbols) else list(symbols)[: len(given)]
+    columns = [[ca.SX.sym(name) for name in symbols[key]] for key in order]
+    sizes = [function.size_in(i) for i in range(function.n_in())]
+    if [size for size in sizes if 0 not in size] != [(len(one), 1) for one in columns if one]:
+        expected = ", ".join(f"{key} ({len(symbols[key])}, 1)" for key in symbols)
+        raise ModelError(
+            f"CasADi's function {title!r} has arguments of shapes {sizes}; expected "
+            f"columns, all or the first of {expected}."
+        )
+    if function.numel_out(0) != len(results):
+        raise ModelError(
+            f"CasADi's function {title!r} returns {function.numel_out(0)} numbers; expected "
+            f"{len(results)}, one for each of {', '.join(results)}."
+        )
+    try:
+        flat = function.expand()
+    except RuntimeError:
+        flat = function
+    found = ca.densify(ca.vec(flat.call([ca.vertcat(*one) for one in columns])[0]))
+    scalars = [one for column in columns for one in column]
+    elements = {}
+    for key, result in zip(results, ca.vertsplit(found), strict=True):
+        needed = [one for one in scalars if ca.depends_on(result, one)] or scalars[:1]
+        definition = ca.Function("f", needed, [result], {"allow_free": True})
+        elements[key] = Function(f"{title}_{key}", definition, tuple(one.name() for one in needed))
+    return elements
+
+
+def call_text(function: Function) -> str:
+    """Call of a function with its own arguments, as an expression."""
+    return f"{function.name}({', '.join(function.arguments)})"
+
+
 def _recorded(name: str, symbols: list[ca.SX], result: ca.SX) -> str:
-    """Operations of an expression, one after the other, as text."""
-    graph = ca.Function("f", symbols, [ca.densify(result)], {"cse": True})
-    steps = []
-    for k in range(graph.n_instructions()):
-        code, inputs = graph.instruction_id(k), graph.instruction_input(k)
-        outputs = graph.instruction_output(k)
-        if code == ca.OP_CONST:
-            steps.append(f"{outputs[0]}=const {graph.instruction_constant(k)!r}")
-        elif code == ca.OP_INPUT:
-            steps.append(f"{outputs[0]}=input {inputs[0]}")
-        elif code == ca.OP_OUTPUT:
-            steps.append(f"result {inputs[0]}")
-        elif code in OPERATION_WORDS:
-            steps.append(f"{outputs[0]}={OPERATION_WORDS[code]} {' '.join(map(str, inputs))}")
+    """Operations of an expression, operands before what is made of them, as text."""
+    place = {symbol.element_hash(): f"input {i}" for i, symbol in enumerate(symbols)}
+    root = ca.cse(ca.densify(result))
+    steps, done, waiting = list[str](), dict[int, int](), [root]
+    while waiting:
+        node = waiting[-1]
+        if (key := node.element_hash()) in done:
+            waiting.pop()
+            continue
+        # A result of a called function hangs on the call, whose operands are its arguments.
+        source = node.dep(0) if node.is_output() else node
+        operands = [source.dep(i) for i in range(source.n_dep())]
+        if missing := [one for one in operands if one.element_hash() not in done]:
+            waiting += missing
+            continue
+        if node.is_constant():
+            word = f"const {float(node)!r}"
+        elif node.is_symbolic():
+            if key not in place:
+                raise ModelError(f"Function {name!r} uses {node}, which is none of its arguments.")
+            word = place[key]
+        elif node.is_output():
+            word = f"call {_remembered(name, source.which_function())} {node.which_output()}"
+        elif node.op() in OPERATION_WORDS:
+            word = OPERATION_WORDS[node.op()]
         else:
             raise ModelError(
-                f"Function {name!r} uses CasADi's operation {code}, which a model cannot store. "
-                "Use elementary functions (no interpolants, integrators or external functions)."
+                f"Function {name!r} uses CasADi's operation {node.op()}, which a model cannot "
+                "store. Use elementary functions."
             )
-    return "; ".join(steps)
+        done[key] = len(steps)
+        numbers = "".join(f" {done[one.element_hash()]}" for one in operands)
+        steps.append(f"{len(steps)}={word}{numbers}")
+        waiting.pop()
+    return "; ".join([*steps, f"result {done[root.element_hash()]}"])
+
+
+# CasADi functions that recorded operations call: interpolants, integrators, external code.
+_CALLED: dict[str, ca.Function] = {}
+
+
+def _remembered(name: str, function: ca.Function) -> str:
+    """Digest under which a called CasADi function is known in this process.
+
+    It is never stored with a model: reading back a function of CasADi may load a library, and a
+    file must not run code.
+    """
+    try:
+        text = function.serialize()
+    except RuntimeError as error:
+        raise ModelError(
+            f"Function {name!r} calls CasADi's {function.name()!r}, which cannot be copied to "
+            f"other processes ({str(error).splitlines()[-1]}). Use functions that CasADi can "
+            "serialize, no callbacks of Python."
+        ) from None
+    digest = hashlib.sha256(text.encode()).hexdigest()[:24]
+    _CALLED[digest] = function
+    return digest
+
+
+def _called(digest: str, result: int, arguments: list[ca.SX]) -> ca.SX:
+    """One scalar result of a called CasADi function of scalar arguments."""
+    if digest not in _CALLED:
+        raise ModelError(
+            f"A function of CasADi with the digest {digest} belongs to this model and is not "
+            "stored with it. Build the model from its CasADi functions first "
+            "(oed_sysid.Model.from_casadi), then read what was saved."
+        )
+    function, parts, first = _CALLED[digest], list[ca.SX](), 0
+    for i in range(function.n_in()):
+        last = first + function.nnz_in(i)
+        parts.append(ca.SX(function.sparsity_in(i), ca.vertcat(*arguments[first:last])))
+        first = last
+    return ca.vertcat(*(part.nz[:] for part in function.call(parts)))[result]
 
 
 @lru_cache(maxsize=256)
@@ -191,8 +305,13 @@ def _rebuilt(text: str, n_arguments: int) -> ca.Function:
                 work[target] = ca.SX(float(operands[0]))
             elif word == "input":
                 work[target] = symbols[int(operands[0])]
+            elif word == "call":
+                digest, place, *indices = operands
+                work[target] = _called(digest, int(place), [work[i] for i in indices])
             else:
                 work[target] = ca.SX(_OPERATIONS[word][1](*(work[i] for i in operands)))
+    except ModelError:
+        raise
     except (KeyError, IndexError, ValueError, TypeError):
         result = None
     if result is None:

@@ -15,11 +15,14 @@ from __future__ import annotations
 import codecs
 import csv
 import io
+import os
 import re
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -241,8 +244,8 @@ LARGEST = 4 * 1024**3
 _CONTROL = dict.fromkeys((*range(9), *range(14, 32), 127))
 
 
-def lines_of(path: Path) -> list[tuple[int, str]]:
-    """Return the lines of a table with their numbers, the first being 1.
+def text_lines(path: Path) -> list[tuple[int, str]]:
+    """Return the lines of any text file with their numbers, the first being 1.
 
     Blank lines and lines that start with ``#`` are left out. Line ends of any
     system are understood, also mixed.
@@ -250,18 +253,12 @@ def lines_of(path: Path) -> list[tuple[int, str]]:
     Raises
     ------
     DataError
-        If the file is missing, cannot be read, or is no table.
+        If the file is missing, cannot be read, or is no text.
     """
-    lines = text_lines(path)
-    if lines and re.fullmatch(r"\"?sep=.\"?", lines[0][1].strip(), re.IGNORECASE):
-        del lines[0]  # a spreadsheet's own word for its delimiter
-    _check_kind(path, lines)
-    return lines
+    return _numbered(_text(path))
 
 
-def text_lines(path: Path) -> list[tuple[int, str]]:
-    """Return the lines of any text file with their numbers; see :func:`lines_of`."""
-    text = _text(path)
+def _numbered(text: str) -> list[tuple[int, str]]:
     return [
         (number, line)
         for number, line in enumerate(_split(text), start=1)
@@ -270,12 +267,12 @@ def text_lines(path: Path) -> list[tuple[int, str]]:
     ]
 
 
-def remark_before(path: Path, row: int) -> tuple[int, str] | None:
+def _remark_before(text: str, row: int) -> tuple[int, str] | None:
     """Number and text of the remark (``#``) right above a row; None if there is none."""
-    for number, line in reversed(list(enumerate(_split(_text(path))[: row - 1], start=1))):
+    for number, line in reversed(list(enumerate(_split(text)[: row - 1], start=1))):
         if line.strip():
-            text = line.lstrip()
-            return (number, text.lstrip("#").strip()) if text.startswith("#") else None
+            stripped = line.lstrip()
+            return (number, stripped.lstrip("#").strip()) if stripped.startswith("#") else None
     return None
 
 
@@ -309,7 +306,8 @@ def _split(text: str) -> list[str]:
     return re.split(r"\r\n|\n|\r", text) if "\r" in text else text.split("\n")
 
 
-def _text(path: Path) -> str:
+def _check_file(path: Path) -> None:
+    """Refuse what is no file that can be read."""
     if "\0" in str(path) or not path.exists():
         raise DataError(f"There is no file {str(path)!r}. Check the path.")
     if path.is_dir():
@@ -318,12 +316,22 @@ def _text(path: Path) -> str:
         raise DataError(
             f"{str(path)!r} is a device or a pipe, not a file. Copy it to a file first."
         )
+    if path.stat().st_size > LARGEST:
+        raise DataError(f"{path.name} has more than {LARGEST >> 30} GB. Cut it into parts.")
+
+
+def _text(path: Path) -> str:
+    """Text of a file, all of it."""
+    _check_file(path)
     try:
-        if path.stat().st_size > LARGEST:
-            raise DataError(f"{path.name} has more than {LARGEST >> 30} GB. Cut it into parts.")
         content = path.read_bytes()
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror or error}.") from None
+    return _decoded(path, content)
+
+
+def _decoded(path: Path, content: bytes) -> str:
+    """Text of the bytes of a file, in the encoding that they are in."""
     for start, what, advice in _KINDS:
         if content.startswith(start):
             raise DataError(f"{path.name} is {what}, not a table. {advice}.")
@@ -430,20 +438,16 @@ def read_table(path: Path, *, columns_of_text: bool = False) -> Table:
         If the file is missing, has no rows, or has a cell that is not a number;
         the message names row and column.
     """
-    numbered = _titled(path, lines_of(path))
-    header_line = numbered[0][1]
-    delimiter = max(_DELIMITERS, key=header_line.count)
-    headers = [cell.strip() for cell in _cells(header_line, delimiter)]
-    lines = [line for _, line in numbered[1:]]
-    numbers = [number for number, _ in numbered[1:]]
-    if len(headers) > 1 and headers[-1] == "" and all(li.endswith(delimiter) for li in lines):
-        headers, lines = headers[:-1], [line[: -len(delimiter)] for line in lines]
-    _check_layout(path, header_line, delimiter, lines)
-    _check_headers(path, headers)
-    _check_second_line(path, headers, _cells(lines[0], delimiter))
-    values = _quick_values(lines, delimiter, len(headers))
-    if values is not None:
-        return Table(path, tuple(headers), values, np.array(numbers))
+    _check_file(path)
+    quick = _quick(path, columns_of_text)
+    return _cell_by_cell(path, columns_of_text) if quick is None else quick
+
+
+def _cell_by_cell(path: Path, columns_of_text: bool) -> Table:
+    """Read the table so that whatever is wrong is named with its row and column."""
+    headers, delimiter, closed, rows_of_text = _layout(path, _text(path))
+    lines = [line[: -len(delimiter)] if closed else line for _, line in rows_of_text]
+    numbers = [number for number, _ in rows_of_text]
     rows = _rows(path, lines, numbers, delimiter, headers)
     table = Table(
         path, tuple(headers), np.full((len(rows), len(headers)), np.nan), np.array(numbers)
@@ -464,10 +468,29 @@ def read_table(path: Path, *, columns_of_text: bool = False) -> Table:
     return table
 
 
-def _titled(path: Path, numbered: list[tuple[int, str]]) -> list[tuple[int, str]]:
+def _layout(path: Path, text: str) -> tuple[list[str], str, bool, list[tuple[int, str]]]:
+    """Headers, delimiter, whether rows end on one too, and the rows with their line numbers."""
+    numbered = _titled(path, text)
+    header_line, rows = numbered[0][1], numbered[1:]
+    delimiter = max(_DELIMITERS, key=header_line.count)
+    headers = [cell.strip() for cell in _cells(header_line, delimiter)]
+    closed = len(headers) > 1 and not headers[-1] and all(li.endswith(delimiter) for _, li in rows)
+    headers = headers[:-1] if closed else headers
+    first = rows[0][1][: -len(delimiter)] if closed else rows[0][1]
+    _check_layout(path, header_line, delimiter, first)
+    _check_headers(path, headers)
+    _check_second_line(path, headers, _cells(first, delimiter))
+    return headers, delimiter, closed, rows
+
+
+def _titled(path: Path, text: str) -> list[tuple[int, str]]:
     """Lines with their numbers, a header first, be it a remark, and rows below it."""
+    numbered = _numbered(text)
+    if numbered and re.fullmatch(r"\"?sep=.\"?", numbered[0][1].strip(), re.IGNORECASE):
+        del numbered[0]  # a spreadsheet's own word for its delimiter
+    _check_kind(path, numbered)
     if numbered and _is_numbers(numbered[0][1]):
-        title = remark_before(path, numbered[0][0])
+        title = _remark_before(text, numbered[0][0])
         if title is not None and _is_title(title[1], numbered[0][1]):
             numbered = [title, *numbered]
     if len(numbered) < 2:
@@ -524,9 +547,8 @@ def _cells(line: str, delimiter: str) -> list[str]:
         return line.split(delimiter)
 
 
-def _check_layout(path: Path, header: str, delimiter: str, lines: list[str]) -> None:
+def _check_layout(path: Path, header: str, delimiter: str, first: str) -> None:
     """Refuse what is laid out in another way than a header and rows with one delimiter."""
-    first = lines[0]
     if header.count('"') % 2:
         raise DataError(
             f"A quotation mark in the header of {path.name} is not closed in its line. Write the "
@@ -625,24 +647,6 @@ def _unit(word: str) -> bool:
     return True
 
 
-def _quick_values(lines: list[str], delimiter: str, n_columns: int) -> np.ndarray | None:
-    """Parse in one go; return ``None`` if anything at all is unusual."""
-    if any(line.count(delimiter) != n_columns - 1 for line in lines):
-        return None
-    body = delimiter.join(lines)
-    if "_" in body or not body.isascii():
-        return None
-    if delimiter != "," and "," in body:
-        if "." in body:
-            return None
-        body = body.replace(",", ".")
-    try:
-        values = [float(cell) if cell.strip() else np.nan for cell in body.split(delimiter)]
-    except ValueError:
-        return None
-    return np.array(values).reshape(len(lines), n_columns)
-
-
 def _rows(
     path: Path, lines: list[str], numbers: list[int], delimiter: str, headers: list[str]
 ) -> list[list[str]]:
@@ -721,3 +725,166 @@ def _stamps(path: Path, header: str, cells: Sequence[str], numbers: list[int]) -
             )
         values[index] = found[0]
     return np.round(values - values[0], 6)
+
+
+# -- good files, in blocks ---------------------------------------------------------------
+
+
+_HEAD, _BLOCK = 1 << 16, 1 << 22  # bytes read for the header, and parsed at once
+_BLANK = re.compile(rb"(?<![^,])[ \t\v\f]+(?![^,])")
+_WORDS = re.compile(
+    rb"(?i)(?<![^,])[ \t]*(?:%s)[ \t]*(?![^,])"
+    % b"|".join(re.escape(word).encode() for word in sorted(MISSING - {""}))
+)
+
+
+def _quick(path: Path, columns_of_text: bool) -> Table | None:
+    """Read a table by NumPy's parser, block after block; None where anything is unusual.
+
+    Nearly all files consist of lines with equal numbers of cells, each a number or nothing.
+    Columns that begin with a time or a text are cut out of the bytes before.
+    """
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD)
+            head = head[: head.rfind(b"\n") + 1]
+            if b"\r" in head.replace(b"\r\n", b""):
+                return None
+            headers, delimiter, closed, rows = _layout(path, _decoded(path, head))
+            row, cells = rows[0][0], _cells(rows[0][1], delimiter)
+            kinds = [_kind(cell, delimiter) for cell in cells[: len(headers)]]
+            if len(cells) != len(headers) + closed or ("t" in kinds and not columns_of_text):
+                return None
+            body = sum(len(line) + 1 for line in head.split(b"\n")[: row - 1])
+            lines = _Lines(delimiter.encode(), kinds, closed)
+            parts = [lines.parsed(block) for block in _blocks(stream, body)]
+    except (DataError, OSError, ValueError, DeprecationWarning):
+        return None
+    numeric = [index for index, kind in enumerate(kinds) if kind == "n"]
+    n_rows = sum(len(numbers) for numbers, _ in parts)
+    values = np.full((len(headers), n_rows), np.nan).T  # every column in one piece of memory
+    end = 0
+    for numbers, _ in parts:
+        start, end = end, end + len(numbers)
+        values[start:end, numeric] = numbers
+    table = Table(path, tuple(headers), values, np.arange(row, row + n_rows))
+    for index, kind in enumerate(kinds):
+        if kind == "s":
+            seconds = np.concatenate([times[index] for _, times in parts])
+            values[:, index] = np.round(seconds - seconds[0], 6)
+            table.stamps[index] = cells[index].strip()
+        elif kind == "t":
+            table.faults[index] = (
+                f"Row {row} of {path.name}, column {headers[index]!r}: {complaint(cells[index])}"
+            )
+    return table
+
+
+def _kind(cell: str, delimiter: str) -> str:
+    """``n`` for a number or nothing, ``s`` for a time, ``t`` for a text."""
+    if time_stamp(cell) is not None:
+        return "s"
+    return "t" if number(cell, comma=delimiter != ",") is None else "n"
+
+
+def _blocks(stream: BinaryIO, start: int) -> Iterator[bytes]:
+    """Whole lines, some megabytes of them at a time, without the line end of the last."""
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(max(size - _HEAD, start))
+    left = size - start - len(tail := stream.read()) + len(tail.rstrip(b"\r\n"))
+    stream.seek(start)
+    rest = b""
+    while left > 0 and (more := stream.read(min(_BLOCK, left))):
+        left -= len(more)
+        block = rest + more
+        cut = block.rfind(b"\n") if left else len(block)
+        if cut >= 0:
+            yield block[:cut]
+        rest = block[cut + 1 :]
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """How the lines of a good file are laid out: delimiter, and what each column holds."""
+
+    delimiter: bytes
+    kinds: Sequence[str]  # n numbers, s times, t text
+    closed: bool  # with a delimiter behind the last cell
+
+    def parsed(self, block: bytes) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+        """Numbers of all lines, shape ``(n_lines, n_numeric)``, and seconds of columns of times.
+
+        Raises
+        ------
+        ValueError, DeprecationWarning
+            If anything is unusual: a quotation mark, another number of cells, no number.
+        """
+        if b"\r" in block:
+            block = block.replace(b"\r\n", b"\n")
+        if any(mark in block for mark in (b'"', b"\r", b"#")):
+            raise ValueError
+        code = np.frombuffer(block, np.uint8)
+        marks = np.flatnonzero((code == self.delimiter[0]) | (code == ord("\n")))
+        ends = np.append(marks, code.size).reshape(-1, len(self.kinds) + self.closed)
+        if np.any(code[ends[:-1, -1]] != ord("\n")) or block.count(b"\n") != len(ends) - 1:
+            raise ValueError
+        block, seconds = self._cut(block, ends)
+        values = _floats(self._plain(block)).reshape(len(ends), -1)
+        if values.shape[1] != self.kinds.count("n") or np.isnan(values).all(axis=1).any():
+            raise ValueError
+        return values, seconds
+
+    def _cut(self, block: bytes, ends: np.ndarray) -> tuple[bytes, dict[int, np.ndarray]]:
+        """The bytes without the columns that hold no numbers, and the times among these."""
+        apart = [index for index, kind in enumerate(self.kinds) if kind != "n"]
+        apart += [len(self.kinds)] if self.closed else []
+        if not apart:
+            return block, {}
+        starts = np.append(0, ends.ravel()[:-1] + 1).reshape(ends.shape)
+        change, seconds = np.zeros(len(block) + 2, np.int8), {}
+        for index in apart:
+            first, last = starts[:, index], ends[:, index]
+            if index == len(self.kinds) and np.any(first != last):
+                raise ValueError
+            if index < len(self.kinds) and self.kinds[index] == "s":
+                cells = zip(first.tolist(), last.tolist(), strict=True)
+                seconds[index] = _seconds([block[a:b].decode() for a, b in cells])
+            # With the delimiter before it, or behind it where no number stands before.
+            before = "n" in self.kinds[:index]
+            change[first - before] += 1
+            change[last + 1 - before] -= 1
+        keep = np.cumsum(change[: len(block)], dtype=np.int8) == 0
+        return np.frombuffer(block, np.uint8)[keep].tobytes(), seconds
+
+    def _plain(self, block: bytes) -> bytes:
+        """All numbers with commas between them and decimal points."""
+        if self.delimiter != b"," and b"," in block:
+            if b"." in block:
+                raise ValueError
+            return block.translate(bytes.maketrans(b"," + self.delimiter + b"\n", b".,,"))
+        return block.translate(bytes.maketrans(self.delimiter + b"\n", b",,"))
+
+
+def _floats(body: bytes) -> np.ndarray:
+    """Numbers between commas; nothing, and the words for nothing, are NaN."""
+    # Cells of blanks alone: NumPy would read the -1 by which its parser says that there is none.
+    if any(blank in body for blank in (b" ", b"\t", b"\v", b"\f")):
+        body = _BLANK.sub(b"", body)
+    if b",," in body or body.startswith(b",") or body.endswith(b","):
+        body = b",%s," % body
+        body = body.replace(b",,", b",nan,").replace(b",,", b",nan,")[1:-1]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            return np.fromstring(body, sep=" ,")
+        except (ValueError, DeprecationWarning):
+            return np.fromstring(_WORDS.sub(b"nan", body), sep=" ,")
+
+
+def _seconds(cells: list[str]) -> np.ndarray:
+    """Seconds of times that are all in the form of the first."""
+    found = [time_stamp(cell) for cell in cells]
+    forms = {None if one is None else one[1] for one in found}
+    if len(forms) != 1 or None in forms:
+        raise ValueError
+    return np.array([one[0] for one in found if one is not None])

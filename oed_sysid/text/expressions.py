@@ -346,8 +346,10 @@ def check(
         near = difflib.get_close_matches(name, sorted(known), n=3)
         hint = f" Did you mean {' or '.join(near)}?" if near else ""
         raise ModelError(
-            f"{where}: expression {expression!r} uses the unknown name {name!r}.{hint} "
-            f"Known here: {', '.join(sorted(known))}."
+            f"{where}: expression {expression!r} uses the unknown name {name!r}.{hint} Declare it "
+            f'where it belongs: a constant or coefficient as Parameter("{name}", value, "unit"), a '
+            f'logged command as Input("{name}", "unit"), an intermediate result as signals='
+            f'{{"{name}": "..."}}. Known here: {", ".join(sorted(known))}.'
         )
     check_calls(expression, where=where, tables=tables)
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
@@ -195,6 +196,8 @@ def _parse_text(unit: str) -> _Unit:
     if text in OFFSETS:
         factor, symbol = UNITS[text]
         return _Unit(factor, ((symbol, Fraction(1)),), OFFSETS[text])
+    if re.search(r"\w[%°]|[%°]\w", text):
+        raise _unknown(text, unit)  # "deg%": parts of a product have a mark or a space between
     tokens: list[str] = []
     position = 0
     while position < len(text):
@@ -307,10 +310,44 @@ def _unknown(part: str, unit: str) -> DataError:
     if meant is None and not part.isascii() and "°" in unit:
         meant = "deg"  # a degree sign read in the wrong encoding, such as Â°
     hint = f" Did you mean {meant!r}?" if meant else ""
+    if not part.isascii() and latin(part) in UNITS:
+        hint = f" It is not {latin(part)!r}: {foreign(part)}."
     return DataError(
         f"Unknown unit {part!r} in [{unit}].{hint} Accepted are {accepted}, "
         "and products such as 'kg m^2/s^2' or '1/s'."
     )
+
+
+# Letters of Cyrillic and Greek that look like those of Latin.
+_LOOKS = str.maketrans(
+    "аеорсухіјѕԁԛԝһкгвмнтАВЕКМНОРСТУХІЈЅοΑΒΕΖΗΙΚΜΝΟΡΤΥΧ",
+    "aeopcyxijsdqwhkrbmhtABEKMHOPCTYXIJSoABEZHIKMNOPTYX",
+)
+
+
+def latin(text: str) -> str:
+    """The text in the letters that it looks like, Greek letters by their names.
+
+    >>> latin("\u0440si"), latin("\u03c8"), latin("delta_\u0430")
+    ('psi', 'psi', 'delta_a')
+    """
+    if text.isascii():
+        return text
+    named = (unicodedata.name(letter, "").split() for letter in text.translate(_LOOKS))
+    return "".join(
+        words[-1].lower() if words[:1] == ["GREEK"] else letter
+        for letter, words in zip(text.translate(_LOOKS), named, strict=True)
+    )
+
+
+def foreign(text: str) -> str:
+    """Say which letter of a text is none of the keyboard's.
+
+    >>> foreign("\u0440si")
+    "its 'р' is the letter CYRILLIC SMALL LETTER ER"
+    """
+    letter = next(letter for letter in text if not letter.isascii())
+    return f"its {letter!r} is the letter {unicodedata.name(letter, 'without a name')}"
 
 
 # What people write for units, in small letters.

@@ -182,7 +182,7 @@ def main(arguments: list[str] | None = None) -> None:
             f"{fit.values[name]:9.2f} ±{1.96 * fit.std_errors[name]:7.2f}"
             for fit in (gibbs, shooting)
         ]
-        facts = gibbs.extras["r_hat"][name], gibbs.extras["effective_draws"][name]
+        facts = gibbs.posterior.r_hat[name], gibbs.posterior.effective_draws[name]
         print(f"{name:12}{truth:9.2f}{cells[0]:>18}{facts[0]:7.3f}{facts[1]:7.0f}{cells[1]:>18}")
     off = apart(gibbs, closed)
     print("(± is the 95 % interval)")

@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.documents.page import Numbers
 from benchmarks.documents.published.papers import paper
 from oed_sysid.baselines import EquationError, GibbsRegression
+from oed_sysid.likelihood.estimate import Posterior
 from oed_sysid.likelihood.fit import Fit
 
 SEEDS = 20  # realisations for the coverage
@@ -17,6 +18,12 @@ LEVELS = (0.02, 0.1, 0.3)
 STARTS = 3  # realisations of multiple shooting from afar
 KINDS = ("exact", "simpson", "local", "shooting")  # data and method, in the paper's order
 DRAWS = {"coordinate": 3000, "joint": 2000}  # draws kept of each of four chains
+
+
+def drawn(fit: Fit) -> Posterior:
+    """The draws of a sampler, which it has."""
+    assert fit.posterior is not None
+    return fit.posterior
 
 
 def derivatives() -> Numbers:
@@ -40,8 +47,8 @@ def derivatives() -> Numbers:
         "chains": {
             draw: {
                 "draws": DRAWS[draw],
-                "r_hat": max(fit.extras["r_hat"].values()),
-                "worth": min(fit.extras["effective_draws"].values()),
+                "r_hat": max(drawn(fit).r_hat.values()),
+                "worth": min(drawn(fit).effective_draws.values()),
                 "code": fit.status.code,
             }
             for draw, fit in chains.items()

@@ -1,0 +1,213 @@
+r"""One claim, which anybody can recompute: a statistic, a threshold, and whole runs.
+
+A candidate set that moves the fit of the training records :math:`t` and the prediction of the
+validation records :math:`v` is worth
+
+.. math::
+    T = \underbrace{2 \ln L_1(y_t) - 2 \ln L_0(y_t)}_\text{training}
+      + \underbrace{2 \ln p_1(y_v | y_t) - 2 \ln p_0(y_v | y_t)}_\text{validation}
+
+with 0 before and 1 after, each at its own optimum; what the training records say of the parameters
+is the prior of the validation records (:mod:`oed_sysid.evidence.study`). It is claimed where
+
+1. :math:`T > \chi^{2,-1}_k(1 - \alpha / m)`, with :math:`k` freedoms and :math:`m` candidates left
+   (Bonferroni; a periodic force counts the frequencies that the records tell apart);
+2. the error of the model on its own over whole validation records is finite and does not rise;
+3. no amplitude ends at a bound.
+
+Of several the largest excess :math:`T - \chi^{2,-1}` leads, and those within the error of their
+difference are one group. What is in the model is asked the same question the other way round: what
+costs less than its threshold to leave out goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri
+
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.evidence.study import Study, total_error
+from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.physics import Effect
+from oed_sysid.runtime.display import as_dict
+
+# Probability that a search over records without missing physics claims something (alpha).
+FALSE_CLAIMS = 0.01
+# Information: twice the logarithm of odds of 20 to 1, within which two statistics are the same.
+GROUP_WIDTH = 6.0
+# Error of whole validation runs, over that before, that is no rise: arithmetic and parameters a
+# little off; and where process noise acts, under which the runs of the better model wander too.
+RISE, RISE_DISTURBED = 1.02, 1.25
+# Share of a bound's range within which a value is at it: arithmetic.
+AT_BOUND = 1e-4
+
+
+def threshold(
+    n_candidates: int, freedom: int, share: float = FALSE_CLAIMS, *, trials: float = 1.0
+) -> float:
+    """Likelihood-ratio statistic that chance exceeds rarely, however many candidates.
+
+    ``trials`` counts the frequencies of which a candidate takes the best.
+
+    Examples
+    --------
+    >>> round(threshold(40, 1), 1)
+    13.4
+    """
+    return float(chdtri(freedom, share / (max(n_candidates, 1) * max(trials, 1.0))))
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One decision with every term of it.
+
+    Attributes
+    ----------
+    name : str
+        What was asked: an effect, or several joined by ``" + "``.
+    training : float
+        Likelihood-ratio statistic on the training records.
+    validation : float
+        The same of the prediction of the validation records; NaN without any.
+    needed : float
+        Threshold.
+    before, after : float
+        Errors of whole validation runs, in units of the noise; NaN without any.
+    allowed : float
+        Ratio of the two that is no rise.
+    bounds : tuple of str
+        Amplitudes that end at a bound.
+    """
+
+    name: str
+    training: float
+    validation: float
+    needed: float
+    before: float = np.nan
+    after: float = np.nan
+    allowed: float = RISE
+    bounds: tuple[str, ...] = ()
+
+    @property
+    def statistic(self) -> float:
+        """The statistic T."""
+        return self.training + (0.0 if np.isnan(self.validation) else self.validation)
+
+    @property
+    def excess(self) -> float:
+        """What T has beyond the threshold."""
+        return self.statistic - self.needed
+
+    @property
+    def rises(self) -> bool:
+        """Whether whole validation runs get worse, or end."""
+        if np.isnan(self.before) and np.isnan(self.after):
+            return False
+        return not self.after <= self.allowed * self.before
+
+    @property
+    def stands(self) -> bool:
+        """Whether it is claimed."""
+        return self.excess > 0.0 and not self.rises and not self.bounds
+
+    @property
+    def decision(self) -> str:
+        """The decision in words."""
+        if not self.excess > 0.0:
+            return "T below threshold"
+        if self.bounds:
+            return f"at its bound ({', '.join(self.bounds)})"
+        return "whole runs get worse" if self.rises else "stands"
+
+    to_dict = as_dict(
+        "name", "training", "validation", "statistic", "needed", "before", "after", "decision"
+    )
+
+
+def claim(
+    study: Study,
+    before: FilteredSolution,
+    after: FilteredSolution,
+    effects: Sequence[Effect],
+    needed: float,
+) -> Claim:
+    """Ask whether effects are to be claimed.
+
+    Parameters
+    ----------
+    study : Study
+    before, after : FilteredSolution
+        Without and with them, each estimated on the training records.
+    effects : sequence of Effect
+        What is asked.
+    needed : float
+        Threshold.
+    """
+    name = " + ".join(effect.name for effect in effects)
+    training = before.objective - after.objective
+    bounds = at_bounds(after, effects)
+    if study.validation is None:
+        return Claim(name, training, np.nan, needed, bounds=bounds)
+    validation = difference(study.validate(before), study.validate(after))
+    old, new = (own_error(study, fit, study.validation) for fit in (before, after))
+    return Claim(name, training, validation, needed, old, new, allowed_rise(after), bounds)
+
+
+def at_bounds(fit: FilteredSolution, effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Amplitudes that end at a bound other than nothing."""
+    found, own = [], {name for effect in effects for name in effect.amplitude_names}
+    for parameter in fit.problem.model.free_parameters:
+        if parameter.name not in own:
+            continue
+        values = [fit.values[parameter.name], *(part.get(parameter.name) for part in fit.local)]
+        bounds = [b for b in (parameter.lower, parameter.upper) if b and np.isfinite(b)]
+        if any(
+            abs(value - bound) <= AT_BOUND * abs(bound)
+            for bound in bounds
+            for value in values
+            if value is not None
+        ):
+            found.append(parameter.name)
+    return tuple(found)
+
+
+def difference(before: float, after: float) -> float:
+    """Statistic of a model over another, either of which may not run at all."""
+    if not np.isfinite(after):
+        return -np.inf
+    return before - after if np.isfinite(before) else np.inf
+
+
+def allowed_rise(fit: FilteredSolution) -> float:
+    """Ratio of whole-run errors that is no rise."""
+    return RISE_DISTURBED if fit.noise.has_forces else RISE
+
+
+def rises(study: Study, before: FilteredSolution, after: FilteredSolution) -> bool:
+    """Whether the error of whole validation runs rises or is infinite; never without any."""
+    if study.validation is None:
+        return False
+    old, new = (own_error(study, fit, study.validation) for fit in (before, after))
+    return not new <= allowed_rise(after) * old
+
+
+def own_error(study: Study, found: FilteredSolution, dataset: Dataset) -> float:
+    """Error over all outputs of the model on its own on records, in units of the noise."""
+    return total_error(study.rms(found, dataset) / study.setting.white)
+
+
+def leader(claims: Sequence[Claim], named: Sequence[str]) -> Claim | None:
+    """The claim that stands with the largest excess; of a group, one that is physics with a name.
+
+    Parameters
+    ----------
+    claims : sequence of Claim
+    named : sequence of str
+        Which of them are named effects and no polynomials.
+    """
+    standing = sorted((one for one in claims if one.stands), key=lambda one: -one.excess)
+    close = [one for one in standing if standing[0].excess - one.excess < GROUP_WIDTH]
+    return next((one for one in close if one.name in named), next(iter(close), None))

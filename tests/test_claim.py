@@ -1,0 +1,151 @@
+"""The one claim: its statistic, its threshold, whole runs, bounds, groups."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
+
+from oed_sysid import Force, Parameter, improve
+from oed_sysid.evidence.claim import (
+    FALSE_CLAIMS,
+    GROUP_WIDTH,
+    RISE,
+    RISE_DISTURBED,
+    Claim,
+    at_bounds,
+    claim,
+    leader,
+    threshold,
+)
+from oed_sysid.evidence.rank import rank
+from oed_sysid.evidence.study import Study
+
+BIASED = Force("push", {"r": "E_push"}, (Parameter("E_push", 0.0, "rad/s^2", scale=0.01),))
+
+
+@pytest.mark.parametrize(("count", "freedom", "trials"), [(1, 1, 1.0), (40, 2, 1.0), (40, 3, 25.0)])
+def test_threshold_is_the_quantile_for_all_that_was_tried(
+    count: int, freedom: int, trials: float
+) -> None:
+    """Chance exceeds it in one of a hundred searches: checked with SciPy's quantile."""
+    expected = chi2.isf(FALSE_CLAIMS / (count * trials), freedom)
+    assert threshold(count, freedom, trials=trials) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("training", "validation", "after", "bounds", "decision"),
+    [
+        (18.1, 1.1, 1.0, (), "stands"),  # validation runs that hardly move need not gain
+        (18.1, np.nan, np.nan, (), "stands"),
+        (12.0, 1.0, 1.0, (), "T below threshold"),
+        (20.0, -9.0, 1.0, (), "T below threshold"),
+        (90.0, 80.0, 1.03, (), "whole runs get worse"),
+        (90.0, 80.0, np.inf, (), "whole runs get worse"),
+        (90.0, 80.0, 0.5, ("E_x",), "at its bound (E_x)"),
+    ],
+)
+def test_decision_needs_all_three_conditions(
+    training: float, validation: float, after: float, bounds: tuple[str, ...], decision: str
+) -> None:
+    """The total statistic, whole runs that do not rise, and a size inside its bounds."""
+    before = np.nan if np.isnan(after) else 1.0
+    one = Claim("x", training, validation, threshold(40, 1), before, after, RISE, bounds)
+    assert one.decision == decision
+    assert one.stands == (decision == "stands")
+
+
+def test_statistic_of_a_search_is_that_of_its_fits() -> None:
+    """Both terms come again from the two fits, and the report prints every decision."""
+    train, test = dataset(11, -15.0), dataset(12, -15.0)
+    found = improve(SHIP, train, test, candidates=CANDIDATES)
+    step, one = found.steps[0], found.decisions[0]
+    assert one.name == "cubic_damping"
+    assert (step.gain, step.test_gain, step.needed) == (one.training, one.validation, one.needed)
+    training = 2.0 * (found.fit.log_likelihood - found.base_fit.log_likelihood)
+    assert step.gain == pytest.approx(training, abs=0.5)
+    text = found.report()
+    for number in (one.training, one.validation, one.statistic, one.needed):
+        assert f"{number:.1f}" in text
+    assert "T below threshold" in text or len(found.decisions) == 1
+
+
+def test_prediction_of_validation_records_is_laplaces_approximation() -> None:
+    """On linear Gaussian records the statistic is the closed form of the predictive density."""
+    train, test = dataset(3), dataset(4)
+    study, base = Study.begin(SHIP, train, test, [BIASED], known_noise=True, disturbances="none")
+    found = study.estimate(study.candidates, base.values, base, max_iterations=25)
+    assert found is not None
+    one = claim(study, base, found, study.candidates, 10.0)
+    assert one.training == pytest.approx(base.objective - found.objective)
+    # An absent effect: validation records lose about what its uncertainty costs.
+    assert -10.0 < one.validation < 5.0
+    assert not one.stands
+
+
+def test_size_at_a_bound_is_no_claim_and_one_without_declared_bound_goes_on() -> None:
+    """A declared bound holds and is named; twenty typical sizes are no bound of the vehicle."""
+    train, test = dataset(11, -15.0), dataset(12, -15.0)
+    narrow = CUBIC.parameters[0].name
+    declared = Force(
+        "cubic_damping",
+        CUBIC.terms,
+        (Parameter(narrow, 0.0, "s/rad^2", -5.0, 5.0, scale=1.0),),
+    )
+    by_size = Force(
+        "cubic_damping",
+        CUBIC.terms,
+        (Parameter(narrow, 0.0, "s/rad^2", -2.0, 2.0, scale=0.1),),
+    )
+    held = improve(SHIP, train, test, candidates=[declared], terms=False)
+    assert not held.steps
+    assert any(one.decision == f"at its bound ({narrow})" for one in held.decisions)
+    freed = improve(SHIP, train, test, candidates=[by_size], terms=False)
+    assert [step.added for step in freed.steps] == ["cubic_damping"]
+    value, error = freed.fit.values[narrow], freed.fit.std_errors[narrow]
+    assert abs(value + 15.0) < 3.0 * error
+
+
+def test_whole_runs_may_wander_under_process_noise_only() -> None:
+    """A rise of a tenth is refused in calm water and allowed where forces act."""
+    sizes = (30.0, 20.0, 10.0, 1.0, 1.1)
+    assert not Claim("x", *sizes, allowed=RISE).stands
+    assert Claim("x", *sizes, allowed=RISE_DISTURBED).stands
+
+
+def test_named_physics_leads_its_group() -> None:
+    """Of two that are as likely the named one leads; a clearly likelier polynomial stays first."""
+    named, other = (Claim(n, t, 0.0, 13.0) for n, t in (("drag", 100.0), ("cubic", 104.0)))
+    far = Claim("cubic", 100.0 + 2.0 * GROUP_WIDTH, 0.0, 13.0)
+    assert leader([named, other], ["drag"]) is named
+    assert leader([named, far], ["drag"]) is far
+    assert leader([Claim("drag", 1.0, 0.0, 13.0)], ["drag"]) is None
+
+
+def test_zero_is_no_bound_of_an_amplitude_that_cannot_be_negative() -> None:
+    """An amplitude at nothing is absent, not at its bound."""
+    parameter = Parameter("E_lag", 0.0, "s", 0.0, 5.0, scale=0.25)
+    effect = SimpleNamespace(amplitude_names=("E_lag",))
+    for value, expected in ((0.0, ()), (2.0, ()), (5.0, ("E_lag",))):
+        fit = SimpleNamespace(
+            values={"E_lag": value},
+            local=[],
+            problem=SimpleNamespace(model=SimpleNamespace(free_parameters=(parameter,))),
+        )
+        assert at_bounds(fit, [effect]) == expected  # type: ignore[arg-type, list-item]
+
+
+def test_pair_that_hides_each_other_is_found_together() -> None:
+    """Where no single effect is worth a claim, two whose signatures oppose each other are."""
+    from oed_sysid.evidence.rank import pairs
+
+    train, test = dataset(11, -15.0), dataset(12, -15.0)
+    study, base = Study.begin(SHIP, train, test, CANDIDATES, known_noise=False)
+    ranking = rank(study, base, study.candidates)
+    found = pairs(study, base, ranking)
+    assert found
+    assert "cubic_damping" in found[0].name
+    assert found[0].gain > ranking.refits[0].gain - 0.5
