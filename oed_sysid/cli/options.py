@@ -326,6 +326,18 @@ ROWS = {
 "controller": Row(
         "What flies the run, feedback and abort rules included: ardupilot, ros2, moos or words.",
         "KIND=FILE..."),
+    "source": Row(
+        "A file that grows, - for standard input, udp://HOST:PORT (lines of CSV or NMEA 0183) or "
+        "mavlink://HOST:PORT.", "SOURCE"),
+    "period": Row("Between samples; by default that of the first experiment.", "S"),
+    "watch.duration": Row("Expected length of a run; by default the first experiment's.", "S"),
+    "band": Row("Frequencies that count; by default those of the motion.", "LOW:HIGH"),
+    "waves": Row("Frequencies left out, Hz.", "LOW:HIGH"),
+    "watch.goal": Row("Standard error that is enough.", "PERCENT"),
+    "places": Row(
+        "Where channels are in sentences and messages: psi=HDT.heading:deg.",
+        "CHANNEL=TOPIC.FIELD...", flag="--map"),
+    "silence": Row("The run is over after so long without a word.", "S"),
     "runs": Row("Largest number of runs.", "N", least=1, label="Most runs"),
     "hours": Row("Time for everything, h.", "H", label="Hours for everything"),
     "campaign.hours": Row("Time for the whole trial.", "H"),

@@ -30,7 +30,7 @@ from oed_sysid.likelihood.archive import encode
 from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.judgement import level_concerns
+from oed_sysid.likelihood.judgement import concerns_of
 from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
@@ -250,7 +250,7 @@ def _other_noise(fit: Fit) -> list[str]:
     slow = {n for n, level in zip(fit.noise.outputs, fit.noise.colour, strict=True) if level > 0}
     found = [
         concern
-        for concern in level_concerns(fit)
+        for concern in concerns_of(fit, "noise_level")
         # Where some of it is slow, its white part is no level of the sensor.
         if concern.signal not in slow and not 1.0 / OTHER_NOISE < concern.size < OTHER_NOISE
     ]

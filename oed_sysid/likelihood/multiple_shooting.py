@@ -26,7 +26,7 @@ from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Progress, Solution, solve
 from oed_sysid.likelihood.horizons import fit_horizons
-from oed_sysid.likelihood.judgement import level_concerns, with_verdict
+from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.noise_levels import (
     credible_levels,
     residual_levels,
@@ -780,7 +780,7 @@ def _declared_levels(noise: NoiseModel, declared: Sequence[RandomProcess]) -> No
 
 def _larger_noise(fit: Fit, white: np.ndarray) -> np.ndarray:
     """White levels that are clearly above the declared ones; zero where they are not."""
-    factors = {concern.signal: concern.size for concern in level_concerns(fit)}
+    factors = {concern.signal: concern.size for concern in concerns_of(fit, "noise_level")}
     sizes = np.array([factors.get(name, 0.0) for name in fit.model.output_names])
     return np.where(sizes > 1.0, sizes * white, 0.0)
 
