@@ -28,6 +28,9 @@ from oed_sysid.cli.terminal import (
 if TYPE_CHECKING:
     from oed_sysid.runtime.display import Report
 
+# How progress begins that tells of an effect when it is confirmed.
+CONFIRMED = "confirmed "
+
 
 def diagnose(
     problem: str,
@@ -76,6 +79,7 @@ def improve(
     known_noise: bool = False,
     disturbances: str = "auto",
     max_effects: int = 4,
+    no_terms: bool = False,
     save: str | None = None,
     json_file: Path | None = None,
     html_file: Path | None = None,
@@ -106,6 +110,7 @@ def improve(
                 known_noise=known_noise,
                 disturbances=disturbances_of(disturbances),
                 max_effects=max_effects,
+                terms=not no_terms,
                 progress=partial(_tell, show, _Rounds(max_effects)),
                 journal=keep,
             )
@@ -156,6 +161,8 @@ class _Rounds:
 
 
 def _tell(show: Shown, rounds: _Rounds, what: str) -> None:
+    if what.startswith(CONFIRMED):
+        note(f"{what[0].upper()}{what[1:]}.")  # stays, where progress is overwritten
     show.say(what)
     named = re.search(r"round (\d+)", what)
     left = rounds.left(int(named[1]), time.monotonic()) if named else None

@@ -218,6 +218,7 @@ ROWS = {
         "that --save wrote joins with the fit that it holds.", "EFFECT|FIT...", flag="--with"),
     "saved": Row("What `oed-sysid fit --save FIT` kept, or the numbers of --json.", "FIT", flag=""),
     "max_effects": Row("Most effects to add.", least=1),
+    "no_terms": Row("Look for no term beyond the candidates: the slowest stage."),
     "listing": Row("Show every field with rate, span, unit and range.", flag="--list"),
     "find": Row("With --list: fields that hold TEXT.", "TEXT"),
     "mapping": Row(
